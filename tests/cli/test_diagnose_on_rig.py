@@ -64,6 +64,7 @@ def test_gains_on_trial_go_when_nobody_is_left_to_keep_them(tmp_path: Path) -> N
         assert after["names"] == shipped["names"]
 
 
+@pytest.mark.long
 def test_gains_on_trial_stay_through_a_run_and_for_good_once_confirmed(tmp_path: Path) -> None:
     with daemon(tmp_path, "kept") as made, pamctl.connect(made.socket) as rig:
         trial = {**rig.gains, "lambda_per_s": 12.0}

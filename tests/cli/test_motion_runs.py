@@ -48,6 +48,7 @@ def write_table(folder: Path, text: str, **keys: Any) -> str:
     return str(path)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SHORT)
 def test_a_form_runs_and_replays_to_the_bit(name: str, tmp_path: Path) -> None:
     changes = [part for key in SHORT[name] for part in ("--set", f"experiment.{key}")]
@@ -204,6 +205,7 @@ def test_the_model_needs_the_valve_command_that_the_simulated_muscle_gets(tmp_pa
     assert min(d.pressure_pa for d in needed) == pytest.approx(used_pa.min(), rel=0.05)
 
 
+@pytest.mark.long
 def test_a_gain_that_cannot_change_while_it_runs_is_refused() -> None:
     for change, said in (
         ("{length_unit: inch}", "takes effect with the next run"),

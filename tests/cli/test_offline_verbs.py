@@ -187,6 +187,7 @@ def run_elsewhere(system: str, folder: Path, *verbs: str) -> None:
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.long
 def test_verbs_that_drive_no_rig_run_without_linux(log):
     verbs = [
         "replay {} --tolerance default-for-other-cpu", "log info {}", "log check {}",
@@ -196,6 +197,7 @@ def test_verbs_that_drive_no_rig_run_without_linux(log):
     run_elsewhere("elsewhere", log.parent, *(verb.format(log) for verb in verbs))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("system", ["win32"])
 def test_files_go_in_and_out_where_the_system_has_another_name(log, system, monkeypatch):
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")  # a fifth of a second is not worth compiling for
@@ -219,6 +221,7 @@ def read_messages(path: Path) -> list[tuple[str, int, int, bytes]]:
         )
 
 
+@pytest.mark.long
 def test_a_run_without_a_clock_gives_the_same_log_where_there_are_no_rings(tmp_path):
     run = "run --fast --quiet --duration 0.5 --seed 7 --log"
     run_elsewhere("win32", tmp_path, f"{run} elsewhere.mcap")

@@ -120,6 +120,7 @@ def of_every_phase(tmp_path_factory: pytest.TempPathFactory) -> Log:
     return fast_run(tmp_path_factory.mktemp("whole"), *BRISK)[1]
 
 
+@pytest.mark.long
 def test_a_fast_run_compares_its_tracking_with_table_iv(tmp_path: Path) -> None:
     report, log = fast_run(tmp_path)
     assert report["exit_code"] == 0
@@ -246,6 +247,7 @@ def test_sigterm_stops_a_run_smoothly_with_143(tmp_path: Path) -> None:
     assert outcome(log)["code"] == 143
 
 
+@pytest.mark.long
 def test_a_recorder_frozen_for_good_ends_the_run_and_loses_nothing(tmp_path: Path) -> None:
     with running(tmp_path) as front:
         pids = children(front)
@@ -262,6 +264,7 @@ def test_a_recorder_frozen_for_good_ends_the_run_and_loses_nothing(tmp_path: Pat
 # --- trips -------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("fault", "code", "reason"),
     [
@@ -362,6 +365,7 @@ def test_a_bad_line_of_a_file_is_named_with_its_place(tmp_path: Path) -> None:
     assert done.stderr.strip() == said
 
 
+@pytest.mark.long
 def test_a_log_on_a_full_disk_ends_the_run_and_is_complete_to_its_last_tick(
     tmp_path: Path,
 ) -> None:

@@ -43,6 +43,7 @@ def start_search() -> GainsSearch:
     return GainsSearch("pid", Jury((), 1.0, tuple(plants)), seed=1)
 
 
+@pytest.mark.long
 def test_a_search_is_the_same_to_the_bit_though_a_worker_is_killed_in_its_middle(
     two_workers: Any, address: str
 ) -> None:
@@ -62,6 +63,7 @@ def test_a_search_is_the_same_to_the_bit_though_a_worker_is_killed_in_its_middle
     assert np.array_equal(shared._population, alone._population)
 
 
+@pytest.mark.long
 def test_a_diagnosis_on_workers_gives_the_same_document_and_its_progress(address: str) -> None:
     records = pair(valve_asymmetry__exhaust_gain=0.9)
     few = all_but("valve_asymmetry", "valve_leak")

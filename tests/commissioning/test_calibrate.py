@@ -543,6 +543,7 @@ def test_options_that_make_no_sense_are_refused_before_anything_moves(
     assert (tmp_path / "old.yaml").read_text() == "backend: sim\n"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
 def test_whatever_ends_it_while_a_pressure_is_held_the_valve_is_safe(
     tmp_path: Path, number: signal.Signals, code: int

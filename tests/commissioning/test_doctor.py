@@ -631,6 +631,7 @@ def test_without_a_driver_the_doctor_says_what_to_install_and_exits_with_3(tmp_p
     assert {"pc.kernel", "pc.fifo", "pc.wakeup"} <= set(found)
 
 
+@pytest.mark.long
 def test_the_whole_examination_of_a_card_passes_and_ends_at_the_safe_voltage(
     tmp_path: Path,
 ) -> None:
@@ -654,6 +655,7 @@ def test_the_whole_examination_of_a_card_passes_and_ends_at_the_safe_voltage(
     assert own.output_v == pytest.approx(0.0, abs=AO_STEP_V)
 
 
+@pytest.mark.long
 def test_at_a_terminal_the_carriage_is_moved_by_hand_to_see_the_encoder_alive(
     tmp_path: Path,
 ) -> None:
@@ -697,6 +699,7 @@ def test_a_device_that_a_run_holds_is_refused_and_left_alone(tmp_path: Path) -> 
     assert "valve.sign" not in found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
 def test_whatever_ends_it_in_the_middle_of_a_pulse_the_valve_is_safe(
     tmp_path: Path, number: signal.Signals, code: int

@@ -68,6 +68,7 @@ def test_the_log_of_an_outside_law_names_package_and_version_and_source(log: Pat
     assert {"law.twist_v", "law.surface"} <= ran.keyframes[0]["state"].keys()
 
 
+@pytest.mark.long
 def test_the_log_of_an_outside_law_replays_to_the_bit_from_any_keyframe(
     log: Path, site: Path
 ) -> None:
@@ -107,6 +108,7 @@ def test_the_report_names_its_terms_with_and_without_the_package(
         assert "u_eq" not in text
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("closed_loops")
 def test_tune_finds_gains_of_an_outside_law_and_writes_its_equation(
     site: Path, tmp_path: Path
@@ -136,6 +138,7 @@ def test_a_law_without_default_gains_says_how_to_give_them(tmp_path: Path) -> No
     assert "give the gains with --controller GAINS.yaml" in done.stderr
 
 
+@pytest.mark.long
 def test_gains_of_an_outside_law_change_during_a_run_and_its_unit_does_not(
     site: Path, gains: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -199,6 +202,7 @@ def file_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.long
 def test_a_law_from_a_file_runs_with_its_defaults_and_replays(file_log: Path) -> None:
     ran, file = read(file_log), file_log.with_name("my_law.py")
     assert ran.metadata["law"]["file"] == str(file)
@@ -217,6 +221,7 @@ def test_a_replay_does_not_load_the_file_of_a_law_by_itself_and_names_it(file_lo
     assert "name that file with --controller-from" in done.stderr
 
 
+@pytest.mark.long
 def test_an_outside_law_can_be_compared_on_a_log_of_a_shipped_law(file_log: Path) -> None:
     gains = file_log.with_name("gains.yaml")
     gains.write_text("law: super_twisting\nlpf1_hz: 200\nlpf2_hz: 200\n")

@@ -55,6 +55,7 @@ def up(shared_up: Daemon) -> Daemon:
 # --- the life cycle ------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_run_homes_runs_stops_and_leaves_the_muscle_parked(up: Daemon) -> None:
     if up.state() == "ready":
         up.ask("disarm")
@@ -71,6 +72,7 @@ def test_a_run_homes_runs_stops_and_leaves_the_muscle_parked(up: Daemon) -> None
     assert went_through[:3].tolist() == [Phase.HOMING, Phase.OPEN_LOOP, Phase.STOPPING]
 
 
+@pytest.mark.long
 def test_each_run_has_a_whole_log_of_its_own_that_replays_to_the_bit_and_the_first_one_homes(
     up: Daemon,
 ) -> None:
@@ -139,6 +141,7 @@ def ticks_since_the_encoder_counted(log: Log) -> np.ndarray:
     return index - np.maximum.accumulate(np.where(counted, index, 0))
 
 
+@pytest.mark.long
 def test_gains_change_without_a_jump_and_replay_follows_them(up: Daemon) -> None:
     log = up.ask("goto", position_m=8e-3, within_s=0.5)["log"]
     up.wait_until(lambda s: s["state"] == "ready" and s["log"] is not None)
@@ -183,6 +186,7 @@ def test_a_gain_out_of_bounds_is_refused_with_the_bound_and_changes_nothing(
     assert up.ask("status")["controller"] == before
 
 
+@pytest.mark.long
 def test_another_law_is_refused_during_a_run_and_accepted_between_runs(up: Daemon) -> None:
     from pamctl.settings.resolve import settings_to_data
 

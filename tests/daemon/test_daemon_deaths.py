@@ -79,6 +79,7 @@ def holding(made: Daemon) -> Path:
     return Path(log)
 
 
+@pytest.mark.long
 def test_an_emergency_stop_is_safe_within_a_few_ticks_and_latched(hurt: Daemon) -> None:
     log = holding(hurt)
     hurt.ask("estop")
@@ -130,6 +131,7 @@ def test_a_safety_trip_is_latched_with_its_reason(tmp_path: Path) -> None:
         made.wait_safe()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_loop_that_dies_or_freezes_is_a_fault_and_the_log_is_whole(
     hurt: Daemon, number: signal.Signals
@@ -151,6 +153,7 @@ def holds_numpy(made: Daemon) -> bool:
     return "numpy" in Path(f"/proc/{made.process.pid}/maps").read_text()
 
 
+@pytest.mark.long
 def test_a_recorder_that_dies_is_a_fault_and_its_ticks_are_rescued(hurt: Daemon) -> None:
     log = holding(hurt)
     os.kill(hurt.ask("status")["pids"]["recorder"], signal.SIGKILL)
@@ -163,6 +166,7 @@ def test_a_recorder_that_dies_is_a_fault_and_its_ticks_are_rescued(hurt: Daemon)
     assert not holds_numpy(hurt)
 
 
+@pytest.mark.long
 def test_a_daemon_that_is_killed_leaves_the_valve_safe_and_the_log_whole(own: Daemon) -> None:
     log = holding(own)
     pids = own.ask("status")["pids"]
@@ -184,6 +188,7 @@ def children_of(daemon: int) -> list[int]:
     return [int(pid) for text in lists for pid in text.split()]
 
 
+@pytest.mark.long
 def test_the_next_start_after_all_were_killed_finishes_the_log_and_stays_small(
     own: Daemon, tmp_path: Path
 ) -> None:
@@ -199,6 +204,7 @@ def test_the_next_start_after_all_were_killed_finishes_the_log_and_stays_small(
         assert not holds_numpy(after)
 
 
+@pytest.mark.long
 def test_a_signal_stops_the_daemon_smoothly_and_it_exits_with_0(own: Daemon) -> None:
     log = holding(own)
     own.process.send_signal(signal.SIGINT)
@@ -209,6 +215,7 @@ def test_a_signal_stops_the_daemon_smoothly_and_it_exits_with_0(own: Daemon) -> 
     assert not own.socket.exists()
 
 
+@pytest.mark.long
 def test_a_stop_may_last_longer_than_the_ticks_kept_between_runs(tmp_path: Path) -> None:
     # How far behind a recorder may be is a matter of its run's ring.
     with daemon(tmp_path, "slow", NOT_HOMED, "rig.loop.stop_ramp_s=5") as made:
@@ -218,6 +225,7 @@ def test_a_stop_may_last_longer_than_the_ticks_kept_between_runs(tmp_path: Path)
         assert read(log).events[-1]["reason"] == "stopped by request"
 
 
+@pytest.mark.long
 def test_more_signals_end_it_at_once_and_leave_no_fault(tmp_path: Path) -> None:
     slowly = ("rig.loop.stop_ramp_s=5", "rig.loop.ring_rows=65536")
     with daemon(tmp_path, "hurry", NOT_HOMED, *slowly) as made:
@@ -252,6 +260,7 @@ def test_a_daemon_that_is_ending_starts_nothing(tmp_path: Path) -> None:
             ask()
 
 
+@pytest.mark.long
 def test_with_json_each_event_is_a_line_on_standard_output(
     tmp_path: Path,
 ) -> None:
@@ -293,12 +302,14 @@ def test_a_slow_stuck_or_gone_reader_of_events_delays_nobody() -> None:
     os.close(its)
 
 
+@pytest.mark.long
 def test_a_session_that_is_idle_for_long_ends(tmp_path: Path) -> None:
     with daemon(tmp_path, "idle", NOT_HOMED, options=["--idle-after", "1"]) as made:
         run_to_its_end(made, SQUARE)
         assert made.wait_for("idle")["pids"] == {}
 
 
+@pytest.mark.long
 def test_the_option_keep_leaves_only_its_newest_logs(tmp_path: Path) -> None:
     with daemon(tmp_path, "keep", NOT_HOMED, options=["--keep", "1"]) as made:
         others = [made.logs / "20250101-000000-qsmc-tracking-1.mcap", made.logs / "mine.csv"]

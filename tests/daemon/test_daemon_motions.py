@@ -27,6 +27,7 @@ def start(up: Daemon, *arguments: str) -> subprocess.CompletedProcess[str]:
     return run_pamctl("start", "--socket", up.socket, *arguments)
 
 
+@pytest.mark.long
 def test_a_sine_starts_with_keys_from_the_command_line_and_replays(up: Daemon) -> None:
     keys = ("--set", "amplitude_mm=2", "--set", "frequency_hz=1", "--set", "experiment.cycles=2")
     done = start(up, "sine", *keys, "--json")
@@ -48,6 +49,7 @@ def test_a_key_that_a_form_lacks_or_a_motion_beyond_the_stroke_starts_nothing(up
     assert up.state() in ("idle", "ready")
 
 
+@pytest.mark.long
 def test_gains_of_a_sequence_end_with_its_run(up: Daemon) -> None:
     before = up.ask("status")["controller"]["lambda_per_s"]
     parts = [

@@ -103,6 +103,7 @@ class Manager:
         self._socket.close()
 
 
+@pytest.mark.long
 def test_it_is_ready_when_it_answers_and_the_loops_progress_feeds_the_watchdog(
     tmp_path: Path,
 ) -> None:

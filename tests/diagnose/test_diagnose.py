@@ -82,12 +82,14 @@ def test_a_next_diagnosis_from_the_extended_plant_finds_nothing_more() -> None:
     assert again.verdict in (Verdict.NO_DISCREPANCY, Verdict.MISCALIBRATED)
 
 
+@pytest.mark.long
 def test_a_sensor_offset_is_not_named_a_bladder_threshold() -> None:
     found = diagnosed(pressure_sensor_offset__offset_pa=4000.0)
     assert [s.effect.name for s in found.standings] == ["pressure_sensor_offset"]
     assert found.verdict is Verdict.NAMED
 
 
+@pytest.mark.long
 def test_if_the_catalogue_lacks_the_effect_no_other_effect_is_named() -> None:
     hidden = {"valve_deadband__fill_width_v": 0.25, "valve_deadband__exhaust_width_v": 0.2}
     found = diagnose(*pair(**hidden), PAPER, without=all_but("valve_curve", "valve_leak", "creep"))

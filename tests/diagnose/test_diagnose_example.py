@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from typer.testing import CliRunner
 
 from pamctl.cli.app import app
@@ -14,6 +15,7 @@ from pamctl.cli.app import app
 PAGE = Path(__file__).parents[2] / "pamctl" / "manual" / "how_to" / "diagnose-a-log.md"
 
 
+@pytest.mark.long
 def test_the_example_with_an_executor_runs_unchanged(tmp_path: Path) -> None:
     for seed, name in (("1", "a.mcap"), ("2", "b.mcap")):
         run = ["run", "--fast", "--quiet", "--experiment", "diagnosis", "--duration", "3.5"]

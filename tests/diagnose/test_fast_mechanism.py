@@ -38,6 +38,7 @@ def oscillating(seed: int) -> Record:
     return Record(name=f"run{seed}", t_s=t_s, force_n=force_n, position_m=states[:, 0] + noise_m)
 
 
+@pytest.mark.long
 def test_a_fast_oscillator_shows_its_cubic_spring_and_that_its_force_was_held() -> None:
     guess = 0.5
     parameters = {

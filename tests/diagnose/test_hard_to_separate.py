@@ -29,6 +29,7 @@ def _with_heat_capacity_ratio(plant: PlantSettings, ratio: float) -> PlantSettin
     return plant.model_copy(update={"parameters": parameters})
 
 
+@pytest.mark.long
 def test_a_scale_that_explains_all_is_corrected_where_an_effect_explains_less() -> None:
     case = Case("left_out/encoder_scale", "left_out", {"encoder_scale": 3}, program="brief")
     found = _diagnose(case, ("cubic_stiffness", "stribeck", "creep"))
@@ -38,6 +39,7 @@ def test_a_scale_that_explains_all_is_corrected_where_an_effect_explains_less() 
     assert finding.value == pytest.approx(rig_of(case).sensors.encoder_scale, abs=2e-3)
 
 
+@pytest.mark.long
 def test_a_dead_volume_that_the_braids_length_hides_is_named_by_both_blocks() -> None:
     """The pressure alone is at its limit; a line without resistance has such a volume as well."""
     case = Case("single/dead_volume/3", "single", {"dead_volume": 3}, program="short", repeat=1)
@@ -53,6 +55,7 @@ def test_a_dead_volume_that_the_braids_length_hides_is_named_by_both_blocks() ->
     assert volume.low < rig_of(case).truth.dead_m3 < volume.high
 
 
+@pytest.mark.long
 def test_the_muscle_rests_where_a_leak_holds_it_before_the_leaks_form_is_known() -> None:
     """This rig's leak falls in one step; the catalogue's forms leave something of the pressure."""
     case = Case("single/valve_leak/10", "single", {"valve_leak": 10}, program="brief", repeat=1)
@@ -71,6 +74,7 @@ def test_a_ratio_of_heat_capacities_that_no_gas_has_is_no_rival_of_the_valve() -
     assert not found.setup
 
 
+@pytest.mark.long
 def test_a_wrong_ratio_of_heat_capacities_is_found() -> None:
     case = Case("gas", "null", {}, program="brief")
     plant = _with_heat_capacity_ratio(start_plant(case), 1.2)
@@ -80,6 +84,7 @@ def test_a_wrong_ratio_of_heat_capacities_is_found() -> None:
     assert finding.value == pytest.approx(1.4, abs=0.005)
 
 
+@pytest.mark.long
 def test_a_small_effect_is_named_though_it_leaves_less_than_a_count_of_the_encoder() -> None:
     case = Case("single/encoder_scale/1", "single", {"encoder_scale": 1}, program="brief", repeat=1)
     found = _diagnose(case, ("encoder_scale", "cubic_stiffness", "creep"))

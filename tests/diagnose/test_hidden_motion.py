@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hidden.examination.cases import Case
 from hidden.examination.examine import records_of, rig_of, start_plant
 
@@ -10,6 +11,7 @@ from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.plant.catalogue import CATALOGUE
 
 
+@pytest.mark.long
 def test_the_width_of_a_play_is_found_with_the_pressure_of_the_muscle_behind_it() -> None:
     """By the shown motion's pressure it comes out two steps of the encoder too wide."""
     case = Case("play", "single", {"encoder_backlash": 10}, program="short")

@@ -279,6 +279,7 @@ def test_where_noise_is_unknown_the_regimes_are_measured_by_the_estimated_floor(
         assert misfit.residual_over_floor == pytest.approx(whole, rel=0.2)
 
 
+@pytest.mark.long
 def test_a_mass_that_no_record_shows_stays_that_of_the_plant_file() -> None:
     runs = [imposed_motion(1)], [imposed_motion(2)]
     first = diagnose(*runs, axis(mass_kg=0.6))

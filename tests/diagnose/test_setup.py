@@ -154,6 +154,7 @@ def test_what_both_blocks_must_answer_is_not_decided_by_the_pressure_alone() -> 
     assert _ask_air_first(_record(hidden_rig({"valve_deadband": 3}, seed=9))) is None
 
 
+@pytest.mark.long
 def test_a_late_pressure_column_is_told_from_the_physics() -> None:
     late_ticks = 2
 
@@ -166,6 +167,7 @@ def test_a_late_pressure_column_is_told_from_the_physics() -> None:
     assert finding.value == pytest.approx(1e-3 * late_ticks, abs=1e-4)
 
 
+@pytest.mark.long
 def test_times_that_are_all_too_long_are_told_from_a_damping_that_grows_with_pressure() -> None:
     def stretch(record: Record) -> Record:
         return replace(record, t_s=1.03 * record.t_s)
@@ -191,6 +193,7 @@ def test_an_atmosphere_that_was_added_twice_is_said_and_taken_off() -> None:
     assert np.median(setup.train[0]["pressure_pa"][:200]) == pytest.approx(101.3e3, abs=600.0)
 
 
+@pytest.mark.long
 def test_a_command_of_the_wrong_sign_is_said() -> None:
     def invert(record: Record) -> Record:
         return replace(record, valve_v=-record["valve_v"])
@@ -210,6 +213,7 @@ def test_a_stiffness_that_falls_from_record_to_record_is_said_with_its_values() 
     assert not setup.base.unexplained
 
 
+@pytest.mark.long
 def test_repeats_that_are_far_from_alike_are_asked_which_number_differs() -> None:
     """The limit that they set would hide 170 times the sensor's noise."""
     (case,) = (c for c in hostile_cases() if c.id == "friction_between/large/open")
@@ -248,11 +252,13 @@ def test_a_command_that_changes_rarely_is_suspected_where_nothing_explains_the_p
     assert "may have got it more often" in suspicion.text
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("effects", [{}, {"valve_deadband": 3}])
 def test_a_right_set_up_is_not_blamed(effects: dict[str, float]) -> None:
     assert _ask(_record(hidden_rig(effects, seed=9))).findings == ()
 
 
+@pytest.mark.long
 def test_the_atmosphere_of_the_place_is_never_told_from_the_sensors_gain() -> None:
     rig = hidden_rig(seed=10)
     rig = replace(rig, truth=rig.truth._replace(atmosphere_pa=94e3))
@@ -317,6 +323,7 @@ def test_the_command_before_the_record_has_the_same_null() -> None:
     assert moved.held_v == pytest.approx(0.4)
 
 
+@pytest.mark.long
 def test_a_bowed_pressure_sensor_is_found_where_its_promise_is_small() -> None:
     """The numbers of both blocks have taken most of the bow; one of them is at its bound then."""
     span_pa, height_pa = 350e3, 5e3
@@ -364,6 +371,7 @@ def _ask_axis(spoil: Callable[[Record], Record], plant: PlantSettings) -> Checke
     return suspect_setup(base, train, holdout, FirstLevel(list_candidates(base.evidence)))
 
 
+@pytest.mark.long
 def test_the_force_of_a_mechanism_is_late_or_its_position_is_early() -> None:
     late_ticks = -2
 
@@ -403,6 +411,7 @@ def test_friction_of_a_mechanism_that_changes_at_an_instant_is_said_with_its_siz
     assert finding.value == pytest.approx(10.0, rel=0.02)
 
 
+@pytest.mark.long
 def test_friction_that_acts_all_the_time_has_not_changed_when_the_motion_began() -> None:
     (case,) = (c for c in partial_log_cases() if c.id == "direct/coulomb_friction")
     train, holdout = (
@@ -533,6 +542,7 @@ def test_a_piston_that_is_known_with_the_wrong_sign_is_told_from_an_inverted_loa
     assert found.verdict is Verdict.MISCALIBRATED
 
 
+@pytest.mark.long
 def test_a_late_column_beside_missing_friction_is_said_with_the_friction() -> None:
     def delay(record: Record) -> Record:
         rows = np.clip(np.arange(len(record)) - 3, 0, len(record) - 1)

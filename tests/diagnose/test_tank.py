@@ -87,6 +87,7 @@ def diagnose_tank() -> Diagnosis:
     return diagnose([record_tank(3)], [record_tank(4)], plant)
 
 
+@pytest.mark.long
 def test_three_effects_that_hide_behind_each_other_are_found_together() -> None:
     found = diagnose_tank()
     assert found.model is not None

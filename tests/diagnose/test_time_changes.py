@@ -28,6 +28,7 @@ def _fit_changes(case: HostileCase) -> list[SuspectFit]:
 CASES = {case.id: case for case in all_cases()}
 
 
+@pytest.mark.long
 def test_a_small_drift_near_the_floor_is_fitted() -> None:
     """It leaves 1.2 times the floor: most of that square is noise, which nothing explains."""
     best, *_ = _fit_changes(CASES["valve_gain_within/small/random"])
@@ -37,6 +38,7 @@ def test_a_small_drift_near_the_floor_is_fitted() -> None:
     assert best.is_good
 
 
+@pytest.mark.long
 def test_a_change_at_half_of_records_of_unlike_length_is_a_share_of_each() -> None:
     best, *_ = _fit_changes(CASES["leak_from_half/small/random"])
     assert best.suspect.kind == "change_at_instant"

@@ -69,6 +69,7 @@ def await_writes(own: Card, process: subprocess.Popen[str], writes: int) -> None
         time.sleep(0.02)
 
 
+@pytest.mark.long
 def test_a_run_is_complete_ends_at_the_safe_voltage_and_replays_to_the_bit(own: Card) -> None:
     process = start(own, *RUN, "--duration", "1", "--json", LC_ALL="C")
     said, complaints = process.communicate(timeout=PATIENCE_S)

@@ -102,6 +102,7 @@ def test_a_valve_that_begins_to_stick_is_noticed_behind_noise() -> None:
     assert 1.3 < change.after < 2.0
 
 
+@pytest.mark.long
 def test_a_folder_of_logs_names_the_number_that_moved(tmp_path: Path) -> None:
     logs, out = tmp_path / "logs", tmp_path / "out"
     logs.mkdir()

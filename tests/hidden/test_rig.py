@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from hidden.excitations import PROGRAMS, fill_and_hold, multisine, pulling, square, tracking
 from hidden.plant import HiddenPlant
@@ -48,6 +49,7 @@ def test_the_noise_at_rest_is_the_one_ordered_and_a_part_of_it_is_slow() -> None
     assert 0.25 < alike < 0.40
 
 
+@pytest.mark.long
 def test_every_record_begins_at_rest_and_vented() -> None:
     for name, make in PROGRAMS.items():
         train, held_out = make(1)

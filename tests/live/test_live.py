@@ -95,6 +95,7 @@ def assert_equal_to_the_log(path: Path, schema: bytes, payloads: list[bytes]) ->
     return len(rows)
 
 
+@pytest.mark.long
 def test_a_viewer_of_a_run_receives_what_the_log_holds(tmp_path: Path) -> None:
     device, log, errors = f"test-live-{time.time_ns()}", tmp_path / "run.mcap", tmp_path / "err"
     # Longer than the busiest PC needs to serve it: it is ended when enough was seen.
@@ -119,6 +120,7 @@ def test_a_viewer_of_a_run_receives_what_the_log_holds(tmp_path: Path) -> None:
     assert np.all(times_s > 0)
 
 
+@pytest.mark.long
 def test_a_viewer_of_the_daemon_receives_its_states_and_what_the_logs_hold(
     tmp_path: Path,
 ) -> None:

@@ -55,6 +55,7 @@ def run(up: Daemon, tab: Page) -> Log:
     return read(name)
 
 
+@pytest.mark.long
 def test_the_trigger_fires_at_the_tick_of_the_crossing_and_every_tick_is_there(
     run: Log, tab: Page
 ) -> None:

@@ -124,6 +124,7 @@ def test_figures_are_in_millimetres_and_kilopascals_in_any_width(size: tuple[int
         assert figure in text
 
 
+@pytest.mark.long
 def test_values_are_those_of_the_log_and_a_restarted_daemon_is_found_again(tmp_path: Path) -> None:
     from pamctl.log import read
 
@@ -155,6 +156,7 @@ def test_values_are_those_of_the_log_and_a_restarted_daemon_is_found_again(tmp_p
         feed.close()
 
 
+@pytest.mark.long
 def test_in_a_terminal_it_draws_and_in_a_pipe_it_writes_lines(tmp_path: Path) -> None:
     with daemon(tmp_path, "watch", NOT_HOMED) as made:
         made.ask("goto", position_m=8e-3, within_s=0.5)
@@ -173,6 +175,7 @@ def test_in_a_terminal_it_draws_and_in_a_pipe_it_writes_lines(tmp_path: Path) ->
     assert all(re.search(r"\(goto\), sim .* x +-?\d+\.\d+ mm", line) for line in lines)
 
 
+@pytest.mark.long
 def test_lines_of_json_are_what_the_page_is_sent(tmp_path: Path) -> None:
     with daemon(tmp_path, "lines", NOT_HOMED) as made:
         made.ask("goto", position_m=8e-3, within_s=0.5)

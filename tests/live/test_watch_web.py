@@ -46,6 +46,7 @@ def controlled(up: Daemon) -> Iterator[Served]:
 # --- in a browser ------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_plots_move_and_fit_the_page_and_the_emergency_stop_ends_at_the_safe_voltage(
     up: Daemon, controlled: Served, tmp_path: Path
 ) -> None:
@@ -86,6 +87,7 @@ def test_plots_move_and_fit_the_page_and_the_emergency_stop_ends_at_the_safe_vol
     up.ask("ack")
 
 
+@pytest.mark.long
 def test_the_emergency_stop_of_one_of_twelve_tabs_is_confirmed_at_once(
     up: Daemon, controlled: Served, tmp_path: Path
 ) -> None:
@@ -102,6 +104,7 @@ def test_the_emergency_stop_of_one_of_twelve_tabs_is_confirmed_at_once(
     up.ask("ack")
 
 
+@pytest.mark.long
 def test_an_order_that_is_not_confirmed_says_so_until_it_is(up: Daemon, tmp_path: Path) -> None:
     with served(up, "--allow-control") as shown, page(tmp_path) as tab:
         tab.open(shown.address, width=390, height=844)
@@ -122,6 +125,7 @@ def test_an_order_that_is_not_confirmed_says_so_until_it_is(up: Daemon, tmp_path
     up.ask("ack")
 
 
+@pytest.mark.long
 def test_an_open_page_survives_a_restart_of_the_daemon(tmp_path: Path) -> None:
     with (
         daemon(tmp_path, "again", NOT_HOMED) as first,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
 from support.command_line import run_pamctl
 from support.processes.daemons import daemon
 
@@ -42,6 +43,7 @@ def test_a_run_with_changed_gains_says_so_in_info_and_report(tmp_path: Path) -> 
     assert "*" not in pamctl("log", "info", str(plain))
 
 
+@pytest.mark.long
 def test_the_daemon_says_what_was_set_until_a_file_is_loaded(tmp_path: Path) -> None:
     with daemon(tmp_path, "gains", "rig.homing.enabled=false") as made:
         made.ask("set", changes=["controller.lambda_per_s=60"], ramp_s=0.1)

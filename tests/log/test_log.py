@@ -260,6 +260,7 @@ def foreign_reader(request) -> Callable[[Path], dict[str, Any]]:
     return read_foreign
 
 
+@pytest.mark.long
 def test_a_foreign_reader_finds_every_message_and_every_value(log_path, foreign_reader):
     seen = foreign_reader(log_path)
     assert seen["messages"] == {

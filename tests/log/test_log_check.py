@@ -73,6 +73,7 @@ def kinds(report: LogCheckReport, severity: Severity = Severity.ERROR) -> set[st
 # Valid logs.
 
 
+@pytest.mark.long
 def test_the_log_of_a_run_passes_without_a_word(run):
     done = pamctl("log", "check", run)
     assert done.exit_code == 0

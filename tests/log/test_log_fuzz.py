@@ -88,6 +88,7 @@ def assert_true_of(original: Log, saved: Log, recovery: Recovery) -> None:
         assert saved.events == original.events
 
 
+@pytest.mark.long
 def test_a_log_cut_anywhere_is_refused_and_what_is_saved_of_it_is_true(whole, tmp_path):
     original, content = read(whole), whole.read_bytes()
     saved = -1

@@ -212,6 +212,7 @@ def test_a_mat_file_of_version_7_3_is_refused_with_what_to_do(tmp_path):
     assert "'-v7'" in done.stderr
 
 
+@pytest.mark.long
 def test_a_damaged_mat_file_is_refused_or_read_and_never_a_traceback(tmp_path):
     savemat(tmp_path / "whole.mat", MAT_FILES["a structure with time"])
     whole = (tmp_path / "whole.mat").read_bytes()

@@ -13,6 +13,7 @@ TEXTS = read_texts()
 PAGES = ("first-run", "recover-a-log", "diagnose-a-log", "describe-your-rig", "add-a-rig")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", PAGES)
 def test_the_quick_commands_of_a_page_run_as_they_stand(name: str) -> None:
     results = list(run_page(name, TEXTS[name], quick=True))

@@ -186,6 +186,7 @@ def test_its_words() -> None:
     assert format_monitor(ended) == "monitor: ended (exit code -9)"
 
 
+@pytest.mark.long
 def test_beside_a_daemon_it_follows_the_run_and_its_death_harms_nothing(tmp_path: Path) -> None:
     long = {**TRACKING, "cycles": 30}
     with daemon(tmp_path, "mon", options=["--monitor", "--monitor-plant", "paper"]) as up:

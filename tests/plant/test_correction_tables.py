@@ -128,6 +128,7 @@ def nameless() -> Diagnosis:
         return diagnose(*records, PlantSettings(), without=all_but("creep"), correction=True)
 
 
+@pytest.mark.long
 def test_a_correction_table_is_added_on_request_and_shrinks_the_held_out_gap() -> None:
     found = nameless()
     assert found.verdict is Verdict.NONE_KNOWN

@@ -147,6 +147,7 @@ def test_the_pressure_block_solves_the_effects_equations(case: str) -> None:
     assert error_pa(32) < 4.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", MECHANICS_CASES)
 def test_the_mechanics_solve_the_effects_equations(case: str) -> None:
     values = flat(case, MECHANICS_CASES[case])

@@ -70,6 +70,7 @@ def worst(one: Recorded, other: Recorded) -> tuple[float, float]:
     return float(difference[0]), float(difference[2])
 
 
+@pytest.mark.long
 @command_names
 def test_the_reference_is_a_thousand_times_better_than_the_required_accuracy(
     name: str,
@@ -122,6 +123,7 @@ def test_the_plant_converges_to_the_reference(name: str) -> None:
     assert error_m(name, 128) < 1e-3 * UM
 
 
+@pytest.mark.long
 @command_names
 def test_a_lagging_spool_keeps_second_order(name: str) -> None:
     errors = [error_m(name, steps, VALVE_109_HZ) for steps in (1, 2, 4, 16)]

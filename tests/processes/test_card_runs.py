@@ -30,6 +30,7 @@ from pamctl.signals import Phase
 assert own  # a fixture
 
 
+@pytest.mark.long
 def test_a_run_on_the_card_is_complete_and_ends_at_the_safe_voltage(own: Card) -> None:
     # In the plainest of locales: every name handed to the driver must survive it.
     process = start(own, "--duration", "1", "--json", LC_ALL="C")
@@ -78,6 +79,7 @@ def test_ctrl_c_leaves_the_card_safe_and_its_driver_s_threads_were_raised_and_un
     assert found == [(os.SCHED_FIFO, os.sched_getaffinity(0))] * 4
 
 
+@pytest.mark.long
 def test_when_the_loop_freezes_the_guardian_takes_the_card_over(own: Card) -> None:
     process = start(own, *AT_ONCE)
     await_writes(own, process, 700)
@@ -90,6 +92,7 @@ def test_when_the_loop_freezes_the_guardian_takes_the_card_over(own: Card) -> No
     assert any(event["event"] == "guardian_takeover" for event in log_of(own).events)
 
 
+@pytest.mark.long
 def test_a_card_that_fails_in_the_middle_of_a_run_ends_it_with_69_and_safe(own: Card) -> None:
     own.fail(READ_VOLTS, -201003, after=700, times=1)
     process = start(own, *AT_ONCE)

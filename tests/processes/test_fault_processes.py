@@ -65,6 +65,7 @@ def child_of(front: subprocess.Popen[str], name: str) -> int:
     return await_children(front.pid, name)[name]
 
 
+@pytest.mark.long
 def test_a_driver_that_never_returns_is_killed_with_its_loop(own: Card) -> None:
     """The read ignores its timeout and all signals: only the guardian can act."""
     own.fail(READ_VOLTS, hang_s=60.0, is_deaf=True, after=MOVING, times=1)
@@ -76,6 +77,7 @@ def test_a_driver_that_never_returns_is_killed_with_its_loop(own: Card) -> None:
     assert_next_start_is_clean(own)
 
 
+@pytest.mark.long
 def test_a_card_that_is_gone_ends_with_69_its_own_words_and_an_alarm(own: Card) -> None:
     """No software reaches the output then: a person must act."""
     process = start(own, *AT_ONCE)
@@ -99,6 +101,7 @@ def test_a_loop_paced_by_the_card_that_dies_leaves_it_safe(own: Card) -> None:
     assert "the guardian drove the safe voltage" in assert_left_in_order(own, process, code=1)
 
 
+@pytest.mark.long
 def test_a_tick_that_takes_too_long_is_recorded_as_missed_and_the_run_goes_on(own: Card) -> None:
     own.fail("DAQmxWriteAnalogScalarF64", hang_s=6.5e-3, is_deaf=True, after=MOVING, times=1)
     process = start(own, *AT_ONCE, "--duration", "0.6")
@@ -138,6 +141,7 @@ def test_an_exception_in_the_law_ends_with_1_and_its_name(own: Card, tmp_path: P
     assert log.events[-1]["reason"].startswith("ZeroDivisionError")
 
 
+@pytest.mark.long
 def test_a_log_that_cannot_grow_stops_the_run_smoothly_and_is_whole(own: Card) -> None:
     process = start(own, *AT_ONCE, "--set", "rig.loop.ring_rows=2048")
     recorder = child_of(process, "recorder")
@@ -148,6 +152,7 @@ def test_a_log_that_cannot_grow_stops_the_run_smoothly_and_is_whole(own: Card) -
     assert spent_s(log_of(own), Phase.STOPPING) > 0.4
 
 
+@pytest.mark.long
 def test_pamctl_safe_drives_the_card_after_everything_was_killed(own: Card) -> None:
     process = start(own, *AT_ONCE, *PACED_BY_THE_CARD)
     await_writes(own, process, MOVING)

@@ -99,6 +99,7 @@ HARDEST = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", HARDEST, ids=lambda case: " ".join(sum(case[1:], case[:1])))
 def test_a_real_run_keeps_its_promises_whichever_processes_are_hit(
     script, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, case: tuple[Any, ...]

@@ -148,6 +148,7 @@ def test_a_loop_that_dies_or_freezes_leaves_the_valve_safe_and_the_log_complete(
     assert_log_complete_to(run, before)
 
 
+@pytest.mark.long
 def test_a_frozen_loop_without_a_guardian_is_ended_by_the_front(
     tmp_path: Path, device: str
 ) -> None:
@@ -216,6 +217,7 @@ def assert_stopped_at_once(run: Run) -> None:
     assert np.count_nonzero(read(run.log)["phase"] == Phase.STOPPING) == 0
 
 
+@pytest.mark.long
 def test_a_front_that_is_stopped_for_a_while_harms_nobody(tmp_path: Path, device: str) -> None:
     with running(tmp_path, device) as run:
         await_motion(run)
@@ -231,6 +233,7 @@ def test_a_front_that_is_stopped_for_a_while_harms_nobody(tmp_path: Path, device
     assert_log_complete_to(run, before)
 
 
+@pytest.mark.long
 def test_loop_and_front_killed_together_leave_a_safe_valve_and_a_log_with_its_end(
     tmp_path: Path, device: str
 ) -> None:
@@ -245,6 +248,7 @@ def test_loop_and_front_killed_together_leave_a_safe_valve_and_a_log_with_its_en
     assert read(run.log).events[-1]["event"] == "outcome"
 
 
+@pytest.mark.long
 def test_after_everything_was_killed_at_once_pamctl_safe_closes_the_valve(
     tmp_path: Path, device: str
 ) -> None:
@@ -270,6 +274,7 @@ def safe(device: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
 
 
+@pytest.mark.long
 def test_a_device_in_use_is_refused_to_a_second_run_and_to_pamctl_safe(
     tmp_path: Path, device: str
 ) -> None:
@@ -292,6 +297,7 @@ def test_a_device_in_use_is_refused_to_a_second_run_and_to_pamctl_safe(
         assert run.front.returncode == 130
 
 
+@pytest.mark.long
 def test_runs_without_a_clock_do_not_get_into_each_others_way(tmp_path: Path) -> None:
     device = f"test{os.getpid()}-nobodys"
     options = ["--fast", "--duration", "0.5", "--quiet"]
@@ -303,6 +309,7 @@ def test_runs_without_a_clock_do_not_get_into_each_others_way(tmp_path: Path) ->
     assert not ao_path(device).exists()
 
 
+@pytest.mark.long
 def test_signals_do_not_end_a_guardian_before_its_loop(tmp_path: Path, device: str) -> None:
     with running(tmp_path, device) as run:
         await_motion(run)

@@ -29,6 +29,7 @@ MS = 1_000_000
 DIED = Ending(ExitCode.UNEXPECTED, "the loop process was killed by SIGKILL")
 
 
+@pytest.mark.long
 def test_every_interleaving_of_three_deaths_and_freezes_keeps_the_promises() -> None:
     assert len(explore()) > 100_000
 

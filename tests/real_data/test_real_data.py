@@ -178,6 +178,7 @@ def test_an_expectation_is_checked(
     assert failed == [] if words is None else words in failed[0]
 
 
+@pytest.mark.long
 def test_an_error_of_one_set_is_reported_and_the_others_go_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -195,6 +195,7 @@ def true_rms_um(settings: RunSettings) -> float:
     return float(np.sqrt(np.mean(np.square(errors)))) * 1e6
 
 
+@pytest.mark.long
 def test_a_compensated_run_tracks_the_truth_better(tmp_path: Path) -> None:
     without = true_rms_um(settings_with(tmp_path))
     with_both = true_rms_um(settings_with(tmp_path, COMPENSATE))
@@ -219,6 +220,7 @@ def test_the_frozen_state_of_a_compensated_tick_thaws_to_itself(tmp_path: Path) 
     assert thaw_state(nowhere, numbers).compensated == state.compensated
 
 
+@pytest.mark.long
 def test_a_compensated_run_is_logged_checked_and_replayed_to_the_bit(tmp_path: Path) -> None:
     settings_with(tmp_path)
     log = tmp_path / "run.mcap"

@@ -103,6 +103,7 @@ RUNS: dict[str, tuple[Sequence[str], Sequence[FaultSettings], dict[int, int]]] =
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", RUNS)
 def test_a_run_has_the_same_rows_events_and_frozen_states(name: str, library: Path) -> None:
     overrides, faults, missed = RUNS[name]

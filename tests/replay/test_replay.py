@@ -86,6 +86,7 @@ def test_the_golden_logs_hold_the_cases_that_they_are_kept_for(
     assert all((GOLDEN / f"{name}.mcap").stat().st_size < 250_000 for name in NAMES)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
 def test_a_golden_log_replays_equal(name: str, golden: Callable[[str], Log]) -> None:
     found = replay_log(golden(name), tolerances=OTHER_CPU)

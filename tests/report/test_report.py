@@ -70,6 +70,7 @@ def page_of(*paths: Path) -> str:
     return compose_report([read(path) for path in paths]).html()
 
 
+@pytest.mark.long
 def test_the_columns_that_a_report_reads_are_all_that_it_shows(
     minute: Path, tripped: Path, imported: Path
 ) -> None:
@@ -180,6 +181,7 @@ def test_the_command_names_the_page_and_its_size(folder, square):
     assert found["bytes"] == target.stat().st_size
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("which", ["tripped", "imported"])
 def test_a_phone_shows_the_page_without_errors_and_without_scrolling_sideways(
     which, request, tmp_path

@@ -33,6 +33,7 @@ def numbers(whole: Path) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.long
 def test_the_numbers_are_those_of_a_run_that_starts_at_once(numbers, tmp_path):
     """The real loop, process and log instead of the compiled batch."""
     log = tmp_path / "run.mcap"

@@ -29,6 +29,7 @@ def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
         yield made
 
 
+@pytest.mark.long
 def test_positions_runs_gains_and_marks_are_those_of_the_simulation(up: Daemon) -> None:
     with connect(up.socket) as rig:
         rig.goto(9e-3, within_s=0.6)

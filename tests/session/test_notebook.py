@@ -15,6 +15,7 @@ from pamctl.settings.resolve import settings_to_data
 NOTEBOOK = list_pages()[0].path.parent / "afternoon.ipynb"
 
 
+@pytest.mark.long
 def test_the_notebook_finds_the_dead_band_and_better_gains(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

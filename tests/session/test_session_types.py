@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[2]
 
 SCRIPT = """
@@ -60,6 +62,7 @@ with pamctl.simulate("paper") as rig:
 """
 
 
+@pytest.mark.long
 def test_a_strict_script_has_no_error_and_a_wrong_one_has_each(tmp_path: Path) -> None:
     right, wrong = tmp_path / "right.py", tmp_path / "wrong.py"
     right.write_text(SCRIPT)

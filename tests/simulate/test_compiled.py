@@ -139,6 +139,7 @@ def one_step(checkout: Path, cache: Path) -> Compiled:
     return Compiled(float(risen_pa), int(misses))
 
 
+@pytest.mark.long
 def test_the_next_process_finds_the_machine_code_unless_a_called_kernel_changed(
     checkout: Path, tmp_path: Path
 ) -> None:

@@ -167,6 +167,7 @@ def sweep_fast(folder: Path, *words: str) -> Any:
     return done.exit_code, json.loads(done.stdout)
 
 
+@pytest.mark.long
 def test_a_sweep_without_a_clock_from_the_command_line(tmp_path: Path) -> None:
     folder = tmp_path / "logs"
     code, document = sweep_fast(folder, "--note", "hose 2")
@@ -188,6 +189,7 @@ def test_a_sweep_without_a_clock_from_the_command_line(tmp_path: Path) -> None:
     assert sorted(folder.glob("*.mcap")) == again
 
 
+@pytest.mark.long
 def test_a_sweep_on_the_daemon_puts_the_gains_back_and_its_logs_stay(tmp_path: Path) -> None:
     experiment = tmp_path / "short.yaml"
     experiment.write_text(json.dumps(TRACKING))

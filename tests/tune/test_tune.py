@@ -329,6 +329,7 @@ def tune(*options: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     return run_pamctl("tune", *options, cwd=cwd)
 
 
+@pytest.mark.long
 def test_the_gains_file_says_how_it_was_made_and_can_be_run(tmp_path: Path) -> None:
     small = ["--plant", "paper", "--generations", "1", "--jobs", "1"]
     made = tune("--law", "pid", *small, "--out", "mine.yaml", cwd=tmp_path)
@@ -349,6 +350,7 @@ def test_given_gains_are_scored_and_nothing_is_written(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.long
 def test_drawn_plants_reach_other_processes(tmp_path: Path) -> None:
     which = ["--ensemble", "2", "--held-out", "2", "--plant", "paper"]
     made = tune("--check", "pid", *which, "--jobs", "2", "--json", cwd=tmp_path)
@@ -392,6 +394,7 @@ def test_invalid_options_are_refused(tmp_path: Path, options: list[str], said: s
     assert said in made.stderr
 
 
+@pytest.mark.long
 def test_ctrl_c_keeps_the_best_gains_so_far_and_the_state_of_the_search(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "pamctl", "tune", "--law", "pid", "--plant", "paper"]
     process = subprocess.Popen(

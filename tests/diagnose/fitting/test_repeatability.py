@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from scipy.signal import lfilter
 from support.made_records import COUNT_M, PERIOD_S, all_but, command_v, measured
 
@@ -56,6 +57,7 @@ def test_periods_with_the_same_past_are_repeats() -> None:
     assert repeat.length >= 7000
 
 
+@pytest.mark.long
 def test_a_drifting_rig_with_repeated_runs_is_not_a_discrepancy() -> None:
     alone, repeated = found(again=False), found(again=True)
     assert alone.verdict is Verdict.NONE_KNOWN

@@ -40,6 +40,7 @@ def spoilt(**changes: object) -> str:
     return found.reason
 
 
+@pytest.mark.long
 def test_data_that_would_mislead_are_refused_with_the_reason() -> None:
     good = measured("fit", 1)
     pressure, position, command = good["pressure_pa"], good["position_m"], good["valve_v"]

@@ -15,6 +15,7 @@ from pamctl.plant.catalogue import CATALOGUE
 FRICTION = {"stribeck", "coulomb_friction"}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "case",
     [

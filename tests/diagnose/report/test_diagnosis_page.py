@@ -94,6 +94,7 @@ def headline(html: str) -> str:
     return found
 
 
+@pytest.mark.long
 def test_the_first_screen_has_verdict_gap_and_next_step_before_any_section(named, records):
     first, _ = page(named, records).split("<h2 id=", 1)
     assert headline(first) == "Missing from the model: valve deadband"

@@ -65,6 +65,7 @@ class StrangerProcess(Executor):
         return future
 
 
+@pytest.mark.long
 def test_a_task_reaches_a_process_that_knows_pamctl_alone(written: Path, tmp_path: Path) -> None:
     says_id = (
         "def diagnose_task(task):\n    return {'verdict': 'none_known', 'sentence': task.id}\n"
@@ -76,6 +77,7 @@ def test_a_task_reaches_a_process_that_knows_pamctl_alone(written: Path, tmp_pat
     }
 
 
+@pytest.mark.long
 def test_records_are_those_of_the_rigs_and_tell_nothing_of_what_they_hide(written: Path) -> None:
     records, cases = written / "records", read_truth(written / "truth.json")
     assert [*cases] == list_ids(records)

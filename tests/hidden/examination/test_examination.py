@@ -24,6 +24,7 @@ def test_no_effect_is_named_if_only_parameters_are_wrong() -> None:
     assert document["effects"] == []
 
 
+@pytest.mark.long
 def test_a_hidden_effect_is_named_and_its_gap_closed() -> None:
     case = BRIEF["single/valve_deadband/3"]
     result = Result(case, **examine(case))
@@ -40,6 +41,7 @@ def test_misleading_data_are_refused_with_the_reason(case: Case) -> None:
     assert document["effects"] == []
 
 
+@pytest.mark.long
 def test_an_effect_that_the_shortlist_misses_is_found_by_its_fit() -> None:
     # The recalibrated mechanics end in a wrong valley: a shortlist alone ends as none_known.
     scaled = next(c for c in all_cases(1, 1) if c.id == "single/encoder_scale/10")

@@ -314,6 +314,7 @@ def test_a_quarter_of_the_noise_is_slow_as_on_the_hidden_rigs() -> None:
 # --- what can be seen at all ---------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "low", "high"),
     [("wrong_braid_turns", 0.0, HOPELESS), ("encoder_scale", SURE, 30.0)],

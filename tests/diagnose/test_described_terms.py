@@ -35,6 +35,8 @@ from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
 from pamctl.settings.yaml12 import parse_yaml_value
 
+pytestmark = pytest.mark.long
+
 
 def measure(effect: str, size: float = 3.0, seed: int = 11) -> tuple[list[Record], list[Record]]:
     """Measure a hidden rig; 3 s of squares and 4 s of sines fit, 4 s of sines judge."""
@@ -53,7 +55,6 @@ def described():
     return diagnose(train, held, PlantSettings(), without={*CATALOGUE} - few)
 
 
-@pytest.mark.long
 def test_a_hysteretic_spring_is_described_by_its_place_and_memory(described) -> None:
     document = build_diagnosis_document(described)
     assert document["verdict"] == "described"
@@ -96,7 +97,6 @@ def test_page_and_terminal_say_the_term_and_its_leads(described) -> None:
     assert "terms were asked" in summary(described)
 
 
-@pytest.mark.long
 def test_friction_that_grows_with_position_is_found_at_the_braid() -> None:
     train, held = measure("position_dependent_friction")
     base = recalibrate(prepare_evidence(train, held, PlantSettings()).select_blocks({"mechanics"}))
@@ -118,7 +118,6 @@ def test_friction_that_grows_with_position_is_found_at_the_braid() -> None:
     assert name_instead(nothing, base, chosen, trials, "mechanics", {"position_friction"}) is None
 
 
-@pytest.mark.long
 def test_the_place_of_a_jump_is_asked_again_at_the_instant_that_was_found() -> None:
     """The grid's instants are far from it: there, a jump of the pressure looks more like it."""
     (case,) = (one for one in UNCATALOGUED if one.name == "load_is_hung_on")
@@ -131,7 +130,6 @@ def test_the_place_of_a_jump_is_asked_again_at_the_instant_that_was_found() -> N
     assert found.own_values["inner"] == pytest.approx(1.31, abs=0.03)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("period_m", [3.7e-3, 6.3e-3])
 def test_the_wave_of_an_off_centre_encoder_is_found_at_any_period(period_m: float) -> None:
     parts = measure("")

@@ -15,6 +15,8 @@ from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.workflow import diagnose
 from pamctl.plant.model import PlantSettings
 
+pytestmark = pytest.mark.long
+
 RATE_HZ, SAMPLES = 100.0, 800
 R, C_P, T_0 = 287.05, 1004.5, 294.15
 C_V = C_P - R
@@ -87,7 +89,6 @@ def diagnose_tank() -> Diagnosis:
     return diagnose([record_tank(3)], [record_tank(4)], plant)
 
 
-@pytest.mark.long
 def test_three_effects_that_hide_behind_each_other_are_found_together() -> None:
     found = diagnose_tank()
     assert found.model is not None

@@ -27,6 +27,8 @@ from pamctl.plant.model import plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
 
+pytestmark = pytest.mark.long
+
 PAMCTL = str(Path(sys.executable).with_name("pamctl"))
 DEVICE = f"toy-{os.getpid()}"
 PATIENT = [f"--set={setting}" for setting in BUSY_PC]
@@ -198,7 +200,6 @@ def test_the_outside_rig_keeps_the_contract(case: Any, toy: ModuleType) -> None:
     case(make_bench)
 
 
-@pytest.mark.long
 def test_a_run_drives_it_and_its_log_says_which_package_it_came_from(driven: Path) -> None:
     log = pamctl.log.read(driven)
     assert log.metadata["run"]["backend"] == "toy"
@@ -230,7 +231,6 @@ def test_safe_drives_its_safe_voltage(outside: Outside, tmp_path: Path) -> None:
         ao_path(f"{DEVICE}-safe").unlink(missing_ok=True)
 
 
-@pytest.mark.long
 def test_the_doctor_examines_it_and_names_no_key_of_another_backend(
     outside: Outside, tmp_path: Path
 ) -> None:

@@ -22,6 +22,8 @@ from pamctl.log.reader import Log, read
 from pamctl.recording.ring import Ring, RingError
 from pamctl.signals import Phase
 
+pytestmark = pytest.mark.long
+
 assert all((up, shown, tab))  # fixtures
 
 OFFSET_MM, AFTER_S, HOLDOFF_S = 8.0, 0.06, 0.7
@@ -72,7 +74,6 @@ def watched(up: Daemon, tab: Page) -> tuple[Log, dict[str, list[int]]]:
     return read(up.logs / log), seen
 
 
-@pytest.mark.long
 def test_normal_fires_again_and_again_at_the_ticks_of_the_crossings(
     watched: tuple[Log, dict[str, list[int]]],
 ) -> None:
@@ -107,7 +108,6 @@ def test_auto_rolls_while_no_trigger_comes_and_fires_when_one_does(
     assert fired <= set(find_rises(log))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("how", ["phase", "trigger"])
 def test_runs_lie_over_each_other_with_their_zero_where_it_was_asked(
     up: Daemon, watched: tuple[Log, dict[str, list[int]]], tab: Page, how: str
@@ -151,7 +151,6 @@ def reference_mm(up: Daemon) -> float:
     return round(up.ask("status")["tick"]["reference_m"] * 1e3, 6)
 
 
-@pytest.mark.long
 def test_a_position_is_dragged_in_the_plot_and_a_drag_to_the_side_is_none(
     up: Daemon, holding: Path, tab: Page
 ) -> None:
@@ -246,7 +245,6 @@ def test_the_group_that_may_steer_can_read_every_tick_and_write_none(
 # --- for everyone ------------------------------------------------------------------------------
 
 
-@pytest.mark.long
 def test_the_page_breaks_no_rule_for_accessible_pages_and_the_stop_is_the_first_key(
     shown: Served, holding: Path, tab: Page
 ) -> None:

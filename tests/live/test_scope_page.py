@@ -14,6 +14,8 @@ from support.processes.watch_pages import Served, set_input, shown, tab, up
 
 from pamctl.log.reader import Log, read
 
+pytestmark = pytest.mark.long
+
 assert all((up, shown, tab))  # fixtures
 
 
@@ -55,7 +57,6 @@ def run(up: Daemon, tab: Page) -> Log:
     return read(name)
 
 
-@pytest.mark.long
 def test_the_trigger_fires_at_the_tick_of_the_crossing_and_every_tick_is_there(
     run: Log, tab: Page
 ) -> None:

@@ -31,10 +31,11 @@ from pamctl.on_rig.rig_story import write_investigation
 from pamctl.plant.model import PlantSettings
 from pamctl.session.simulated_rig import SimulatedRig, simulate
 
+pytestmark = pytest.mark.long
+
 DELAY_S = 1e-3
 
 
-@pytest.mark.long
 def test_the_second_program_decides_between_delay_and_spool(done: Investigation) -> None:
     first, second = done.rounds
     assert first.diagnosis.verdict is Verdict.AMBIGUOUS
@@ -169,7 +170,6 @@ def test_an_interruption_keeps_the_rounds_so_far_and_leaves_the_rig_idle(
     assert rig.state in ("idle", "ready")
 
 
-@pytest.mark.long
 @pytest.mark.usefixtures("found_before")
 def test_a_daemon_that_ends_within_a_program_takes_no_round_with_it(
     done: Investigation, logs: Path, tmp_path: Path

@@ -24,6 +24,8 @@ from pamctl.plant.parameters import AirState, PlantState, ValveState, vented_sta
 from pamctl.plant.step import advance_plant, pressure_block_step
 from pamctl.settings.resolve import SECTIONS, ConfigError, RawSettings, validate_settings
 
+pytestmark = pytest.mark.long
+
 SLOPING = CorrectionTable((0.0, 1.0, 3.0), (10.0, 20.0), (0.0, 10.0, 2.0, 12.0, 6.0, 16.0))
 """2 first + second - 10."""
 
@@ -128,7 +130,6 @@ def nameless() -> Diagnosis:
         return diagnose(*records, PlantSettings(), without=all_but("creep"), correction=True)
 
 
-@pytest.mark.long
 def test_a_correction_table_is_added_on_request_and_shrinks_the_held_out_gap() -> None:
     found = nameless()
     assert found.verdict is Verdict.NONE_KNOWN

@@ -13,6 +13,8 @@ import pytest
 
 import pamctl
 
+pytestmark = pytest.mark.long
+
 FRICTION_SLOPE = '''
 """The braid rubs harder where the muscle is contracted."""
 
@@ -168,7 +170,6 @@ def used(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return found
 
 
-@pytest.mark.long
 def test_outside_effects_at_neutral_values_do_not_change_the_papers_model(used) -> None:
     assert used["position_m"]["neutral"] == used["position_m"]["paper"]
 

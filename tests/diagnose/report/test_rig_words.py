@@ -23,6 +23,8 @@ from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.drive import drive_coupled
 from pamctl.plant.model import PlantSettings, plant_parameters
 
+pytestmark = pytest.mark.long
+
 PARAMETERS = {"mass_kg": 2.0, "damping_n_s_per_m": 40.0, "stiffness_n_per_m": 900.0}
 AXIS = PlantSettings(actuator="direct", parameters=PARAMETERS)
 AIR = ("valve", "muscle", "vented", "supply", "tubing", "contracting", "pamctl run")
@@ -71,7 +73,6 @@ def found(records: list[Record]) -> Diagnosis:
     return diagnose(records[:1], records[1:], AXIS, without=others)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("verdict", [None, Verdict.NONE_KNOWN, Verdict.PARTIAL])
 def test_no_word_of_a_mechanism_speaks_of_air(
     found: Diagnosis, records: list[Record], verdict: Verdict | None
@@ -134,7 +135,6 @@ def test_a_fitted_number_at_the_end_of_its_range_is_marked(found: Diagnosis) -> 
     assert mark_bound(found, name) == ""
 
 
-@pytest.mark.long
 def test_an_accepted_doubt_is_in_the_document_and_on_the_page(records: list[Record]) -> None:
     gauge = [replace(r, pressure_pa=np.full(len(r), 1e4) + 10.0 * np.sin(r.t_s)) for r in records]
     others = {*CATALOGUE} - {"cubic_stiffness"}

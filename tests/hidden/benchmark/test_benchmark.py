@@ -24,6 +24,8 @@ from hidden.benchmark.run_method import load_method, run_method
 from hidden.examination.examine import records_of
 from pamctl.plant.catalogue import CATALOGUE
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).resolve().parents[3]
 FEW = ("null/parameters", "single/creep/10", "left_out/cubic_stiffness")
 
@@ -65,7 +67,6 @@ class StrangerProcess(Executor):
         return future
 
 
-@pytest.mark.long
 def test_a_task_reaches_a_process_that_knows_pamctl_alone(written: Path, tmp_path: Path) -> None:
     says_id = (
         "def diagnose_task(task):\n    return {'verdict': 'none_known', 'sentence': task.id}\n"
@@ -77,7 +78,6 @@ def test_a_task_reaches_a_process_that_knows_pamctl_alone(written: Path, tmp_pat
     }
 
 
-@pytest.mark.long
 def test_records_are_those_of_the_rigs_and_tell_nothing_of_what_they_hide(written: Path) -> None:
     records, cases = written / "records", read_truth(written / "truth.json")
     assert [*cases] == list_ids(records)

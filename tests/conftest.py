@@ -87,7 +87,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 @pytest.fixture(scope="session")
 def closed_loops(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Compile the closed loop of each law once a run of the tests, whichever worker asks first."""
-    from support.machine_code import READY, compile_closed_loops
+    from support.machine_code import READY, compile_kernels
 
     if os.environ.get(READY):
         return
@@ -96,7 +96,7 @@ def closed_loops(tmp_path_factory: pytest.TempPathFactory) -> None:
     with (folder / "closed-loops.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not (folder / "closed-loops").exists():
-            compile_closed_loops(folder / "closed-loops")
+            compile_kernels(folder / "closed-loops")
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:

@@ -1,0 +1,47 @@
+"""Kernels for processes that tests of this room start, and what such a process says."""
+
+from __future__ import annotations
+
+import sys
+from array import array
+from typing import Any
+
+FACTOR = 2.0
+
+
+def fill_multiples(values: Any, multiples: Any) -> None:
+    """Kernel: fill the multiples of values."""
+    for k in range(len(values)):
+        multiples[k] = FACTOR * values[k]
+
+
+def loop_on_an_error(x: float, into: Any) -> None:
+    """Kernel: Python leaves it by an error; C has an infinite step."""
+    step = 1.0 / x
+    at = 0.0
+    while at < step:
+        at += 1e-300
+    into[0] = at
+
+
+def count_on_an_error(values: Any, into: Any) -> None:
+    """Kernel: Python leaves it by an error at the array's end."""
+    for k in range(1_000_000_000_000):
+        into[k] = 1.0
+
+
+def main() -> None:
+    """Call the kernel; print its results, what computed them, and what was imported for it."""
+    from pamctl.kernel.calls import machine
+
+    multiples = array("d", bytes(24))
+    machine(fill_multiples)(array("d", (1.0, 2.0, 3.0)), multiples)
+    function = machine(fill_multiples)._variants[0][1]
+    print(*multiples, "plain" if function is None else "native")
+    print(*(name for name in ("ast", "inspect", "subprocess", "numpy") if name in sys.modules))
+
+
+if __name__ == "__main__":
+    from small_kernels import main as named_main  # a kernel of __main__ has another name
+
+    named_main()

@@ -161,8 +161,8 @@ class TickRecord(NamedTuple):
     decision: Decision
     outcome: TickOutcome
     truth: Truth
-    compensation: Compensated | tuple[()] = ()
-    """Empty in a run that compensates nothing."""
+    compensation: Compensated | None = None
+    """None in a run that compensates nothing."""
 
 
 class Field(NamedTuple):
@@ -194,6 +194,15 @@ TICK_FIELDS: tuple[Field, ...] = _flatten(TICK_STAGES)
 def list_tick_fields(compensates: bool) -> tuple[Field, ...]:
     """Return the columns of a run: all of `TICK_FIELDS`, and those of a compensation."""
     return (*TICK_FIELDS, *COMPENSATION_FIELDS) if compensates else TICK_FIELDS
+
+
+def make_empty_record(compensates: bool) -> TickRecord:
+    """Return a record of the types that a run's ticks have, all numbers 0."""
+    stages: list[Any] = [
+        kind(*(field.kind(0) for field in _flatten({"": kind}))) for kind in TICK_STAGES.values()
+    ]
+    record = TickRecord(*stages)
+    return record._replace(compensation=Compensated(0.0, 0.0, 0.0)) if compensates else record
 
 
 def find_followed_m(columns: Mapping[str, Any]) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -87,7 +88,7 @@ class Course:
         cues: Sequence[Cue] = (),
     ) -> None:
         """Start at the first segment; `duration_s` ends the course early."""
-        self.segments = tuple(course)
+        self.segments: Sequence[Segment] = tuple(course)
         whole_s = sum(segment.duration_s for segment in course)
         self.duration_s = whole_s if duration_s is None else min(duration_s, whole_s)
         self.end_reason = "the experiment is complete"
@@ -98,7 +99,26 @@ class Course:
             )
         self.table = pack_course(self.segments)
         """The segments for machine code; None if it cannot follow them."""
-        self._cues = tuple(cues)
+        self.cues: Sequence[Cue] = tuple(cues)
+        self._begin()
+
+    @classmethod
+    def restore(
+        cls,
+        segments: Sequence[Segment],
+        duration_s: float,
+        end_reason: str,
+        table: array[float] | None,
+        cues: Sequence[Cue],
+    ) -> Course:
+        """Return a course of which all is known, without a look at its segments."""
+        course = cls.__new__(cls)
+        course.segments, course.cues, course.table = segments, cues, table
+        course.duration_s, course.end_reason = duration_s, end_reason
+        course._begin()
+        return course
+
+    def _begin(self) -> None:
         self._index = 0
         self._begin_s = 0.0
         self._next_cue = 0
@@ -126,12 +146,12 @@ class Course:
     @property
     def next_cue_s(self) -> float:
         """When the next cue is due, s; infinity if there is none."""
-        return self._cues[self._next_cue].at_s if self._next_cue < len(self._cues) else math.inf
+        return self.cues[self._next_cue].at_s if self._next_cue < len(self.cues) else math.inf
 
     def take_cue(self, t_s: float) -> Cue | None:
         """Return the next cue that is due at `t_s`, each once; None if there is none."""
         at = self._next_cue
-        if at == len(self._cues) or t_s < self._cues[at].at_s - 5e-10:
+        if at == len(self.cues) or t_s < self.cues[at].at_s - 5e-10:
             return None
         self._next_cue = at + 1
-        return self._cues[at]
+        return self.cues[at]

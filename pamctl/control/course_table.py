@@ -59,8 +59,8 @@ def find_course_reference(
     return place, Reference(phase, x, v, a, j, nan)
 
 
-def pack_course(segments: Sequence[Segment]) -> bytes | None:
-    """Return the rows of a table, packed as doubles; None if a segment has a shape.
+def pack_course(segments: Sequence[Segment]) -> array[float] | None:
+    """Return the rows of a table, one after the other; None if a segment has a shape.
 
     Shapes are evaluated by plain Python only.
     """
@@ -70,4 +70,4 @@ def pack_course(segments: Sequence[Segment]) -> bytes | None:
     for phase, duration_s, start_m, end_m, valve_v, _ in segments:
         numbers.extend((phase, duration_s, start_m, end_m, valve_v, begin_s))
         begin_s += duration_s
-    return numbers.tobytes()
+    return numbers

@@ -14,14 +14,15 @@ The kernel is called once in a tick while the loop is closed:
 
 - It is pure. It reads no clock, keeps no global state, and changes no argument.
 - It must return within microseconds, and it must not raise for finite numbers.
-- Gains and memory are NamedTuples of `float`, `int` and `bool`, and of such NamedTuples. Numba
-  compiles the kernel unchanged for simulation and replay: it may call `math` and other plain
-  functions of its package, and it passes every field of a NamedTuple (defaults do not compile).
+- Gains and memory are NamedTuples of `float`, `int` and `bool`, and of such NamedTuples. The kernel
+  is translated to C unchanged: it may call `math` and other plain functions of its package.
+  `pamctl.kernel.translate` lists what it may use.
 - The memory is all that the law remembers. It is `Law.armed` at the first tick and after every
   open-loop tick. It is frozen into the log under `law.<field>`, and a replay starts from it: a
   field that an old log lacks takes its value of `armed`.
 - `estimate` is in SI, and `error = position - reference`. `Command.command_v` is in V: a positive
-  command fills the muscle. The law keeps to its own `command_limit_v`; safety comes after it.
+  command fills the muscle. The law keeps to `command_limit_v`, and safety comes after it:
+  the settings that `Law.to_gains` gets hold the smaller of the law's limit and the rig's.
 - `Command.surface_m_per_s2`, `equivalent_v` and `robust_v` are columns of the log. `Law.terms`
   says what they mean for this law. A term that the law does not have is NaN.
 """
@@ -30,6 +31,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import singledispatch
 from math import isnan, nan
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_args
 
@@ -59,7 +61,13 @@ class LawSettings(Configured):
     lpf1_hz: Annotated[Cutoff, Field(description="LPF_1, on the displacement")] = 300.0
     lpf2_hz: Annotated[Cutoff, Field(description="LPF_2, on the derivatives of the error")]
     command_limit_v: Annotated[
-        float, Field(gt=0, le=10, description="the law's own limit of u, either side of 0")
+        float,
+        Field(
+            gt=0,
+            le=10,
+            description="the law's own limit of u, either side of 0; `rig.limits.command_v` where "
+            "that is less",
+        ),
     ] = 5.0
     compensate: Annotated[
         tuple[str, ...],
@@ -168,6 +176,14 @@ class Law:
         if not hasattr(self.gains, "_fields"):
             raise ValueError("gains must be a NamedTuple type")
 
+    def gains_within(self, settings: LawSettings, most_v: float) -> Gains:
+        """Return the gains with the smaller of two limits: the law's own, and the rig's (V).
+
+        A law that is not told of a clamp behind it winds up its integral.
+        """
+        limit_v = min(settings.command_limit_v, most_v)
+        return self.to_gains(settings.model_copy(update={"command_limit_v": limit_v}))
+
     def may_blend(self, name: str) -> bool:
         """Tell whether a setting may change while the loop runs."""
         return name in self.blended or name in BLENDED_BY_EVERY_LAW
@@ -177,10 +193,6 @@ def _is_made_of_numbers(value: object) -> bool:
     if isinstance(value, tuple):
         return hasattr(value, "_fields") and all(map(_is_made_of_numbers, value))
     return isinstance(value, float | int)
-
-
-KERNELS: dict[type[Gains], LawKernel] = {}
-"""The kernel of each type of gains. `pamctl.control.law_registry` fills it."""
 
 
 def respond(
@@ -200,11 +212,15 @@ def respond(
     return answer(gains, memory, reference, estimate, dt_s)
 
 
+@singledispatch
 def answer(
-    gains: Gains, memory: Memory, reference: Reference, estimate: Estimate, dt_s: float
+    gains: Any, memory: Memory, reference: Reference, estimate: Estimate, dt_s: float
 ) -> tuple[Command, Memory]:
-    """Call the kernel that the gains belong to. Compiled code calls that kernel directly."""
-    return KERNELS[type(gains)](gains, memory, reference, estimate, dt_s)
+    """Call the kernel of the law that the gains belong to: `pamctl.control.law_registry` adds it.
+
+    Machine code calls that kernel directly.
+    """
+    raise TypeError(f"{type(gains).__name__}: the gains of no law that is installed")
 
 
 def filter_gains(settings: LawSettings) -> FilterGains:

@@ -21,7 +21,7 @@ from typing import Annotated, Any, NamedTuple, Union
 from pydantic import Field, GetCoreSchemaHandler
 from pydantic_core import CoreSchema
 
-from pamctl.control.law import KERNELS, Law, LawSettings, LawTerms, Term
+from pamctl.control.law import Law, LawSettings, LawTerms, Term, answer
 from pamctl.entry_points import OWN_PACKAGE, list_additions
 
 GROUP = "pamctl.laws"
@@ -61,12 +61,12 @@ class _Registry:
     """Why the file that the environment names cannot be used."""
 
     def add(self, law: Law, package: str, version: str, source: Path) -> None:
-        if law.gains in KERNELS:
+        if law.gains in answer.registry:
             raise LawError(f"the law {law.name!r} shares its type of gains with another law")
         digest = hashlib.sha256(source.read_bytes()).hexdigest()
         self.laws[law.name] = law
         self.origins[law.name] = LawOrigin(package, version, source, digest)
-        KERNELS[law.gains] = law.kernel
+        answer.register(law.gains, law.kernel)
 
 
 @cache

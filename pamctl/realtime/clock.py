@@ -289,6 +289,27 @@ class VirtualClock:
         self._now_ns = tick * self._period_ns
 
 
+class SleepWatch:
+    """Tells how long the PC has slept: CLOCK_BOOTTIME counts that time, CLOCK_MONOTONIC does not.
+
+    To a loop on CLOCK_MONOTONIC a PC that has slept looks as if nothing had been.
+    """
+
+    def __init__(self) -> None:
+        """Begin to watch."""
+        self._ahead_ns = max(_boot_ahead_ns() for _ in range(5))
+
+    def slept_ns(self) -> int:
+        """Return for how long the PC has slept since the watch began."""
+        return max(0, _boot_ahead_ns() - self._ahead_ns)
+
+
+def _boot_ahead_ns() -> int:
+    # In this order: a pause between the two makes the result less, and never more.
+    boot_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+    return boot_ns - time.monotonic_ns()
+
+
 def grid_point_from(time_ns: int, point_ns: int, period_ns: int) -> int:
     """The first point at or after `time_ns` of the grid that has a point at `point_ns`."""
     return point_ns + -((point_ns - time_ns) // period_ns) * period_ns

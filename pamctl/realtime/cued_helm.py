@@ -10,7 +10,7 @@ from pamctl.control.law_registry import read_controller
 from pamctl.realtime.gain_ramp import SHORTEST_RAMP_S, GainRamp
 from pamctl.realtime.program import Program
 from pamctl.realtime.tick import TickSetup
-from pamctl.realtime.tick_path import TickPath
+from pamctl.realtime.tick_runner import TickRunner
 from pamctl.signals import Timing
 
 
@@ -61,7 +61,7 @@ class CuedHelm:
         """The set-up of the next tick, whenever it is; None while gains are on a ramp."""
         return self._tuning.settled_setup
 
-    def finish_tick(self, done: TickPath) -> None:
+    def finish_tick(self, done: TickRunner) -> None:
         """Put the marks that are due, and change the gains from the next tick on."""
         timing = done.timing
         order = self._orders.take() if self._orders is not None else None

@@ -75,7 +75,9 @@ def fit_law(setup: TickSetup, controller: LawSettings) -> TickSetup:
     """Return a set-up with the law, the gains and the filters of a gains file."""
     law = law_of(controller)
     return setup._replace(
-        filters=filter_gains(controller), gains=law.to_gains(controller), armed=law.armed
+        filters=filter_gains(controller),
+        gains=law.gains_within(controller, setup.limits.command_v),
+        armed=law.armed,
     )
 
 

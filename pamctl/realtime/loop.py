@@ -19,8 +19,7 @@ from pamctl.control.homing import HomingError
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.realtime.clock import Clock, Wake
 from pamctl.realtime.tick import TickSetup, first_state, rezero_state
-from pamctl.realtime.tick_path import PlainTick, RunningCourse, TickJournal, TickPath
-from pamctl.realtime.whole_tick import TickTimes
+from pamctl.realtime.tick_runner import RunningCourse, TickJournal, TickRunner
 from pamctl.safety import OVERRUNS, explain_verdicts
 from pamctl.signals import Decision, Reference, TickOutcome, Timing, Truth
 
@@ -64,7 +63,7 @@ class Helm(Protocol):
     def settled_setup(self) -> TickSetup | None:
         """The set-up of the next tick, whenever it is; None while it depends on the time."""
 
-    def finish_tick(self, done: TickPath) -> None:
+    def finish_tick(self, done: TickRunner) -> None:
         """Take note that a tick is done; changes hold from the next tick on."""
 
 
@@ -84,7 +83,7 @@ class FixedHelm:
         """Return the one set-up."""
         return self._setup
 
-    def finish_tick(self, done: TickPath) -> None:
+    def finish_tick(self, done: TickRunner) -> None:
         """Do nothing."""
 
 
@@ -148,8 +147,8 @@ class ControlLoop:
     """Without one the set-up stays as it is."""
     opened: Callable[[], Sequence[Mapping[str, object]]] = tuple
     """Called once, right after the rig is open; returns events for the log."""
-    tick: TickPath = field(default_factory=PlainTick)
-    """Runs the ticks."""
+    tick: TickRunner = None  # type: ignore[assignment]
+    """Runs the ticks; by default one for the set-up."""
     many: ManyTicks | None = None
     """Runs those that nothing interrupts."""
     ended: Callable[[Ending], None] = lambda ending: None
@@ -158,6 +157,7 @@ class ControlLoop:
 
     def __post_init__(self) -> None:
         self._helm = self.helm or FixedHelm(self.setup)
+        self.tick = self.tick or TickRunner(self.setup)
 
     def run(self) -> Ending:
         """Run the program to its end; leave the rig safe and closed on every path.
@@ -197,8 +197,7 @@ class ControlLoop:
         raw = self.rig.read()
         zero = self.nominal_zero(raw)
         began_ns = raw.encoder_t_ns
-        times = TickTimes(began_ns, began_ns - self.clock.period_ns)
-        self.tick.begin(first_state(self.setup, zero), times)
+        self.tick.begin(first_state(self.setup, zero), began_ns, began_ns - self.clock.period_ns)
         self._record_zero(wake.tick, raw, zero)
         while True:
             sampled_ns = self.clock.now_ns()
@@ -247,15 +246,10 @@ class ControlLoop:
         """Ask program and helm, and run the tick; return False at the end of the program."""
         timing = self.tick.time(wake, raw)
         setup = self._helm.setup(timing.t_s)
-        if not self.tick.fits(setup):  # another law than this run began with
-            plain = PlainTick()
-            plain.begin(self.tick.state, self.tick.times)
-            plain.time(wake, raw)
-            self.tick = plain
         tick = self.tick
         reference, zero = self._ask(timing, raw)
         if zero is not None:
-            tick.begin(rezero_state(setup, tick.state, zero), tick.times)
+            tick.restart(rezero_state(setup, tick.state, zero))
             self._record_zero(timing.tick, raw, zero)
         if reference is None:
             return False

@@ -14,15 +14,18 @@ from typing import Any, NamedTuple
 from hal.calibration import Zero
 from hal.rig import RawSample
 from pamctl.control.course import make_valve_reference
+from pamctl.control.handed_course import take_up_course
 from pamctl.control.law import LawSettings
 from pamctl.control.law_registry import read_controller
 from pamctl.exit_codes import Ending, ExitCode
+from pamctl.json_text import to_json
+from pamctl.log.run_meta import RunMeta
 from pamctl.realtime.cued_helm import OrderSlot, put_mark, say_gain_change
 from pamctl.realtime.gain_ramp import GainRamp
 from pamctl.realtime.keyframe import freeze_state
 from pamctl.realtime.program import Program
 from pamctl.realtime.tick import TickSetup
-from pamctl.realtime.tick_path import RunningCourse, TickPath
+from pamctl.realtime.tick_runner import RunningCourse, TickRunner
 from pamctl.recording.ring import Ring
 from pamctl.recording.session_journal import SessionJournal
 from pamctl.signals import Phase, Reference, Timing
@@ -146,7 +149,7 @@ class SteeredProgram:
 
     # --- what the loop lets happen after each tick -----------------------------------------
 
-    def finish_tick(self, done: TickPath) -> None:
+    def finish_tick(self, done: TickRunner) -> None:
         """Close a run that is over, and take an order if there is one.
 
         While a ring is attached no order is taken: orders hold in their sequence.
@@ -168,7 +171,7 @@ class SteeredProgram:
         if order is not None:
             self._obey(order, done)
 
-    def _obey(self, order: Mapping[str, Any], done: TickPath) -> None:
+    def _obey(self, order: Mapping[str, Any], done: TickRunner) -> None:
         timing, raw = done.timing, done.raw
         match order["do"]:
             case "run":
@@ -189,25 +192,31 @@ class SteeredProgram:
         All at once would take longer than a tick: a ring has megabytes.
         """
         with self._defer_page_faults():
-            ring = Ring.attach(order["ring"], populate=False)
+            meta = RunMeta.from_text(order["meta"]) if "meta" in order else None
+            ring = Ring.attach(order["ring"], populate=False, meta=meta)
         return _ComingRun(order, ring, ring.populate_in_steps())
 
-    def _begin_run(self, order: Mapping[str, Any], ring: Ring | None, done: TickPath) -> None:
-        """Begin a run with a log of its own; without a ring it goes on in the present one."""
+    def _begin_run(self, order: Mapping[str, Any], ring: Ring | None, done: TickRunner) -> None:
+        """Begin a run with a log of its own; without a ring it goes on in the present one.
+
+        The course may come with the ring, worked out: to do that here could take seconds.
+        """
         timing, raw, state = done.timing, done.raw, done.state
         now = (timing.tick, raw.encoder_t_ns)
         if ring is not None:
             self._end_run(timing, raw)  # ends the holding of a position
             self._journal.begin_run(ring, *now, self._current_gains(), freeze_state(state))
         # All that the program depends on is recorded: a replay runs the program again.
-        resolved = {
-            "experiment": order["experiment"],
-            "duration_s": order["duration_s"],
-            "start_m": self._position_m(done),
-            "homes": not self._is_homed,
-        }
-        self._journal.put_event(*now, {"event": "order", "do": "run", **resolved})
-        self._run = self._program_of(resolved)
+        start = {"start_m": self._position_m(done), "homes": not self._is_homed}
+        if ring is not None and ring.cargo_bytes:
+            course, text = take_up_course(ring.read_cargo, start["start_m"])
+            event = b'{"event":"order","do":"run",' + text + b"," + to_json(start)[1:]
+            self._journal.put_event_text(*now, event)
+            self._run = self._program_of({**start, "course": course})
+        else:
+            begin = {"experiment": order["experiment"], "duration_s": order["duration_s"]}
+            self._journal.put_event(*now, {"event": "order", "do": "run", **begin, **start})
+            self._run = self._program_of({**begin, **start})
         self._run_ending = Ending(ExitCode.OK, self._run.end_reason)
         self._is_homed = True  # if homing fails, the loop ends
 
@@ -265,7 +274,7 @@ class SteeredProgram:
             self._tuning.replace(read_controller(self._ordered))
             self._gains_said, self._cued = [self._ordered], None
 
-    def _position_m(self, done: TickPath) -> float:
+    def _position_m(self, done: TickRunner) -> float:
         """Return where a motion begins: at the reference, or else at the muscle's position."""
         here_m = done.reference.reference_m
         if not math.isnan(here_m):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from itertools import chain
 from statistics import median
 from typing import NamedTuple
 
@@ -14,16 +13,13 @@ from hal.rig import RawSample
 from pamctl.control.course import make_valve_reference
 from pamctl.realtime.clock import Wake
 from pamctl.realtime.tick import TickSetup, first_state
-from pamctl.realtime.tick_path import PlainTick, TickPath
-from pamctl.realtime.whole_tick import TickTimes
-from pamctl.recording.ring import ROW_BYTES, tick_struct
+from pamctl.realtime.tick_runner import TickRunner
+from pamctl.recording.ring import ROW_BYTES
 from pamctl.signals import (
     Phase,
     Reference,
     TickOutcome,
-    TickRecord,
     Truth,
-    list_tick_fields,
 )
 
 _REHEARSALS = 100
@@ -65,16 +61,16 @@ def rehearse_tick_s(
     setup: TickSetup,
     period_s: float,
     now_ns: Callable[[], int] = time.perf_counter_ns,
-    tick: TickPath | None = None,
+    tick: TickRunner | None = None,
 ) -> float:
     """Return the median time of a tick without rig and clock: step, record, packing (s).
 
-    `tick` runs it, by default in plain Python; it must begin afresh afterwards.
+    `tick` runs it; it must begin afresh afterwards.
     """
-    tick, journal = tick or PlainTick(), _OneRow(setup)
+    tick, journal = tick or TickRunner(setup), _OneRow()
     sensor_v = 0.5 * (setup.limits.sensor_low_v + setup.limits.sensor_high_v)
     period_ns = round(period_s * 1e9)
-    tick.begin(first_state(setup, Zero(sensor_v, 0.0)), TickTimes(0, -period_ns))
+    tick.begin(first_state(setup, Zero(sensor_v, 0.0)), 0, -period_ns)
     references = (
         make_valve_reference(Phase.OPEN_LOOP, setup.limits.safe_valve_v),
         Reference(Phase.TRACK, 0.0, 0.0, 0.0, 0.0, math.nan),
@@ -96,18 +92,11 @@ def rehearse_tick_s(
 class _OneRow:
     """Takes each tick as the ring does, into one row."""
 
-    def __init__(self, setup: TickSetup) -> None:
-        self._packing = tick_struct(list_tick_fields(setup.compensation is not None))
+    def __init__(self) -> None:
         self._row = bytearray(ROW_BYTES)
-
-    def put_tick(self, record: TickRecord) -> None:
-        self._packing.pack_into(self._row, 0, *chain(*record))
 
     def put_row(self, row: bytearray, late_s: float, missed: int) -> None:
         self._row[:] = row
-
-    def rehearse_tick(self, record: TickRecord) -> None:
-        self.put_tick(record)
 
     def rehearse_row(self, row: bytearray) -> None:
         self._row[:] = row

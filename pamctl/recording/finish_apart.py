@@ -14,7 +14,11 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
+from hal.child import child_command
 from pamctl.recording.recorder import outlive_signals
+
+_PATIENCE_S = 600.0
+"""Time to copy the longest log."""
 
 
 class FinishedLog(NamedTuple):
@@ -31,9 +35,18 @@ class FinishError(Exception):
 
 def finish_in_own_process(ring_path: str | Path) -> FinishedLog:
     """Finish the log of a dead recorder, and remove the ring; raise `FinishError`."""
-    command = [sys.executable, "-m", "pamctl.recording.finish_apart", str(ring_path)]
+    command = child_command("pamctl.recording.finish_apart", ring_path)
     # Ctrl-C reaches the terminal's process group; it must not end this process half-way.
-    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, process_group=0)
+    try:
+        done = subprocess.run(
+            command,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            process_group=0,
+            timeout=_PATIENCE_S,
+        )
+    except subprocess.TimeoutExpired:
+        raise FinishError(f"it was not finished within {_PATIENCE_S:g} s") from None
     if done.returncode:
         said = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
         raise FinishError(said or f"the process that finishes it ended with {done.returncode}")

@@ -72,7 +72,7 @@ def recover_orphans(directory: str | Path = "/dev/shm") -> list[Orphan]:
 def _is_my_file(path: Path) -> bool:
     """Tell whether this user owns the ring: it names the file to write.
 
-    Root may open the rings of others, but nobody may tell root which file to replace.
+    Nobody may tell another user, or root, which file to replace.
     """
     return not path.is_symlink() and path.stat().st_uid == os.geteuid()
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from itertools import chain
 
 from pamctl.json_text import to_json
 from pamctl.log.run_meta import RunMeta
@@ -17,7 +16,6 @@ from pamctl.recording.ring import (
     tick_struct,
 )
 from pamctl.recording.rows import RowLogger
-from pamctl.signals import TickRecord
 
 CHUNK_ROWS = 2048
 
@@ -38,12 +36,6 @@ class LogJournal:
         self._first_row = 0
         self._last = (0, meta.start_mono_ns)
 
-    def put_tick(self, record: TickRecord) -> None:
-        """Keep a tick, at the time of its encoder sample."""
-        at = (record.timing.tick, record.raw.encoder_t_ns)
-        packed = self._tick.pack(*chain(*record))
-        self.put_rows(memoryview(_pack_row(RowKind.TICK, *at, len(packed), packed)))
-
     def put_row(self, row: bytearray, late_s: float, missed: int) -> None:
         """Keep a tick that is packed already as a row of a ring."""
         self.put_rows(memoryview(row))
@@ -59,9 +51,6 @@ class LogJournal:
             names = (field.name for field in self._meta.tick_fields)
             columns = self._tick.unpack_from(newest, ROW_HEADER.size)
             self._tell(dict(zip(names, columns, strict=True)))
-
-    def rehearse_tick(self, record: TickRecord) -> None:
-        """Do nothing: without a clock there is no rehearsal."""
 
     def rehearse_row(self, row: bytearray) -> None:
         """Do nothing: without a clock there is no rehearsal."""

@@ -10,6 +10,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from hal.child import child_command
+
 
 def finish_orphans(directory: Path, *, quiet: bool) -> None:
     """Finish the logs whose rings are in `directory`."""
@@ -27,7 +29,7 @@ def finish_orphans(directory: Path, *, quiet: bool) -> None:
 def finish_orphans_in_own_process(directory: Path) -> None:
     """Finish them in a separate process. The next start finds those that it could not finish."""
     if _has_rings(directory):
-        command = [sys.executable, "-m", "pamctl.recording.orphans", str(directory)]
+        command = child_command("pamctl.recording.orphans", directory)
         subprocess.run(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
 
 

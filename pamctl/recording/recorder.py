@@ -17,6 +17,7 @@ import sys
 import time
 from pathlib import Path
 
+from hal.child import child_command
 from pamctl.kept_memory import keep_freed_memory
 from pamctl.recording.disk_space import is_full
 from pamctl.recording.ring import RecorderFlag, Ring, RingError
@@ -33,7 +34,7 @@ class RecorderError(Exception):
 def spawn_recorder(ring_path: str | Path) -> subprocess.Popen[bytes]:
     """Start the recorder. It treats a closed `stdin` as the end of its owner."""
     return subprocess.Popen(
-        [sys.executable, "-m", "pamctl.recording.recorder", str(ring_path)],
+        child_command("pamctl.recording.recorder", ring_path),
         stdin=subprocess.PIPE,
         stderr=subprocess.PIPE,
         # Ctrl-C reaches the terminal's process group; it must not reach the starting recorder.

@@ -1,6 +1,6 @@
 """The ring between loop and recorder: a file in shared memory.
 
-    header, 4 KiB | run meta, JSON | rows of 512 bytes
+    header, 4 KiB | run meta, JSON | cargo | rows of 512 bytes
 
 One process puts rows, another takes them; neither waits for the other. The head moves after a
 row is complete, the tail after it is in the log. Rows between the two survive the death of either
@@ -22,16 +22,17 @@ import os
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 from pathlib import Path
 from time import monotonic_ns
 from typing import NamedTuple
 
+from hal.reservation import open_regular
 from pamctl.exit_codes import ExitCode
 from pamctl.json_text import to_json
+from pamctl.kernel.layout import Rows
 from pamctl.log.run_meta import RunMeta
 from pamctl.recording.memory_order import barrier_of_this_machine
-from pamctl.signals import TICK_FIELDS, Field, TickRecord
+from pamctl.signals import COMPENSATION_FIELDS, TICK_FIELDS, Field, TickRecord, make_empty_record
 
 ROW_BYTES = 512
 HEADER_BYTES = 4096
@@ -40,8 +41,9 @@ ROW_HEADER = struct.Struct("<IIqq")
 PAYLOAD_BYTES = ROW_BYTES - ROW_HEADER.size
 
 _MAGIC = b"PAMRING\n"
-_VERSION = 1
-_CODES = {int: "q", float: "d", bool: "?"}
+_VERSION = 2
+_CODES = {int: "q", float: "d", bool: "?7x"}
+"""Each fills 8 bytes: a row is what a kernel has in memory (`pamctl.kernel.layout`)."""
 _HEAD = 8
 _MADV_POPULATE_WRITE, _MADV_DONTNEED_LOCKED = 23, 24
 _POPULATE_BYTES = 64 * mmap.PAGESIZE
@@ -164,7 +166,7 @@ def _rows_for(size: int) -> int:
 
 
 def tick_struct(fields: Sequence[Field]) -> struct.Struct:
-    """Return the packing of a tick's columns: int as q, float as d, bool as ?."""
+    """Return the packing of a tick's columns, each in 8 bytes."""
     return struct.Struct("<" + "".join(_CODES[field.kind] for field in fields))
 
 
@@ -187,7 +189,8 @@ class Ring:
     # Words that different processes write are on different cache lines (8 words each).
     # The magic is word 0.
     _version, _row_bytes, _row_count = _Word(1), _Word(2), _Word(3)
-    _meta_bytes, _rows_start = _Word(4), _Word(5)
+    _meta_bytes, _rows_start, cargo_bytes = _Word(4), _Word(5), _Word(6)
+    """The cargo is what the maker of the ring hands to the loop; nobody else reads it."""
     head = _Word(_HEAD)
     """Number of rows put. Written by the loop."""
     tail = _Word(16)
@@ -222,11 +225,18 @@ class Ring:
     """Not zero once the guardian is dead or frozen. Written by the front."""
 
     def __init__(
-        self, path: Path, fd: int, *, populate: bool = True, writable: bool = True
+        self,
+        path: Path,
+        fd: int,
+        *,
+        populate: bool = True,
+        writable: bool = True,
+        meta: RunMeta | None = None,
     ) -> None:
         """Map the ring behind `fd`, which this object owns from now on.
 
-        Without `populate` the caller goes through `populate_in_steps` before it puts rows.
+        Without `populate` the caller goes through `populate_in_steps` before it puts rows. With
+        `meta` that of the ring, which may be long, is not read.
         """
         self.path = path
         self._fd = fd
@@ -241,7 +251,8 @@ class Ring:
         self._check_header()
         self._words = self._buffer[:HEADER_BYTES].cast("Q")
         self._check_layout()
-        self.meta = RunMeta.from_text(self._buffer[HEADER_BYTES:][: self._meta_bytes].tobytes())
+        text = self._buffer[HEADER_BYTES:][: self._meta_bytes]
+        self.meta = meta or RunMeta.from_text(text.tobytes())
         self.rows = self._row_count
         self._rows_at = self._rows_start
         self._head = self.head
@@ -255,7 +266,7 @@ class Ring:
                 pass
 
     @classmethod
-    def create(cls, path: str | Path, meta: RunMeta, rows: int = 16384) -> Ring:
+    def create(cls, path: str | Path, meta: RunMeta, rows: int = 16384, cargo: bytes = b"") -> Ring:
         """Create a ring, hold it, and return it; raise RingError if it exists.
 
         It appears complete or not at all, and only this user can read it. All its memory is
@@ -263,14 +274,17 @@ class Ring:
         """
         path = Path(path)
         text = replace(meta, log_path=os.path.abspath(meta.log_path)).to_text()
-        rows_at = HEADER_BYTES + -(-len(text) // mmap.PAGESIZE) * mmap.PAGESIZE
-        header = struct.pack("<8s5Q", _MAGIC, _VERSION, ROW_BYTES, rows, len(text), rows_at)
+        before_rows = len(text) + len(cargo)
+        rows_at = HEADER_BYTES + -(-before_rows // mmap.PAGESIZE) * mmap.PAGESIZE
+        words = (_VERSION, ROW_BYTES, rows, len(text), rows_at, len(cargo))
+        header = struct.pack("<8s6Q", _MAGIC, *words)
         with _explain_errors(f"cannot make the ring {path}"):
             fd = os.open(path.parent, os.O_TMPFILE | os.O_RDWR | os.O_CLOEXEC, 0o600)
             with _close_on_error(fd):
                 os.posix_fallocate(fd, 0, rows_at + rows * ROW_BYTES)
                 os.pwrite(fd, header, 0)
                 os.pwrite(fd, text, HEADER_BYTES)
+                os.pwrite(fd, cargo, HEADER_BYTES + len(text))
                 ring = cls(path, fd)
                 ring.loop_beat_ns = monotonic_ns()
                 ring.hold()
@@ -278,20 +292,27 @@ class Ring:
         return ring
 
     @classmethod
-    def attach(cls, path: str | Path, *, populate: bool = True) -> Ring:
+    def attach(
+        cls, path: str | Path, *, populate: bool = True, meta: RunMeta | None = None
+    ) -> Ring:
         """Map an existing ring; raise RingError if it is not a ring of this version."""
         with _explain_errors(f"cannot attach to the ring {path}"):
-            fd = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+            fd = open_regular(Path(path), os.O_RDWR, "me")
             with _close_on_error(fd):
-                return cls(Path(path), fd, populate=populate)
+                return cls(Path(path), fd, populate=populate, meta=meta)
 
     @classmethod
     def watch(cls, path: str | Path) -> Ring:
         """Map an existing ring for reading only; raise RingError as `attach` does."""
         with _explain_errors(f"cannot look into the ring {path}"):
-            fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
+            fd = open_regular(Path(path), os.O_RDONLY, "any")
             with _close_on_error(fd):
                 return cls(Path(path), fd, populate=False, writable=False)
+
+    def read_cargo(self, start: int, size: int) -> bytes:
+        """Return so many bytes of the cargo from a place on."""
+        at = HEADER_BYTES + self._meta_bytes + start
+        return self._buffer[at : at + size].tobytes()
 
     def admit_readers(self, group: int) -> None:
         """Let the members of a group, by its number, read this ring; nobody else may write."""
@@ -324,28 +345,12 @@ class Ring:
         if columns.size > PAYLOAD_BYTES:
             raise RingError(f"a tick of {columns.size} bytes exceeds a row's {PAYLOAD_BYTES}")
         self._tick = columns
-        self._pack_row: Callable[..., None] = struct.Struct(
-            ROW_HEADER.format + columns.format[1:]
-        ).pack_into
         self._keyframe = struct.Struct(f"<{len(self.meta.keyframe_fields)}d")
 
     # The loop's side.
 
-    def put_tick(self, record: TickRecord) -> None:
-        """Put one tick, at the time of its encoder sample. Raise RingFull if there is no room."""
-        head = self._head
-        if head >= self._full_at:
-            self._make_room(1)
-        self._write_tick(head, record)
-        self._head = self._words[_HEAD] = head + 1
-
-    def rehearse_tick(self, record: TickRecord) -> None:
-        """Write a tick into the next row and do not move the head: nobody reads it there."""
-        if self._head < self._full_at:
-            self._write_tick(self._head, record)
-
     def put_row(self, row: bytearray) -> None:
-        """Put one tick that is packed already, as `put_tick` packs it."""
+        """Put one tick, packed as `make_rows` has it. Raise RingFull if there is no room."""
         head = self._head
         if head >= self._full_at:
             self._make_room(1)
@@ -372,23 +377,16 @@ class Ring:
             at = self._rows_at + self._head % self.rows * ROW_BYTES
             self._buffer[at : at + ROW_BYTES] = row
 
-    def _write_tick(self, row: int, record: TickRecord) -> None:
-        self._pack_row(
-            self._buffer,
-            self._rows_at + row % self.rows * ROW_BYTES,
-            RowKind.TICK,
-            self._tick.size,
-            record.timing.tick,
-            record.raw.encoder_t_ns,
-            *chain(*record),
-        )
-
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
         """Put an event: a JSON object whose key `event` names it.
 
         The log adds the keys `tick`, `t_ns` and `row`. Raise RingFull if there is no room.
         """
-        self._put(RowKind.EVENT, tick, t_ns, to_json(event))
+        self.put_event_text(tick, t_ns, to_json(event))
+
+    def put_event_text(self, tick: int, t_ns: int, text: bytes) -> None:
+        """Put an event that is JSON already; as `put_event`."""
+        self._put(RowKind.EVENT, tick, t_ns, text)
 
     def put_gains(self, tick: int, t_ns: int, gains: Mapping[str, object]) -> None:
         """Put the gains that hold from this tick on; as `put_event`."""
@@ -521,6 +519,10 @@ class Ring:
         kind, size, tick, t_ns = ROW_HEADER.unpack_from(self._buffer, at)
         return kind, size, tick, t_ns
 
+    def read_tick(self, row: bytes) -> dict[str, float]:
+        """Return the columns of a row with a tick by name."""
+        return self._tick_columns(row[ROW_HEADER.size :][: self._tick.size])
+
     def _tick_columns(self, payload: bytes) -> dict[str, float]:
         names = (field.name for field in self.meta.tick_fields)
         return dict(zip(names, self._tick.unpack_from(payload), strict=True))
@@ -575,4 +577,28 @@ class Ring:
         self.close()
 
 
-assert tick_struct(TICK_FIELDS).size <= PAYLOAD_BYTES, "a tick must fit into one row"
+class TickRow(NamedTuple):
+    """A row with a tick, as a kernel sets it."""
+
+    kind_and_bytes: int
+    """`PLAIN_TICK` or `COMPENSATED_TICK`."""
+    tick: int
+    t_ns: int
+    record: TickRecord
+
+
+def make_rows(compensates: bool, count: int, stride_bytes: int | None = ROW_BYTES) -> Rows[TickRow]:
+    """Return rows of ticks that a kernel can set, by default as wide as those of the ring.
+
+    None: one behind the other.
+    """
+    return Rows(TickRow(0, 0, 0, make_empty_record(compensates)), count, stride_bytes)
+
+
+def _pack_kind(fields: Sequence[Field]) -> int:
+    return RowKind.TICK | tick_struct(fields).size << 32
+
+
+PLAIN_TICK = _pack_kind(TICK_FIELDS)
+COMPENSATED_TICK = _pack_kind((*TICK_FIELDS, *COMPENSATION_FIELDS))
+"""Kind and size of the row of a tick, in a run that compensates."""

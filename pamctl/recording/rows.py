@@ -103,14 +103,24 @@ def _values_to_text(value: Mapping[str, object]) -> dict[str, str]:
     }
 
 
-def row_dtype(fields: Sequence[Field]) -> np.dtype[Any]:
-    """Return the layout of a row: `kind`, `tick`, `t_ns`, and in `columns` a tick's fields."""
-    columns = np.dtype([(field.name, _NUMPY_TYPES[field.kind]) for field in fields])
+def row_dtype(fields: Sequence[Field], stride_bytes: int | None = ROW_BYTES) -> np.dtype[Any]:
+    """Return the layout of a row: `kind`, `tick`, `t_ns`, and in `columns` a tick's fields.
+
+    Rows without a stride are one behind the other.
+    """
+    columns = np.dtype(
+        {
+            "names": [field.name for field in fields],
+            "formats": [_NUMPY_TYPES[field.kind] for field in fields],
+            "offsets": [8 * at for at in range(len(fields))],
+            "itemsize": 8 * len(fields),
+        }
+    )
     return np.dtype(
         {
             "names": ["kind", "tick", "t_ns", "columns"],
             "formats": ["<u4", "<i8", "<i8", columns],
             "offsets": [0, 8, 16, ROW_HEADER.size],
-            "itemsize": ROW_BYTES,
+            "itemsize": stride_bytes or ROW_HEADER.size + columns.itemsize,
         }
     )

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 from pamctl.recording.ring import LoopStage, RecorderFlag, Ring
-from pamctl.signals import TickRecord
 
 SILENT_RECORDER_S = 3.0
 """A recorder without a sign of life for this time counts as dead."""
@@ -26,11 +25,6 @@ class RingJournal:
         self._now_ns = now_ns
         self._worst_late_s = 0.0
 
-    def put_tick(self, record: TickRecord) -> None:
-        """Put a tick."""
-        self._ring.put_tick(record)
-        self._show_life(record.timing.late_s, record.timing.missed)
-
     def put_row(self, row: bytearray, late_s: float, missed: int) -> None:
         """Put a tick that is packed already."""
         self._ring.put_row(row)
@@ -46,10 +40,6 @@ class RingJournal:
         if late_s > self._worst_late_s:
             self._worst_late_s = late_s
             self._ring.worst_late_ns = round(late_s * 1e9)
-
-    def rehearse_tick(self, record: TickRecord) -> None:
-        """Do what `put_tick` does, up to the point where others would see it."""
-        self._ring.rehearse_tick(record)
 
     def rehearse_row(self, row: bytearray) -> None:
         """Do what `put_row` does, up to the point where others would see it."""

@@ -95,6 +95,11 @@ class SessionJournal(RingJournal):
         super().put_event(tick, t_ns, event)
         self._session.commit(self._session.head)
 
+    def put_event_text(self, tick: int, t_ns: int, text: bytes) -> None:
+        """Put an event that is JSON already, and begins no log."""
+        self._ring.put_event_text(tick, t_ns, text)
+        self._session.commit(self._session.head)
+
     def put_gains(self, tick: int, t_ns: int, gains: Mapping[str, object]) -> None:
         """Put gains that apply from the next tick on."""
         super().put_gains(tick, t_ns, gains)

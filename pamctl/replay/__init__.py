@@ -24,7 +24,7 @@ from pamctl.replay.course_kernel import trace_course
 from pamctl.replay.differences import Difference, Differences, StageField
 from pamctl.replay.read_source import find_absent_fields, read_replay_source
 from pamctl.replay.replay_source import BehindTheEnd, NotReplayable, ReplaySource
-from pamctl.replay.tick_kernel import replay_stretch
+from pamctl.replay.stretch import replay_stretch
 from pamctl.replay.tick_replay import TickReplay, list_compared_fields
 from pamctl.replay.tolerance import EXACT, Tolerances
 
@@ -61,8 +61,11 @@ class Replay:
 
     @property
     def is_equal(self) -> bool:
-        """Whether everything that was replayed equals the log."""
-        return not self.differences
+        """Whether every tick was replayed, and equals the log.
+
+        The ticks that a run missed are none of the log's: nothing else may be left out.
+        """
+        return self.is_whole and not self.differences
 
     @property
     def is_whole(self) -> bool:

@@ -15,7 +15,7 @@ from pamctl.log.schema import CUT
 from pamctl.realtime.keyframe import thaw_state
 from pamctl.realtime.tick import TickState, first_state
 from pamctl.replay.replay_source import GainChange, NotReplayable, ReplaySource
-from pamctl.replay.tick_kernel import REPLAYED_FIELDS, TickInputs
+from pamctl.replay.stretch import REPLAYED_FIELDS, TickInputs
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.problems import ConfigError
 from pamctl.settings.resolve import (

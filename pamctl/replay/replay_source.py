@@ -18,7 +18,7 @@ from pamctl.exit_codes import ExitCode
 from pamctl.log import Log
 from pamctl.realtime.gain_ramp import GainRamp
 from pamctl.realtime.tick import TickSetup, TickState, first_state, rezero_state
-from pamctl.replay.tick_kernel import TickInputs, slice_inputs
+from pamctl.replay.stretch import TickInputs, slice_inputs
 from pamctl.settings.build import build_tick_setup, output_of
 from pamctl.settings.resolve import RunSettings
 
@@ -146,7 +146,9 @@ class ReplaySource:
                 f"{self.log.path} was cut from {self.cut['source']} and holds no frozen state "
                 "(a run has one each second): cut a longer piece, or replay the whole log"
             )
-        return min(self.keyframes) + 1
+        first = min(self.keyframes) + 1
+        # Ticks that were lost later are no matter of the cut: then all is replayed that can be.
+        return 0 if any(0 < loss < first for loss in self.losses) else first
 
     def find_tick_before(self, t_s: float) -> int:
         """Return the last tick with a keyframe at or before `t_s`, or -1."""

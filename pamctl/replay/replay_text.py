@@ -102,13 +102,7 @@ def _describe_first(found: Replay, difference: Difference) -> dict[str, Any]:
 
 def format_replay(found: Replay) -> str:
     """Return one line if all is equal; else the first difference, then the others."""
-    log = found.recording.log
-    lines = _format_differences(found)
-    if not lines:
-        lines = [
-            f"{log.path}: equal, {found.ticks} ticks, {len(found.fields)} fields, "
-            f"{found.speed:.0f} x real time"
-        ]
+    lines = _format_differences(found) if found.differences else [_format_extent(found)]
     if found.begin:
         lines.append(f"from tick {_tick(found, found.begin)}, with the frozen state before it")
     if cut := found.recording.cut:
@@ -128,6 +122,15 @@ def format_replay(found: Replay) -> str:
     return "\n".join(lines)
 
 
+def _format_extent(found: Replay) -> str:
+    """Say how much was replayed, and is equal."""
+    of = f"{len(found.fields)} fields, {found.speed:.0f} x real time"
+    if found.is_equal:
+        return f"{found.recording.log.path}: equal, {found.ticks} ticks, {of}"
+    left_out = f"not whole, {found.ticks} of {found.ticks + found.skipped} ticks were replayed"
+    return f"{found.recording.log.path}: {left_out} and do not differ, {of}"
+
+
 def _describe_piece(found: Replay, cut: Mapping[str, str]) -> str:
     """Say where a piece of a log came from, and why its law cannot run from its first tick on."""
     origin = f"cut from {cut['source']}, rows {cut['first_row']} to {cut['last_row']}"
@@ -140,8 +143,6 @@ def _describe_piece(found: Replay, cut: Mapping[str, str]) -> str:
 
 
 def _format_differences(found: Replay) -> list[str]:
-    if found.is_equal:
-        return []
     first = found.differences[0]
     at, logged, replayed = first.first
     log = found.recording.log

@@ -12,7 +12,7 @@ from pamctl.realtime.tick import TickState
 from pamctl.replay.differences import Differences, Floats, StageField, find_differing
 from pamctl.replay.program_replay import ProgramAnswer, ProgramReplay
 from pamctl.replay.replay_source import ReplaySource
-from pamctl.replay.tick_kernel import APPLIED_ROW, REPLAYED_FIELDS, replay_stretch
+from pamctl.replay.stretch import APPLIED_ROW, REPLAYED_FIELDS, replay_stretch
 from pamctl.safety import INITIAL_SAFETY_STATE
 from pamctl.signals import TICK_FIELDS
 

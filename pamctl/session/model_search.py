@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from pamctl.session.pamctl_error import translate_errors
 from pamctl.session.run import Run
+from pamctl.settings.config_files import find_config_file
 from pamctl.settings.resolve import (
     SECTIONS,
     RawSettings,
-    find_config_file,
     read_section_file,
     settings_to_data,
     validate_settings,

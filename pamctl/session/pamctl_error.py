@@ -15,6 +15,8 @@ from pamctl.exit_codes import ExitCode
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 """What a package or a cache may meet that does not write through `pamctl.new_file`."""
 
+_NO_MORE_FILES = {errno.EMFILE, errno.ENFILE}
+
 
 class PamctlError(Exception):
     """What went wrong, where, and what to do. `str(error)` is the line that the shell prints."""
@@ -39,6 +41,8 @@ def explain_error(error: Exception) -> tuple[ExitCode, str] | None:
         return code, str(error)
     if isinstance(error, RigError):
         return ExitCode.UNAVAILABLE, str(error)
+    if isinstance(error, OSError) and error.errno in _NO_MORE_FILES:
+        return ExitCode.UNAVAILABLE, f"{error.strerror}; raise the limit with `ulimit -n 4096`"
     if isinstance(error, OSError) and error.errno in _NO_ROOM:
         reason = f"cannot write {error.filename or 'a file'}: {error.strerror}; make room there"
         return ExitCode.UNEXPECTED, reason

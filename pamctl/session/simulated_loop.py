@@ -11,7 +11,6 @@ import math
 import threading
 from collections.abc import Callable, Mapping
 from functools import partial
-from itertools import chain
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, NamedTuple
@@ -29,7 +28,7 @@ from pamctl.recording.session_journal import SessionJournal
 from pamctl.session.held_ctrl_c import hold_back_ctrl_c
 from pamctl.settings.build import build_ordered_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings
-from pamctl.signals import TickRecord, list_tick_fields
+from pamctl.signals import Phase
 
 _SESSION_ROWS = 256
 _RUN_ROWS = 4096
@@ -56,7 +55,7 @@ class SimulatedLoop:
         self.ending: Ending | None = None
         self.run_path: Path | None = None
         """The log of the current run; None between runs."""
-        self.last: TickRecord | None = None
+        self._last: bytes | None = None
         self._tasks: SimpleQueue[_Task | None] = SimpleQueue()
         self._done: SimpleQueue[None] = SimpleQueue()
         self._goal: Goal | None = None
@@ -120,12 +119,14 @@ class SimulatedLoop:
         if recorder is not None:
             recorder.finish()
 
-    def read_tick(self) -> dict[str, float] | None:
-        """Return the newest tick's columns by name."""
-        if self.last is None:
-            return None
-        names = (field.name for field in list_tick_fields(bool(self.last.compensation)))
-        return dict(zip(names, chain(*self.last), strict=True))
+    def note_tick(self, row: bytearray) -> None:
+        """Take note of the newest tick, a row of the ring."""
+        self._last = bytes(row)
+
+    @property
+    def last(self) -> dict[str, float] | None:
+        """The newest tick's columns by name."""
+        return None if self._last is None else self._ring.read_tick(self._last)
 
     @hold_back_ctrl_c()
     def close(self, *, at_once: bool = False) -> Ending:
@@ -233,9 +234,9 @@ class _TickedJournal(SessionJournal):
         super().__init__(session, lambda ring: None if ring is None else wait_for_recorder(ring))
         self._loop = loop
 
-    def put_tick(self, record: TickRecord) -> None:
-        self._loop.last = record
-        super().put_tick(record)
+    def put_row(self, row: bytearray, late_s: float, missed: int) -> None:
+        self._loop.note_tick(row)
+        super().put_row(row, late_s, missed)
 
 
 class _RunRecorder:
@@ -289,14 +290,12 @@ def is_at_rest_at(position_m: float) -> Goal:
         last = loop.last
         if last is None or not loop.is_running:
             return not loop.is_running
-        reference_m = last.reference.reference_m
-        return math.isclose(reference_m, position_m, abs_tol=1e-9) and is_resting(last)
+        is_there = math.isclose(last["reference_m"], position_m, abs_tol=1e-9)
+        return is_there and is_resting(last)
 
     return has_arrived
 
 
-def is_resting(record: TickRecord) -> bool:
+def is_resting(tick: Mapping[str, float]) -> bool:
     """Return whether a position is held."""
-    from pamctl.signals import Phase
-
-    return record.reference.phase == Phase.REST
+    return tick["phase"] == Phase.REST

@@ -98,7 +98,7 @@ class SimulatedRig(SteeredRig):
             "fault": self._fault,
             "run": None if log is None else self._name,
             "log": None if log is None else str(log),
-            "tick": None if loop is None else loop.read_tick(),
+            "tick": None if loop is None else loop.last,
             "controller": settings_to_data(self._settings.controller),
             "names": dict(self._names),
             "backend": self._settings.rig.backend,
@@ -119,7 +119,7 @@ class SimulatedRig(SteeredRig):
             return DaemonState.READY
         if self._holds and is_resting(loop.last):
             return DaemonState.READY
-        homing = loop.last.reference.phase == Phase.HOMING
+        homing = loop.last["phase"] == Phase.HOMING
         return DaemonState.HOMING if homing else DaemonState.RUNNING
 
     def mark(self, text: str) -> None:
@@ -176,7 +176,7 @@ class SimulatedRig(SteeredRig):
                 # Marks and gains take a tick each: they do not shift the ticks that follow.
                 at += every * max(1, -(-(self._tick_now() + 1 - at) // every))
                 self._let_pass_until(at)
-                tick = self._loop.read_tick()
+                tick = self._loop.last
                 goes_on = self._loop.is_running
                 self._conclude()
             if not goes_on or tick is None:
@@ -214,7 +214,7 @@ class SimulatedRig(SteeredRig):
     def _goto(self, position_m: float, within_s: float | None) -> None:
         self._require_state(DaemonState.IDLE, DaemonState.READY, DaemonState.RUNNING)
         last = None if self._loop is None else self._loop.last
-        here_m = 0.0 if last is None else last.measurement.position_m
+        here_m = 0.0 if last is None else last["position_m"]
         hold = plan_hold(self._settings, position_m, within_s, here_m)
         loop = self._loop
         if loop is None or loop.run_path is None:
@@ -277,7 +277,7 @@ class SimulatedRig(SteeredRig):
 
     def _tick_now(self) -> int:
         last = None if self._loop is None else self._loop.last
-        return -1 if last is None else last.timing.tick
+        return -1 if last is None else int(last["tick"])
 
     def _let_pass_until(self, tick: int) -> None:
         assert self._loop is not None

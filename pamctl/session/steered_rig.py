@@ -247,7 +247,8 @@ class InterruptedWaitError(BaseException):
 
 
 def _read_section(section: str, name: str) -> dict[str, Any]:
-    from pamctl.settings.resolve import find_config_file, read_section_file, settings_to_data
+    from pamctl.settings.config_files import find_config_file
+    from pamctl.settings.resolve import read_section_file, settings_to_data
     from pamctl.settings.table_file import read_tables
 
     path = find_config_file(section, name, section)

@@ -1,39 +1,48 @@
-"""The closed loop in one compiled batch: plant, sensors, tick, valve.
+"""The closed loop as one batch: `run_ticks` over a simulated rig, with a table of references.
 
-It calls the same kernels as the loop process and the simulated rig, in the same order; a test
-compares the two tick by tick. Tuning and diagnosis run on it.
+A test compares it with the loop process tick by tick. Tuning and diagnosis run on it.
 """
 
 from __future__ import annotations
 
 import math
 import random
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
-from typing import TYPE_CHECKING, NamedTuple
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from hal.calibration import output_v, valve_v
 from hal.converter import quantise_v
-from hal.rig import RawSample
-from hal.sim.sim_rig import SensorChain, sensed_counts, sensed_pressure_v
-from pamctl.compensation.around_the_law import correct_measurement
-from pamctl.compiled import compile_kernel
+from hal.sim.sim_rig import SensorChain
 from pamctl.control.course import Course, Segment
-from pamctl.control.law import KERNELS, LawKernel, answer
-from pamctl.plant.delayed_command import advance_delayed_plant
-from pamctl.plant.parameters import PlantParameters, PlantState, vented_state
-from pamctl.plant.sensing import sensed_position_m, sensed_pressure_pa
-from pamctl.plant.simulated import LONGEST_STEP_S
-from pamctl.plant.step import advance_plant
-from pamctl.realtime.tick import TickSetup, TickState, first_state, step
-from pamctl.signals import Reference, Timing
+from pamctl.kernel.calls import recall
+from pamctl.kernel.layout import Rows
+from pamctl.plant.parameters import PlantParameters, vented_state
+from pamctl.plant.simulated import LONGEST_STEP_S, OnTheWay, make_line
+from pamctl.realtime.run_ticks import (
+    RowsGuide,
+    SimulatedOutput,
+    SimulatedState,
+    VirtualRig,
+    run_ticks,
+    start_loop,
+)
+from pamctl.realtime.tick import TickSetup, first_state
+from pamctl.realtime.tick_runner import UPDATES
+from pamctl.recording.ring import TickRow, make_rows
+from pamctl.recording.rows import row_dtype
+from pamctl.signals import Reference, list_tick_fields
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+_CHUNK = 2048
+"""Ticks whose rows stay in the processor's cache until their columns are taken."""
 
 
 class BatchRow(NamedTuple):
@@ -53,12 +62,12 @@ class BatchRow(NamedTuple):
 class BatchRun:
     """One batch simulation: columns of `BatchRow`, each as long as `reference`."""
 
-    reference: NDArray[np.float64]
-    rows: NDArray[np.float64]
+    reference: Floats
+    rows: Floats
     tripped_tick: int
     """Tick at which safety tripped and the simulation ended; -1 if it did not."""
 
-    def __getitem__(self, column: str) -> NDArray[np.float64]:
+    def __getitem__(self, column: str) -> Floats:
         """Return one column of `BatchRow`, or of `Reference`, by its name."""
         if column in BatchRow._fields:
             return self.rows[:, BatchRow._fields.index(column)]
@@ -67,7 +76,7 @@ class BatchRun:
 
 def tabulate_references(
     segments: Sequence[Segment], period_s: float, duration_s: float | None = None
-) -> NDArray[np.float64]:
+) -> Floats:
     """Tabulate an experiment, with one row a tick and the columns of `Reference`."""
     course = Course(segments, duration_s)
     period_ns = round(period_s * 1e9)  # the loop's clock counts whole nanoseconds
@@ -77,7 +86,7 @@ def tabulate_references(
     return np.array(rows, dtype=np.float64).reshape(-1, len(Reference._fields))
 
 
-def draw_sensor_noise(ticks: int, seed: int) -> NDArray[np.float64]:
+def draw_sensor_noise(ticks: int, seed: int) -> Floats:
     """Draw the same noise as a simulated rig with this seed."""
     gauss = random.Random(seed).gauss
     return np.array([gauss(0.0, 1.0) for _ in range(ticks)])
@@ -87,8 +96,8 @@ def simulate(
     setup: TickSetup,
     plant: PlantParameters,
     chain: SensorChain,
-    reference: NDArray[np.float64],
-    noise: NDArray[np.float64],
+    reference: Floats,
+    noise: Floats,
     *,
     period_s: float = 1e-3,
     output_delay_ticks: int = 0,
@@ -98,102 +107,60 @@ def simulate(
 
     `reference` and `noise` have one row a tick. The run ends early if safety trips.
     """
-    rows = np.full((len(reference), len(BatchRow._fields)), math.nan)
-    start = vented_state(plant)
-    ticks = _compile_closed_loop(KERNELS[type(setup.gains)])(
-        setup,
-        first_state(
-            setup, chain.zero._replace(encoder_zero_counts=math.floor(chain.zero[1]) + 0.0)
-        ),
-        plant,
-        start,
-        chain,
-        reference,
-        noise,
-        round(period_s * 1e9) * 1e-9,
-        output_delay_ticks,
-        longest_step_s,
-        rows,
-    )
-    tripped = ticks if ticks < len(reference) else -1
-    return BatchRun(reference, rows[: ticks + 1], tripped)
-
-
-@cache
-def _compile_closed_loop(law: LawKernel) -> Callable[..., int]:
-    return compile_kernel(run_closed_loop, (answer, law))
-
-
-def run_closed_loop(
-    setup: TickSetup,
-    state: TickState,
-    plant: PlantParameters,
-    muscle: PlantState,
-    chain: SensorChain,
-    references: NDArray[np.float64],
-    noise: NDArray[np.float64],
-    period_s: float,
-    output_delay_ticks: int,
-    longest_step_s: float,
-    rows: NDArray[np.float64],
-) -> int:
-    """Kernel: fill `rows` tick by tick; return the tick that tripped, or the number of ticks."""
+    ticks, period_ns = len(reference), round(period_s * 1e9)
+    rows = np.empty((ticks, len(BatchRow._fields)))
+    reference = np.ascontiguousarray(reference)
+    buffer = make_rows(setup.compensation is not None, _CHUNK, None)
+    zero = chain.zero._replace(encoder_zero_counts=math.floor(chain.zero[1]) + 0.0)
     output = quantise_v(
         chain.output_converter, output_v(setup.calibration, setup.limits.safe_valve_v)
     )
-    written = valve = valve_v(chain.calibration, output)
-    late = plant.effects.timing.command_delay.delay_s > 0.0
-    written_s, written_v = np.zeros(len(references)), np.zeros(len(references))
-    arrived, now_s = 0, 0.0
-    for tick in range(len(references)):
-        if tick and late:
-            written_s[tick - 1] = now_s
-            written_v[tick - 1] = valve
-            muscle, arrived = advance_delayed_plant(
-                plant,
-                muscle,
-                written_s,
-                written_v,
-                tick,
-                arrived,
-                now_s,
-                period_s,
-                longest_step_s,
-            )
-            now_s += period_s
-        elif tick:
-            muscle = advance_plant(plant, muscle, valve, period_s, longest_step_s)
-        t_ns = 0
-        raw = RawSample(
-            sensed_pressure_v(
-                chain,
-                sensed_pressure_pa(
-                    plant, muscle.pressure_pa, muscle.air, muscle.sensors, muscle.age_s
-                ),
-                noise[tick],
-            ),
-            sensed_counts(
-                chain, sensed_position_m(plant, muscle.position_m, muscle.sensors, muscle.age_s)
-            ),
-            t_ns,
-            t_ns,
-        )
-        row = references[tick]
-        reference = Reference(int(row[0]), row[1], row[2], row[3], row[4], row[5])
-        timing = Timing(tick, tick * period_s, period_s, 0.0, 0)
-        state, decision = step(setup, state, raw, reference, timing)
-        rows[tick, 0] = muscle.position_m
-        rows[tick, 1] = muscle.pressure_pa
-        rows[tick, 2], rows[tick, 3] = correct_measurement(setup.compensation, state.measurement)
-        rows[tick, 4] = state.estimate.error_m
-        rows[tick, 5] = state.command.command_v
-        rows[tick, 6] = decision.valve_v
-        if decision.tripped:
-            return tick
-        if output_delay_ticks:
-            valve = written
-        output = quantise_v(chain.output_converter, output_v(setup.calibration, decision.valve_v))
-        written = valve_v(chain.calibration, output)
-        if not output_delay_ticks:
-            valve = written
-    return len(references)
+    rig = VirtualRig(
+        plant, chain, make_line(plant, ticks), period_ns, output_delay_ticks, longest_step_s, noise
+    )
+    call = recall(
+        run_ticks,
+        {
+            "setup": setup,
+            "loop": start_loop(first_state(setup, zero), 0, -period_ns),
+            "rig": rig,
+            "inner": SimulatedState(0, 0, vented_state(plant), OnTheWay()),
+            "outer": SimulatedOutput(valve_v(chain.calibration, output), output),
+            "guide": RowsGuide(reference),
+            "rows": buffer,
+            "n": 0,
+        },
+        UPDATES,
+    )
+    done = 0
+    while done < ticks:
+        end = min(done + _CHUNK, ticks)
+        call.put("rig", rig._replace(deviates=noise[done:end]))
+        call.put("guide", RowsGuide(reference[done:end]))
+        call.put("n", end - done)
+        call.run()
+        ran: int = call.get("n")
+        _keep_columns(buffer, rows[done : done + ran], setup.compensation is not None)
+        done += ran
+        if done < end:
+            break
+    is_tripped = done > 0 and bool(call.get("loop").decision.tripped)
+    return BatchRun(reference, rows[:done], done - 1 if is_tripped else -1)
+
+
+_KEPT = ("true_position_m", "true_pressure_pa", "", "", "error_m", "command_v", "valve_v")
+"""The columns of the log that `BatchRow` has; empty where a compensation decides."""
+
+
+def _keep_columns(buffer: Rows[TickRow], rows: Floats, compensates: bool) -> None:
+    columns: Any = np.frombuffer(buffer.buffer, _find_dtype(compensates), len(rows))["columns"]
+    for into, name in zip(rows.T, _KEPT, strict=True):
+        if name:
+            into[:] = columns[name]
+    rows[:, 2] = columns["corrected_position_m" if compensates else "position_m"]
+    rows[:, 3] = columns["corrected_pressure_pa" if compensates else "pressure_pa"]
+
+
+@lru_cache
+def _find_dtype(compensates: bool) -> np.dtype[Any]:
+    return row_dtype(list_tick_fields(compensates), None)

@@ -9,7 +9,7 @@ from support.runs import run_settings
 
 from pamctl.control.excitation import ProgramSettings, generate_commands
 from pamctl.control.experiment import build_segments
-from pamctl.settings.resolve import config_dir
+from pamctl.settings.config_files import config_dir
 from pamctl.signals import Phase, Reference
 from pamctl.simulate.closed_loop import tabulate_references
 

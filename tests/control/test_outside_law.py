@@ -109,7 +109,6 @@ def test_the_report_names_its_terms_with_and_without_the_package(
 
 
 @pytest.mark.long
-@pytest.mark.usefixtures("closed_loops")
 def test_tune_finds_gains_of_an_outside_law_and_writes_its_equation(
     site: Path, tmp_path: Path
 ) -> None:

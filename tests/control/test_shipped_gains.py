@@ -8,12 +8,11 @@ from functools import cache
 
 import pytest
 
-from pamctl.settings.resolve import find_config_file, resolve
+from pamctl.settings.config_files import find_config_file
+from pamctl.settings.resolve import resolve
 from pamctl.simulate.batch import simulate_run
 from pamctl.simulate.merit import TABLE_IV, Merit
 from pamctl.tune import GainsTrial, make_fixed_members
-
-pytestmark = pytest.mark.usefixtures("closed_loops")
 
 EXPERIMENTS = ("tracking-1", "tracking-2")
 DEFAULTS = ("qsmc", "smc", "pid")

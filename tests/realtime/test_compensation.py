@@ -204,7 +204,7 @@ def test_a_compensated_run_tracks_the_truth_better(tmp_path: Path) -> None:
 
 def test_a_run_without_compensation_has_the_columns_and_keyframes_of_before(tmp_path: Path) -> None:
     done = run(settings_with(tmp_path))
-    assert all(record.compensation == () for record in done.journal.ticks)
+    assert all(record.compensation is None for record in done.journal.ticks)
     setup = build_tick_setup(settings_with(tmp_path))
     state = first_state(setup, Zero(0.2, 0.0))
     assert state.compensated is None

@@ -21,7 +21,7 @@ from support.runs import (
 from hal.faulty import FaultSettings
 from hal.rig import RigError
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.realtime import loop, tick_path
+from pamctl.realtime import loop, run_ticks
 from pamctl.realtime.keyframe import keyframe_fields
 from pamctl.realtime.loop import KEYFRAME_TICKS
 from pamctl.safety import (
@@ -374,7 +374,7 @@ class Bug(Exception):
 
 @pytest.mark.parametrize("raised", [Bug, KeyboardInterrupt, SystemExit])
 def test_an_error_in_the_tick_is_raised_with_the_rig_already_safe(monkeypatch, raised) -> None:
-    right, calls = tick_path.step, []
+    right, calls = run_ticks.step, []
 
     def wrong(*arguments: Any) -> Any:
         calls.append(arguments)
@@ -382,10 +382,10 @@ def test_an_error_in_the_tick_is_raised_with_the_rig_already_safe(monkeypatch, r
             raise raised("in the law")
         return right(*arguments)
 
-    monkeypatch.setattr(tick_path, "step", wrong)
+    monkeypatch.setattr(run_ticks, "step", wrong)
     rigs: list[Any] = []
     with pytest.raises(raised, match="in the law"):
-        run(short(), wrap=lambda rig: rigs.append(rig) or rig)
+        run(short(), wrap=lambda rig: rigs.append(rig) or rig, plain=True)
     sim = rigs[0]._inner
     assert sim.output_v == pytest.approx(SAFE_OUTPUT_V, abs=AO_STEP_V / 2)
     with pytest.raises(RigError, match="not open"):
@@ -393,10 +393,10 @@ def test_an_error_in_the_tick_is_raised_with_the_rig_already_safe(monkeypatch, r
 
 
 class FullJournal(MemoryJournal):
-    def put_tick(self, record: Any) -> None:
+    def put_row(self, row: bytearray, late_s: float, missed: int) -> None:
         if len(self.ticks) == 700:
             raise OverflowError("the ring is full")
-        super().put_tick(record)
+        super().put_row(row, late_s, missed)
 
 
 def test_a_tick_that_cannot_be_kept_ends_the_run_safe() -> None:

@@ -10,11 +10,14 @@ from typing import Any
 
 import pytest
 from support.made_up import meta, tick
+from support.runs import pack_row
 
 from hal.calibration import Zero
+from pamctl.kernel.calls import PlainCall
+from pamctl.realtime.run_ticks import start_loop
 from pamctl.realtime.steering import SteeredProgram
 from pamctl.realtime.tick import first_state
-from pamctl.realtime.tick_path import PlainTick
+from pamctl.realtime.tick_runner import TickRunner
 from pamctl.recording.ring import LoopStage, Ring, RowKind
 from pamctl.recording.session_journal import SessionJournal
 from pamctl.settings.build import build_ordered_program, build_tick_setup
@@ -40,11 +43,17 @@ class Slot:
         return self.orders.pop(0) if self.orders else None
 
 
-def done_tick(record: TickRecord) -> PlainTick:
+def done_tick(record: TickRecord) -> TickRunner:
     """Return what the loop holds of a tick."""
-    done = PlainTick()
-    done.timing, done.raw, done.reference = record.timing, record.raw, record.reference
-    done.decision, done.state = record.decision, STATE
+    done = TickRunner(SETUP, PlainCall)
+    done.take_over(
+        start_loop(STATE, 0, 0)._replace(
+            timing=record.timing,
+            raw=record.raw,
+            reference=record.reference,
+            decision=record.decision,
+        )
+    )
     return done
 
 
@@ -69,7 +78,7 @@ class Session:
         record = tick(self.ticked)
         self.ticked += 1
         self.program.next_reference(record.timing.t_s, record.raw)
-        self.journal.put_tick(record)
+        self.journal.put_row(pack_row(record), record.timing.late_s, record.timing.missed)
         self.program.finish_tick(done_tick(record))
 
     def tick_until_recorded(self) -> int:

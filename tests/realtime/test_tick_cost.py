@@ -9,10 +9,12 @@ from typing import Any
 import pytest
 from support.runs import run_settings
 
+from pamctl.kernel.calls import PlainCall
 from pamctl.processes import loop_main
-from pamctl.realtime import tick_path
+from pamctl.realtime import run_ticks
 from pamctl.realtime.tick import step
 from pamctl.realtime.tick_cost import BUSY_SHARE, LIVE_FACTOR, TickCost, rehearse_tick_s
+from pamctl.realtime.tick_runner import TickRunner
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.resolve import resolve
 
@@ -35,8 +37,9 @@ def test_a_rehearsed_tick_computes_the_law_and_is_admitted(
         seen.append(step(*arguments))
         return seen[-1]
 
-    monkeypatch.setattr(tick_path, "step", watch)
-    rehearse_tick_s(build_tick_setup(resolve(controller=law)), 1e-4)
+    monkeypatch.setattr(run_ticks, "step", watch)
+    setup = build_tick_setup(resolve(controller=law))
+    rehearse_tick_s(setup, 1e-4, tick=TickRunner(setup, PlainCall))
     assert len(seen) == 100
     assert not any(decision.tripped for _, decision in seen)
     assert all(math.isfinite(state.command.command_v) for state, _ in seen[1:])

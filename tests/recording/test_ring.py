@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 from support.made_up import START_MONO_NS, columns, meta, put, tick
+from support.runs import pack_row
 
 from pamctl.recording.ring import (
     PAYLOAD_BYTES,
@@ -44,7 +45,7 @@ def taken_ticks(ring: Ring) -> list[int]:
 
 
 def test_a_tick_comes_out_of_the_ring_as_it_went_in(ring):
-    ring.put_tick(tick(3))
+    ring.put_row(pack_row(tick(3)))
     (entry,) = ring.drain(ROWS).entries()
     unpacked = tick_struct(TICK_FIELDS).unpack(entry.payload)
     assert entry.kind == RowKind.TICK
@@ -71,9 +72,9 @@ def test_rows_that_are_not_committed_are_drained_again(ring):
 def test_a_full_ring_says_so_and_keeps_every_row_it_has(ring):
     put(ring, range(ROWS))
     with pytest.raises(RingFull, match="behind or gone"):
-        ring.put_tick(tick(ROWS))
+        ring.put_row(pack_row(tick(ROWS)))
     assert taken_ticks(ring) == list(range(ROWS))
-    ring.put_tick(tick(ROWS))
+    ring.put_row(pack_row(tick(ROWS)))
     assert taken_ticks(ring) == [ROWS]
 
 
@@ -83,7 +84,7 @@ def test_an_event_of_any_length_comes_out_whole_even_across_the_wrap(ring, size,
     put(ring, range(before))
     ring.commit(before)
     ring.put_event(7, 8, {"event": "x" * size})
-    ring.put_tick(tick(9))
+    ring.put_row(pack_row(tick(9)))
     (event,) = ring.drain(1).entries()
     assert (event.kind, event.tick, event.t_ns, event.row) == (RowKind.EVENT, 7, 8, before)
     assert json.loads(event.payload) == {"event": "x" * size}

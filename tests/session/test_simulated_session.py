@@ -64,7 +64,6 @@ def test_an_afternoon_of_positions_runs_marks_and_gains_replays_to_the_bit(
         assert replay_log(each.log).is_equal
 
 
-@pytest.mark.usefixtures("closed_loops")
 def test_the_motion_is_that_of_the_compiled_batch(tmp_path: Path) -> None:
     """The batch is composed otherwise, and begins with the experiment at once."""
     quiet = [NOT_HOMED, "rig.sim.sensor_noise_v=0", "rig.sim.encoder_start_counts=1000.4"]

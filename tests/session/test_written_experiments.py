@@ -28,7 +28,8 @@ from pamctl.control.references.sequence import (
 )
 from pamctl.exit_codes import ExitCode
 from pamctl.session import motion_sequence, reference_forms
-from pamctl.settings.resolve import list_shipped, resolve, settings_to_data
+from pamctl.settings.config_files import list_shipped
+from pamctl.settings.resolve import resolve, settings_to_data
 
 MODELS: list[Any] = [
     TrackingSettings, SquareSettings, StepsSettings, ProgramSettings, HoldSettings,

@@ -31,8 +31,6 @@ from pamctl.simulate.closed_loop import (
     tabulate_references,
 )
 
-pytestmark = pytest.mark.usefixtures("closed_loops")
-
 TRACKING = """
     kind: tracking
     transition_s: 1.0

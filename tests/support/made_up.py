@@ -16,6 +16,7 @@ from pamctl.recording.recorder import await_recorder, spawn_recorder
 from pamctl.recording.ring import Ring, RingFull
 from pamctl.signals import TICK_FIELDS, TICK_STAGES, TickRecord
 from support.patience import PATIENCE_S
+from support.runs import pack_row
 
 PERIOD_NS = 1_000_000
 START_WALL_NS = 1_700_000_000_000_000_000
@@ -54,7 +55,7 @@ def _value(kind: type, index: int, column: int) -> Any:
 
 def columns(record: TickRecord) -> dict[str, Any]:
     """Return the columns of a tick by name."""
-    values = (value for stage in record for value in stage)
+    values = (value for stage in record if stage is not None for value in stage)
     return {field.name: value for field, value in zip(TICK_FIELDS, values, strict=True)}
 
 
@@ -79,7 +80,7 @@ def put(ring: Ring, ticks: Iterable[int], *, patience_s: float = PATIENCE_S) -> 
         record = tick(index)
         while True:
             try:
-                ring.put_tick(record)
+                ring.put_row(pack_row(record))
                 break
             except RingFull:
                 if time.monotonic() > deadline:

@@ -9,7 +9,7 @@ PATIENCE_S = 60.0
 BUSY_PC = [
     "rig.limits.sample_age_s=60",
     "rig.limits.missed_ticks=1e6",
-    "rig.limits.pressure_model_pa=1e9",
+    "rig.limits.pressure_model_pa=2e6",
     "rig.limits.tracking_error_mm=1e3",
     "rig.loop.heartbeat_ms=1000",
 ]

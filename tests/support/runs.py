@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -11,17 +10,25 @@ from hal.backend import Plant
 from hal.faulty import FaultSettings, FaultyRig
 from hal.sim.sim_rig import SimRig, sensor_chain
 from pamctl.exit_codes import Ending
+from pamctl.kernel.calls import PlainCall
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.realtime.clock import VirtualClock
 from pamctl.realtime.loop import ControlLoop
-from pamctl.recording.ring import ROW_HEADER, RowKind, tick_struct
+from pamctl.realtime.tick_runner import TickRunner
+from pamctl.recording.ring import (
+    COMPENSATED_TICK,
+    PLAIN_TICK,
+    ROW_HEADER,
+    RowKind,
+    TickRow,
+    make_rows,
+    tick_struct,
+)
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings, resolve
 from pamctl.signals import (
     TICK_FIELDS,
-    TICK_STAGES,
-    Compensated,
     Phase,
     TickRecord,
     Truth,
@@ -44,15 +51,19 @@ def unpack_row(row: bytes | bytearray) -> TickRecord:
     """Return the record in a row of the ring."""
     kind, size, tick, t_ns = ROW_HEADER.unpack_from(row)
     compensates = size != tick_struct(TICK_FIELDS).size
-    packing = tick_struct(list_tick_fields(compensates))
-    assert (kind, size) == (RowKind.TICK, packing.size)
-    numbers = iter(packing.unpack_from(row, ROW_HEADER.size))
-    stages: Any = [*TICK_STAGES.values(), *([Compensated] if compensates else [])]
-    record = TickRecord(
-        *(stage._make(itertools.islice(numbers, len(stage._fields))) for stage in stages)
-    )
+    assert (kind, size) == (RowKind.TICK, tick_struct(list_tick_fields(compensates)).size)
+    record = make_rows(compensates, 1).block.read(row).record
     assert (tick, t_ns) == (record.timing.tick, record.raw.encoder_t_ns)
     return record
+
+
+def pack_row(record: TickRecord) -> bytearray:
+    """Return the row of the ring with a record."""
+    compensates = record.compensation is not None
+    rows = make_rows(compensates, 1)
+    kind = COMPENSATED_TICK if compensates else PLAIN_TICK
+    rows[0] = TickRow(kind, record.timing.tick, record.raw.encoder_t_ns, record)
+    return rows.buffer
 
 
 @dataclass
@@ -63,16 +74,10 @@ class MemoryJournal:
     events: list[tuple[int, Mapping[str, object]]] = field(default_factory=list)
     keyframes: list[tuple[int, Sequence[float]]] = field(default_factory=list)
 
-    def put_tick(self, record: TickRecord) -> None:
-        self.ticks.append(record)
-
     def put_row(self, row: bytearray, late_s: float, missed: int) -> None:
         record = unpack_row(row)
         assert (record.timing.late_s, record.timing.missed) == (late_s, missed)
         self.ticks.append(record)
-
-    def rehearse_tick(self, record: TickRecord) -> None:
-        pass
 
     def rehearse_row(self, row: bytearray) -> None:
         pass
@@ -159,14 +164,17 @@ def run(
     journal: MemoryJournal | None = None,
     wrap: Callable[[FaultyRig], Any] = lambda rig: rig,
     plant: Plant | None = None,
+    plain: bool = False,
 ) -> Run:
-    """Run the loop to its end, on the settings' plant or another one."""
+    """Run the loop to its end, on the settings' plant or another one; `plain` in Python."""
     made = parts(settings, faults, missed, plant)
     journal = journal or MemoryJournal()
+    setup = build_tick_setup(settings)
     ending = ControlLoop(
         rig=wrap(made.whole),
         clock=made.clock,
-        setup=build_tick_setup(settings),
+        setup=setup,
+        tick=TickRunner(setup, PlainCall) if plain else None,
         nominal_zero=nominal_zero_of(settings),
         program=build_program(settings),
         journal=journal,

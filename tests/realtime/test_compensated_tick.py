@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import math
 import sys
-from itertools import chain
 
 import pytest
-from support.runs import MemoryJournal, ScriptedSupervisor, parts, run_settings
+from support.runs import MemoryJournal, ScriptedSupervisor, pack_row, parts, run_settings
 
-from pamctl.compensation.around_the_law import CELLS, Compensation, list_wanted_v
-from pamctl.compiled_ahead.layout import LONGEST_TABLE, Block, NotFlat
-from pamctl.processes.machine_code import builder_main, libraries
+from pamctl.compensation.around_the_law import Compensation, list_wanted_v
+from pamctl.kernel.calls import NativeCall, PlainCall
 from pamctl.realtime.cued_helm import CuedHelm
 from pamctl.realtime.loop import ControlLoop
-from pamctl.realtime.tick_path import PlainTick, load_compiled_tick
-from pamctl.recording.ring import tick_struct
+from pamctl.realtime.tick_runner import TickRunner
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
-from pamctl.signals import Truth, list_tick_fields
+from pamctl.signals import Truth
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the real-time loop needs Linux")
 
@@ -60,25 +57,10 @@ def run_with(tick: object) -> MemoryJournal:
 
 
 def test_a_compensated_run_has_the_same_rows_and_frozen_states() -> None:
-    path = libraries.find_tick_library(SETUP)
-    if not path.exists():
-        builder_main.build_tick_library(SETUP, path)
-    tick = load_compiled_tick(path, SETUP)
-    plain, compiled = run_with(PlainTick()), run_with(tick)
+    tick = TickRunner(SETUP, NativeCall)
+    plain, compiled = run_with(TickRunner(SETUP, PlainCall)), run_with(tick)
     assert len(plain.ticks) > 1000
-    packing = tick_struct(list_tick_fields(compensates=True))
-    rows = [[packing.pack(*chain(*record)) for record in run.ticks] for run in (plain, compiled)]
+    rows = [[*map(pack_row, run.ticks)] for run in (plain, compiled)]
     assert rows[0] == rows[1]
     assert repr(plain.keyframes) == repr(compiled.keyframes)
     assert math.isfinite(tick.state.compensated.corrected_position_m)
-    assert not tick.fits(SETUP._replace(compensation=None))
-
-
-def test_a_tuple_is_kept_number_by_number_up_to_a_length() -> None:
-    table = tuple(float(i) for i in range(CELLS + 1))
-    block = Block(table, 2)
-    buffer = bytearray(8 * block.end)
-    block.write(buffer, table)
-    assert block.read(buffer) == table
-    with pytest.raises(NotFlat):
-        Block((0.0,) * (LONGEST_TABLE + 1), 0)

@@ -1,43 +1,37 @@
-"""Machine code and plain Python are one tick: the same bits, whatever comes in.
-
-The code is built once for all tests, and kept in the user's cache as that of a run.
-"""
+"""Machine code and plain Python are one tick: the same bits, whatever comes in."""
 
 from __future__ import annotations
 
 import math
-import os
 import struct
 import sys
 from collections.abc import Sequence
-from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.runs import MS, MemoryJournal, ScriptedSupervisor, parts, run_settings
+from support.runs import MS, MemoryJournal, ScriptedSupervisor, pack_row, parts, run_settings
 
 from hal.calibration import Zero
 from hal.faulty import FaultSettings
 from hal.rig import RawSample
-from pamctl.compiled_ahead.emit import CannotBuild
-from pamctl.compiled_ahead.layout import Block, NotFlat
+from pamctl.control.law import answer
 from pamctl.exit_codes import Ending
+from pamctl.kernel.calls import NativeCall, PlainCall
+from pamctl.kernel.translate import NotInC
 from pamctl.log.reader import read
-from pamctl.processes.machine_code import builder_main, libraries
 from pamctl.realtime.clock import Wake
 from pamctl.realtime.cued_helm import CuedHelm
 from pamctl.realtime.loop import ControlLoop
 from pamctl.realtime.tick import TickSetup, first_state
-from pamctl.realtime.tick_path import CompiledTick, PlainTick, TickPath, load_compiled_tick
-from pamctl.realtime.whole_tick import TickTimes
-from pamctl.recording.ring import Ring, tick_struct
+from pamctl.realtime.tick_runner import TickRunner
+from pamctl.recording.ring import Ring
 from pamctl.replay.read_source import read_replay_source
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
-from pamctl.settings.resolve import RunSettings, resolve
+from pamctl.settings.resolve import RunSettings
 from pamctl.signals import TICK_FIELDS, Reference, TickOutcome, TickRecord, Truth
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the real-time loop needs Linux")
@@ -54,26 +48,26 @@ SHORT = (
 )
 
 
-@pytest.fixture(scope="module")
-def library() -> Path:
-    """The machine code of the paper's law."""
-    path = libraries.find_tick_library(SETUP)
-    if not path.exists():
-        builder_main.build_tick_library(SETUP, path)
-    return path
+def plain_tick(setup: TickSetup = SETUP) -> TickRunner:
+    return TickRunner(setup, PlainCall)
 
 
 @pytest.fixture
-def compiled(library: Path) -> CompiledTick:
-    return load_compiled_tick(library, SETUP)
+def compiled() -> TickRunner:
+    """The machine code of the paper's law."""
+    return TickRunner(SETUP, NativeCall)
+
+
+def list_numbers(record: TickRecord) -> list[float]:
+    return [number for stage in record if stage is not None for number in stage]
 
 
 def pack(record: TickRecord) -> bytes:
-    return tick_struct(TICK_FIELDS).pack(*chain(*record))
+    return bytes(pack_row(record))
 
 
 def run_with(
-    tick: TickPath, settings: RunSettings, *faults: FaultSettings, missed: Any = None
+    tick: TickRunner, settings: RunSettings, *faults: FaultSettings, missed: Any = None
 ) -> tuple[Ending, MemoryJournal]:
     setup, made = build_tick_setup(settings), parts(settings, faults, missed)
     journal, program = MemoryJournal(), build_program(settings)
@@ -105,12 +99,12 @@ RUNS: dict[str, tuple[Sequence[str], Sequence[FaultSettings], dict[int, int]]] =
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", RUNS)
-def test_a_run_has_the_same_rows_events_and_frozen_states(name: str, library: Path) -> None:
+def test_a_run_has_the_same_rows_events_and_frozen_states(name: str) -> None:
     overrides, faults, missed = RUNS[name]
     settings = run_settings(*overrides)
     setup = build_tick_setup(settings)
-    ended, plain = run_with(PlainTick(), settings, *faults, missed=missed)
-    ended_too, fast = run_with(load_compiled_tick(library, setup), settings, *faults, missed=missed)
+    ended, plain = run_with(plain_tick(setup), settings, *faults, missed=missed)
+    ended_too, fast = run_with(TickRunner(setup, NativeCall), settings, *faults, missed=missed)
     assert ended == ended_too
     assert len(plain.ticks) > 500
     assert [*map(pack, plain.ticks)] == [*map(pack, fast.ticks)]
@@ -118,10 +112,13 @@ def test_a_run_has_the_same_rows_events_and_frozen_states(name: str, library: Pa
     assert repr(plain.keyframes) == repr(fast.keyframes)
 
 
-def test_gains_that_change_on_a_ramp_are_followed(library: Path) -> None:
+def test_gains_that_change_on_a_ramp_are_followed() -> None:
     settings = run_settings(*SHORT, "rig.homing.enabled=false")
     outcome = []
-    for tick in (PlainTick(), load_compiled_tick(library, build_tick_setup(settings))):
+    for tick in (
+        plain_tick(build_tick_setup(settings)),
+        TickRunner(build_tick_setup(settings), NativeCall),
+    ):
         setup, made, journal = build_tick_setup(settings), parts(settings), MemoryJournal()
         program = build_program(settings)
         helm = Softening(setup, settings, program, journal)
@@ -141,11 +138,14 @@ def test_gains_that_change_on_a_ramp_are_followed(library: Path) -> None:
     assert outcome[0] == outcome[1]
 
 
-def test_another_law_than_the_one_built_runs_in_plain_python(library: Path) -> None:
+def test_another_law_than_the_one_built_runs_in_plain_python() -> None:
     settings = run_settings(*SHORT)
     other = run_settings(controller="smc").controller
     outcome = []
-    for tick in (PlainTick(), load_compiled_tick(library, build_tick_setup(settings))):
+    for tick in (
+        plain_tick(build_tick_setup(settings)),
+        TickRunner(build_tick_setup(settings), NativeCall),
+    ):
         setup, made, journal = build_tick_setup(settings), parts(settings), MemoryJournal()
         program = build_program(settings)
         helm = CuedHelm(setup, settings.controller.model_dump(mode="json"), program, journal)
@@ -187,24 +187,24 @@ class Softening(CuedHelm):
         self.controller = settings.controller
         super().__init__(setup, settings.controller.model_dump(mode="json"), *others)
 
-    def finish_tick(self, done: TickPath) -> None:
+    def finish_tick(self, done: TickRunner) -> None:
         if done.timing.tick == 300:
             softer = self.controller.model_copy(update={"lpf1_hz": 200.0})
             self._tuning.change(softer, done.timing.t_s, 0.2)
         super().finish_tick(done)
 
 
-def test_golden_logs_come_out_to_the_bit(library: Path) -> None:
+def test_golden_logs_come_out_to_the_bit() -> None:
     seen = 0
     for path in sorted(GOLDEN.glob("*.mcap")):
         source = read_replay_source(read(path))
         if source.gains.law != "qsmc":
             continue
-        seen += replay_golden(source, library)
+        seen += replay_golden(source)
     assert seen > 6000
 
 
-def replay_golden(source: Any, library: Path) -> int:
+def replay_golden(source: Any) -> int:
     """Run a log's ticks on its raw samples and references; return how many were compared."""
     log, seen, after = source.log, 0, None
     inputs = source.inputs(0, len(source))
@@ -214,14 +214,13 @@ def replay_golden(source: Any, library: Path) -> int:
         if state is None:
             continue
         setup = source.setup_at(begin)
-        tick = load_compiled_tick(library, setup)
+        tick = TickRunner(setup, NativeCall)
         for k in range(begin, end):
             at, t_s, dt_s, late_s, missed, *raw = (column[k] for column in columns[:9])
             raw = RawSample(*raw)
             if k == begin:
                 first_ns = raw.encoder_t_ns - round(t_s * 1e9)
-                times = TickTimes(first_ns, raw.encoder_t_ns - round(dt_s * 1e9))
-                tick.begin(state, times)
+                tick.begin(state, first_ns, raw.encoder_t_ns - round(dt_s * 1e9))
             reference = Reference(*(column[k] for column in columns[9:]))
             tick.run(setup, Wake(at, 0, round(late_s * 1e9), missed), raw, reference)
             assert (tick.timing.t_s, tick.timing.dt_s) == (t_s, dt_s)
@@ -264,16 +263,15 @@ def bits(values: Sequence[float]) -> list[bytes]:
     phase=st.integers(0, 5),
 )
 def test_any_input_gives_the_same_bits_or_the_same_error(
-    library: Path, samples: list[tuple[float, int, int, int]], reference: Any, phase: int
+    samples: list[tuple[float, int, int, int]], reference: Any, phase: int
 ) -> None:
-    compiled, plain = load_compiled_tick(library, SETUP), PlainTick()
+    compiled, plain = TickRunner(SETUP, NativeCall), plain_tick()
     for tick in (compiled, plain):
-        tick.begin(first_state(SETUP, Zero(0.215, 0.0)), TickTimes(0, -MS))
+        tick.begin(first_state(SETUP, Zero(0.215, 0.0)), 0, -MS)
     t_ns = 0
     for at, (pressure_v, encoder, dt_ns, missed) in enumerate(samples):
         raw = RawSample(pressure_v, encoder, t_ns, t_ns)
         wake, asked = Wake(at, t_ns, t_ns + 1000, missed), Reference(phase, *reference)
-        plain.time(wake, raw)
         try:
             plain.run(SETUP, wake, raw, asked)
         except (ArithmeticError, ValueError) as error:
@@ -284,17 +282,16 @@ def test_any_input_gives_the_same_bits_or_the_same_error(
         records = [MemoryJournal(), MemoryJournal()]
         for tick, journal in zip((plain, compiled), records, strict=True):
             tick.record(journal, NO_OUTCOME, NO_TRUTH)
-        ours, theirs = (list(chain(*journal.ticks[0])) for journal in records)
+        ours, theirs = (list_numbers(journal.ticks[0]) for journal in records)
         assert bits(ours) == bits(theirs)
-        states = [Block(plain.state, 0)._flatten(tick.state) for tick in (plain, compiled)]
-        assert bits(states[0]) == bits(states[1])
+        assert bits(plain.frozen) == bits(compiled.frozen)
         t_ns += dt_ns
 
 
-def test_where_machine_code_fails_plain_python_says_why(compiled: CompiledTick) -> None:
+def test_where_machine_code_fails_plain_python_says_why(compiled: TickRunner) -> None:
     limits = SETUP.limits._replace(pressure_model_memory_s=0.0)
     broken = SETUP._replace(limits=limits)
-    compiled.begin(first_state(SETUP, Zero(0.2, 0.0)), TickTimes(0, -MS))
+    compiled.begin(first_state(SETUP, Zero(0.2, 0.0)), 0, -MS)
     reference = Reference(2, 0.0, 0.0, 0.0, 0.0, math.nan)
     compiled.run(broken, Wake(0, 0, 0, 0), RawSample(0.3, 0, 0, 0), reference)
     before = compiled.state
@@ -303,10 +300,10 @@ def test_where_machine_code_fails_plain_python_says_why(compiled: CompiledTick) 
     assert compiled.state == before, "a tick that failed changes nothing"
 
 
-def test_a_rehearsal_changes_neither_state_nor_ring(compiled: CompiledTick, tmp_path: Path) -> None:
+def test_a_rehearsal_changes_neither_state_nor_ring(compiled: TickRunner, tmp_path: Path) -> None:
     from support.made_up import meta
 
-    compiled.begin(first_state(SETUP, Zero(0.2, 0.0)), TickTimes(0, -MS))
+    compiled.begin(first_state(SETUP, Zero(0.2, 0.0)), 0, -MS)
     reference = Reference(2, 0.0, 0.0, 0.0, 0.0, math.nan)
     with Ring.create(tmp_path / "a.ring", meta(tmp_path / "none"), 256) as ring:
         compiled.run(SETUP, Wake(0, 0, 0, 0), RawSample(0.3, 0, 0, 0), reference)
@@ -329,48 +326,18 @@ class RingOnly(MemoryJournal):
         self._ring.rehearse_row(row)
 
 
-def test_a_value_that_is_not_made_of_numbers_is_refused() -> None:
-    with pytest.raises(NotFlat, match=r"filters\.displacement_hz: str is not a float"):
-        Block(SETUP._replace(filters=SETUP.filters._replace(displacement_hz="fast")), 0)
+def test_a_law_that_is_no_kernel_is_refused_with_its_line_and_the_reason() -> None:
+    class Strange(NamedTuple):
+        gain: float = 1.0
+
+    @answer.register(Strange)
+    def respond_strangely(gains, memory, reference, estimate, dt_s):  # type: ignore[no-untyped-def]
+        return sorted([1.0]), memory
+
+    setup = SETUP._replace(gains=Strange(), armed=NoMemory())
+    with pytest.raises(NotInC, match=r"test_tick_runner\.py:\d+: .*respond_strangely: `sorted"):
+        TickRunner(setup, NativeCall)
 
 
-def test_without_a_linker_nothing_is_built_and_the_reason_is_said(monkeypatch, tmp_path) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.delenv("PAMCTL_NO_BUILD")
-    monkeypatch.setattr(libraries, "find_linker", lambda: None)
-    assert "install gcc" in libraries.start_building(resolve())
-    tick, what = libraries.load_tick(SETUP)
-    assert isinstance(tick, PlainTick)
-    assert what == "plain Python"
-    monkeypatch.setenv("PATH", "")
-    with pytest.raises(CannotBuild, match="install gcc"):
-        builder_main.build_tick_library(SETUP, tmp_path / "a.so")
-    assert not [*tmp_path.iterdir()]
-
-
-def test_a_cache_that_cannot_be_written_is_said_and_nothing_is_begun(monkeypatch, tmp_path) -> None:
-    monkeypatch.delenv("PAMCTL_NO_BUILD")
-    (tmp_path / "pamctl").write_text("a file where the folder should be")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    told = libraries.start_building(resolve())
-    assert told.startswith("the tick runs in plain Python, machine code cannot be kept: ")
-    assert str(tmp_path / "pamctl" / "ahead") in told
-
-
-def test_a_user_without_a_home_keeps_no_machine_code(monkeypatch) -> None:
-    monkeypatch.delenv("PAMCTL_NO_BUILD")
-    for name in ("HOME", "XDG_CACHE_HOME"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(os, "getuid", lambda: 54321)  # nobody has this number
-    assert "XDG_CACHE_HOME" in libraries.start_building(resolve())
-    assert not libraries.find_tick_library(SETUP).exists()
-
-
-def test_other_sources_laws_and_machines_have_other_code(monkeypatch) -> None:
-    from pamctl.compiled_ahead import library
-
-    here = libraries.find_tick_library(SETUP)
-    smc = libraries.find_tick_library(build_tick_setup(run_settings(controller="smc")))
-    assert here != smc
-    monkeypatch.setattr(library, "_hash_house", lambda: "another processor")
-    assert libraries.find_tick_library(SETUP) != here
+class NoMemory(NamedTuple):
+    pass

@@ -5,15 +5,14 @@
     observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
 
 `gymnasium.make("pamctl/Muscle-v0", plant="paper")` makes the same one. The plant, its converters
-and its noise are those of the simulated rig, compiled. There is no homing: the zeros are known.
+and its noise are those of the simulated rig. There is no homing: the zeros are known.
 Needs the package gymnasium: `pip install 'pamctl[gym]'`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from functools import cache
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,10 +21,10 @@ from numpy.typing import NDArray
 from hal.calibration import Zero, output_v, position_m, pressure_pa, valve_v
 from hal.converter import quantise_v
 from hal.sim.sim_rig import SensorChain, SimSettings, sensed_counts, sensed_pressure_v, sensor_chain
-from pamctl.compiled import compile_kernel
 from pamctl.control.course import Course
 from pamctl.control.experiment import ExperimentSettings, plan_experiment
 from pamctl.exit_codes import ExitCode
+from pamctl.kernel.calls import Call, prepare
 from pamctl.plant.delayed_command import advance_delayed_plant
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.parameters import PlantParameters, PlantState, vented_state
@@ -115,9 +114,10 @@ class MuscleEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         """Begin with the vented muscle at rest; `seed` is of the noise and the drawn reference."""
         super().reset(seed=seed)
         self._course = _plan_course(self._reference or self._draw_reference())
-        self._muscle = vented_state(self._plant)
-        self._step, self._arrived, self._valve_v = 0, 0, 0.0
-        self._written_s, self._written_v = np.zeros(0), np.zeros(0)
+        self._step, self._valve_v = 0, 0.0
+        self._written_s, self._written_v = np.zeros(1024), np.zeros(1024)
+        self._readings = np.zeros(2)
+        self._call = self._prepare()
         self._write()
         self._advance(0)
         self._now = _require_reference(self._course.at(0.0))
@@ -155,9 +155,11 @@ class MuscleEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     def _write(self) -> None:
         """Keep the commands that have not reached the valve yet: only a delay needs them."""
         if self._step >= len(self._written_s):
-            more = np.zeros(max(1024, len(self._written_s)))
+            more = np.zeros(len(self._written_s))
             self._written_s = np.concatenate([self._written_s, more])
             self._written_v = np.concatenate([self._written_v, more])
+            self._call.put("written_s", self._written_s)
+            self._call.put("written_v", self._written_v)
         self._written_s[self._step] = self._step * self._step_s
         self._written_v[self._step] = self._valve_v
 
@@ -184,27 +186,33 @@ class MuscleEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         info = {"error_m": self._read_m - now.reference_m, "t_s": self._step * self._step_s}
         return np.clip(observation, -_HIGHEST, _HIGHEST), info
 
+    def _prepare(self) -> Call:
+        given = {
+            "plant": self._plant,
+            "muscle": vented_state(self._plant),
+            "chain": self._chain,
+            "homed": self._homed,
+            "written_s": self._written_s,
+            "written_v": self._written_v,
+            "count": 0,
+            "arrived": 0,
+            "now_s": 0.0,
+            "period_s": self._period_s,
+            "ticks": 0,
+            "noise": 0.0,
+            "readings": self._readings,
+        }
+        return prepare(advance_and_measure, given, updates=("muscle", "arrived"))
+
     def _advance(self, ticks: int) -> None:
         """Advance the muscle under the present command, and measure it as the homed rig does."""
-        self._muscle, self._arrived, self._read_m, self._read_pa = _compile_step()(
-            self._plant,
-            self._muscle,
-            self._chain,
-            self._homed,
-            self._written_s,
-            self._written_v,
-            self._step + 1,
-            self._arrived,
-            self._step * self._step_s,
-            self._period_s,
-            ticks,
-            float(self.np_random.standard_normal()),
-        )
-
-
-@cache
-def _compile_step() -> Callable[..., tuple[PlantState, int, float, float]]:
-    return compile_kernel(advance_and_measure)
+        call = self._call
+        call.put("count", self._step + 1)
+        call.put("now_s", self._step * self._step_s)
+        call.put("ticks", ticks)
+        call.put("noise", float(self.np_random.standard_normal()))
+        call.run()
+        self._read_m, self._read_pa = self._readings.tolist()
 
 
 def advance_and_measure(
@@ -220,10 +228,11 @@ def advance_and_measure(
     period_s: float,
     ticks: int,
     noise: float,
-) -> tuple[PlantState, int, float, float]:
+    readings: NDArray[np.float64],
+) -> tuple[PlantState, int]:
     """Kernel: advance by some ticks under the last of `count` written commands (V), and measure.
 
-    Returns the muscle, the command that acts, position (m) and absolute pressure (Pa).
+    Returns the muscle and the command that acts; fills position (m) and absolute pressure (Pa).
     """
     is_late = plant.effects.timing.command_delay.delay_s > 0.0
     for tick in range(ticks):
@@ -245,12 +254,9 @@ def advance_and_measure(
     shown_pa = sensed_pressure_pa(
         plant, muscle.pressure_pa, muscle.air, muscle.sensors, muscle.age_s
     )
-    return (
-        muscle,
-        arrived,
-        position_m(chain.calibration, homed, sensed_counts(chain, shown_m)),
-        pressure_pa(chain.calibration, homed, sensed_pressure_v(chain, shown_pa, noise)),
-    )
+    readings[0] = position_m(chain.calibration, homed, sensed_counts(chain, shown_m))
+    readings[1] = pressure_pa(chain.calibration, homed, sensed_pressure_v(chain, shown_pa, noise))
+    return muscle, arrived
 
 
 def _plan_course(reference: ExperimentForm) -> Course:

@@ -17,7 +17,7 @@ from pamctl import __version__
 from pamctl.exit_codes import ExitCode
 
 CONNECT_S = 10.0
-NUMERICAL_PACKAGES = ("numpy", "scipy", "numba", "pydantic")
+NUMERICAL_PACKAGES = ("numpy", "scipy", "pydantic")
 """Other versions of these may round differently, or read other settings."""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import multiprocessing.context
 import os
 import signal
 import threading
@@ -10,7 +11,22 @@ from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 
+from hal.child import without_working_directory
 from pamctl.cluster.dask_cluster import connect_to_cluster
+
+
+class _Worker(multiprocessing.context.SpawnProcess):
+    """A worker process, started when there is work for it."""
+
+    def start(self) -> None:
+        with without_working_directory():
+            super().start()
+
+
+class _Spawn(multiprocessing.context.SpawnContext):
+    """The way to start workers that finds the same modules as this process."""
+
+    Process = _Worker
 
 
 @contextmanager
@@ -23,9 +39,9 @@ def start_workers(jobs: int | None, cluster: str | None = None) -> Iterator[Exec
         with connect_to_cluster(cluster) as on_cluster:
             yield on_cluster
         return
-    # Not forked: a fork of a process with numba's and numpy's threads may hang.
-    context = multiprocessing.get_context("spawn")
-    executor = ProcessPoolExecutor(jobs or os.cpu_count(), context, initializer=_begin_work)
+    # Not forked: a fork of a process with numpy's threads may hang.
+    with without_working_directory():  # the first lock starts a process
+        executor = ProcessPoolExecutor(jobs or os.cpu_count(), _Spawn(), initializer=_begin_work)
     try:
         yield executor
     finally:

@@ -1,6 +1,6 @@
 """Compose the effects of the catalogue: their parameters, their memories, one kernel a place.
 
-All of it is made once, at import. `compile_kernel` needs a function with fixed source, so each
+All of it is made once, at import. Machine code is made of functions with a fixed source, so each
 place gets one that calls the effects' kernels by name:
 
     def pass_opening(effects, memory, opening_v, age_s):
@@ -23,25 +23,12 @@ from graphlib import TopologicalSorter
 from math import nan
 from typing import Any, NamedTuple
 
+from pamctl.kernel.calls import note_composed
 from pamctl.plant.catalogue import CATALOGUE, list_arguments
 from pamctl.plant.effects.description import EffectEntry
 from pamctl.plant.effects.places import PLACES, Part
 
 Kernel = Callable[..., Any]
-
-
-def _list_modules() -> tuple[str, ...]:
-    """List the modules that parameters, kernels and memories of effects come from."""
-    found = {effect.kind.__module__ for effect in CATALOGUE.values()}
-    for entry in (entry for effect in CATALOGUE.values() for entry in effect.entries):
-        found.add(entry.kernel.__module__)
-        if entry.memory is not None:
-            found |= {entry.memory.follow.__module__, entry.memory.at_rest.__module__}
-    return tuple(sorted(found))
-
-
-KERNEL_MODULES = _list_modules()
-"""Modules that the code below depends on; they are part of the key of `pamctl.compiled`'s cache."""
 
 
 def _make_group(name: str, defaults: Mapping[str, Any]) -> Any:
@@ -148,10 +135,10 @@ def _compose(
     """Make a kernel from lines of source; `used` holds the functions and types that they name."""
     source = "\n    ".join([f"def {name}({', '.join(arguments)}):", *body])
     scope: dict[str, Any] = {"__name__": __name__, **used}
-    # The cache of machine code needs a file that exists.
-    exec(compile(source, __file__, "exec"), scope)
+    exec(compile(source, f"<{name}>", "exec"), scope)
     kernel: Kernel = scope[name]
     kernel.__dict__["source"] = source  # for those who translate it
+    note_composed(source, used)
     return kernel
 
 

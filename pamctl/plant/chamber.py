@@ -37,7 +37,7 @@ from pamctl.plant.effects.mechanics.braid_stretch import stretch_ratio
 from pamctl.plant.effects.valve.valve_leak import leak_area_m2
 from pamctl.plant.paper.muscle import volume_m3
 from pamctl.plant.paper.valve import orifice_flow
-from pamctl.plant.parameters import AirParameters, AirState
+from pamctl.plant.parameters import AirNow, AirState, PlantParameters
 from pamctl.plant.terms.air_terms import pass_volume_term
 
 SOLVED_PA = 1e-3
@@ -76,29 +76,31 @@ class MuscleFeed(NamedTuple):
     """Flow through the valve into the node."""
 
 
-def port_areas(p: AirParameters, opening_v: float) -> Ports:
+def port_areas(p: PlantParameters, opening_v: float) -> Ports:
     """Return the open areas for the valve's opening (V of command) and its leaks."""
     area = p.paper.valve_gain_m2_per_v * abs(opening_v)
-    leak = leak_area_m2(p.effects.valve_leak, opening_v)
+    leak = leak_area_m2(p.effects.air.valve_leak, opening_v)
     if opening_v > 0.0:
         return Ports(area + leak, leak)
     return Ports(leak, area + leak)
 
 
-def port_flow(p: AirParameters, source_pa: float, pressure_pa: float) -> float:
+def port_flow(p: PlantParameters, source_pa: float, pressure_pa: float) -> float:
     """Return the mass flow per area from a source, kg/(s m^2); negative if the source is lower."""
     upstream, downstream, sign = source_pa, pressure_pa, 1.0
     if source_pa < pressure_pa:
         upstream, downstream, sign = pressure_pa, source_pa, -1.0
-    if p.effects.discharge_ratio.shift != 0.0:
+    if p.effects.air.discharge_ratio.shift != 0.0:
         ratio = downstream / upstream
         downstream = upstream * nozzle_ratio(
-            p.effects.discharge_ratio, ratio, p.paper.critical_ratio
+            p.effects.air.discharge_ratio, ratio, p.paper.critical_ratio
         )
     return sign * orifice_flow(p.paper, upstream, downstream)
 
 
-def flow_through_ports(p: AirParameters, open_to: Ports, supply_pa: float, node_pa: float) -> float:
+def flow_through_ports(
+    p: PlantParameters, open_to: Ports, supply_pa: float, node_pa: float
+) -> float:
     """Return the mass flow into the node, kg/s."""
     flow = 0.0
     if open_to.tank_m2 > 0.0:
@@ -125,28 +127,28 @@ def keep_bracket_end(
     return other, miss_other
 
 
-def rest_supply_pa(p: AirParameters, air: AirState, step_s: float) -> float:
+def rest_supply_pa(p: PlantParameters, now: AirNow, air: AirState, step_s: float) -> float:
     """Return the pressure upstream of the valve after `step_s` without flow."""
-    droop = p.effects.supply_droop
+    droop = p.effects.air.supply_droop
     if droop.resistance_pa_s_per_kg <= 0.0:
-        return p.tank_pa
+        return now.tank_pa
     kept = kept_share(droop, step_s)
-    idle_pa: float = kept * air.supply_pa + (1.0 - kept) * p.tank_pa
+    idle_pa: float = kept * air.supply_pa + (1.0 - kept) * now.tank_pa
     if droop.fast_share > 0.0:
         idle_pa -= kept_of_branch(droop, step_s) * air.branch_pa
     return idle_pa
 
 
 def solve_supply_pa(
-    p: AirParameters, air: AirState, open_to: Ports, node_pa: float, step_s: float
+    p: PlantParameters, now: AirNow, air: AirState, open_to: Ports, node_pa: float, step_s: float
 ) -> float:
     """Return the pressure upstream of the valve after `step_s`, with the flow at that pressure.
 
     s + (1 - kept) R m(s) = kept s_0 + (1 - kept) P_tank, for each tank: m grows with s and is 0 at
     the node's pressure, so the root lies between that and the right-hand side.
     """
-    droop = p.effects.supply_droop
-    idle_pa = rest_supply_pa(p, air, step_s)
+    droop = p.effects.air.supply_droop
+    idle_pa = rest_supply_pa(p, now, air, step_s)
     if droop.resistance_pa_s_per_kg <= 0.0 or open_to.tank_m2 <= 0.0:
         return idle_pa
     drop = droop_resistance(droop, step_s) * open_to.tank_m2
@@ -165,7 +167,8 @@ def solve_supply_pa(
 
 
 def solve_feed(
-    p: AirParameters,
+    p: PlantParameters,
+    now: AirNow,
     air: AirState,
     open_to: Ports,
     pressure_pa: float,
@@ -176,54 +179,54 @@ def solve_feed(
 
     n - (1 - kept) drop(m(n)) = the pressure of the line's end without flow; m falls with n.
     """
-    line, atmosphere_pa = p.effects.line_restriction, p.paper.atmospheric_pressure_pa
+    line, atmosphere_pa = p.effects.air.line_restriction, p.paper.atmospheric_pressure_pa
     if not restricts(line):
-        supply_pa = solve_supply_pa(p, air, open_to, later_pa, step_s)
+        supply_pa = solve_supply_pa(p, now, air, open_to, later_pa, step_s)
         return MuscleFeed(supply_pa, later_pa, flow_through_ports(p, open_to, supply_pa, later_pa))
     kept, weight = lag_weights(line_time_s(line, p.paper.specific_energy_j_per_kg), step_s)
     idle_pa = kept * air.line_pa + (1.0 - kept) * pressure_pa + weight * (later_pa - pressure_pa)
     given = 1.0 - kept
     one = idle_pa
-    flow_one = flow_into(p, air, open_to, one, step_s)
+    flow_one = flow_into(p, now, air, open_to, one, step_s)
     miss_one = -given * line_drop_pa(line, flow_one, later_pa, atmosphere_pa)
-    other = max(p.tank_pa, idle_pa) if flow_one > 0.0 else min(atmosphere_pa, idle_pa)
-    flow = flow_into(p, air, open_to, other, step_s)
+    other = max(now.tank_pa, idle_pa) if flow_one > 0.0 else min(atmosphere_pa, idle_pa)
+    flow = flow_into(p, now, air, open_to, other, step_s)
     miss_other = other - idle_pa - given * line_drop_pa(line, flow, later_pa, atmosphere_pa)
     for _ in range(60):
         if abs(one - other) < SOLVED_PA or miss_one == miss_other:
             break
         new = false_position(one, miss_one, other, miss_other)
-        flow = flow_into(p, air, open_to, new, step_s)
+        flow = flow_into(p, now, air, open_to, new, step_s)
         miss = new - idle_pa - given * line_drop_pa(line, flow, later_pa, atmosphere_pa)
         one, miss_one = keep_bracket_end(one, miss_one, other, miss_other, miss)
         other, miss_other = new, miss
         if abs(miss) < SOLVED_PA:
             break
-    supply_pa = solve_supply_pa(p, air, open_to, other, step_s)
+    supply_pa = solve_supply_pa(p, now, air, open_to, other, step_s)
     return MuscleFeed(supply_pa, other, flow_through_ports(p, open_to, supply_pa, other))
 
 
 def flow_into(
-    p: AirParameters, air: AirState, open_to: Ports, node_pa: float, step_s: float
+    p: PlantParameters, now: AirNow, air: AirState, open_to: Ports, node_pa: float, step_s: float
 ) -> float:
     """Return the mass flow into the node at a pressure, after the supply's response to `step_s`."""
     return flow_through_ports(
-        p, open_to, solve_supply_pa(p, air, open_to, node_pa, step_s), node_pa
+        p, open_to, solve_supply_pa(p, now, air, open_to, node_pa, step_s), node_pa
     )
 
 
-def leak_flow(p: AirParameters, pressure_pa: float) -> float:
+def leak_flow(p: PlantParameters, now: AirNow, pressure_pa: float) -> float:
     """Return the mass flow into the muscle that bypasses the valve, kg/s; negative outwards."""
-    area: float = p.effects.chamber_leak.area_m2
+    area: float = p.effects.air.chamber_leak.area_m2
     if area <= 0.0:
-        return p.extra_kg_per_s
+        return now.extra_kg_per_s
     leak = area * port_flow(p, p.paper.atmospheric_pressure_pa, pressure_pa)
-    return leak + p.extra_kg_per_s
+    return leak + now.extra_kg_per_s
 
 
-def air_volume_m3(p: AirParameters, position_m: float, pressure_pa: float) -> float:
+def air_volume_m3(p: PlantParameters, position_m: float, pressure_pa: float) -> float:
     """Return the volume of the air: Eq. 2 with stretched threads, and added volumes."""
-    braid = p.effects.braid_stretch
+    braid = p.effects.air.braid_stretch
     if braid.compliance_per_pa == 0.0:
         room_m3 = volume_m3(p.paper, position_m)
     else:
@@ -232,29 +235,29 @@ def air_volume_m3(p: AirParameters, position_m: float, pressure_pa: float) -> fl
             braid, pressure_pa - p.paper.atmospheric_pressure_pa
         )
         room_m3 = length * (stretched * stretched - length * length) * p.paper.volume_scale
-    room_m3 = pass_volume(p.effects, room_m3, position_m, pressure_pa)
+    room_m3 = pass_volume(p.effects.air, room_m3, position_m, pressure_pa)
     gauge_pa = pressure_pa - p.paper.atmospheric_pressure_pa
     return pass_volume_term(p.terms, room_m3, position_m, gauge_pa)
 
 
-def share_heat(p: AirParameters, begin: AirBegin, step_s: float) -> HeatShares:
+def share_heat(p: PlantParameters, begin: AirBegin, step_s: float) -> HeatShares:
     """Return what the walls leave of the air's excess temperature in a step."""
-    if p.effects.polytropic.wall_time_s <= 0.0:
+    if p.effects.air.polytropic.wall_time_s <= 0.0:
         return HeatShares(1.0, 1.0)
     rest_pa = p.paper.atmospheric_pressure_pa
     held = begin.pressure_pa * air_volume_m3(p, begin.position_m, begin.pressure_pa)
     mass = held / (begin.air.warmth * rest_pa * air_volume_m3(p, 0.0, rest_pa))
-    return heat_shares(p.effects.polytropic, mass, step_s)
+    return heat_shares(p.effects.air.polytropic, mass, step_s)
 
 
-def step_exponent(p: AirParameters, heat: HeatShares) -> float:
+def step_exponent(p: PlantParameters, heat: HeatShares) -> float:
     """Return the exponent a of a step: the nearer to 1, the more heat the walls take in it."""
-    exponent: float = p.effects.polytropic.exponent
+    exponent: float = p.effects.air.polytropic.exponent
     return exponent if heat.caused == 1.0 else 1.0 + heat.caused * (exponent - 1.0)
 
 
 def worth_of_flow(
-    p: AirParameters,
+    p: PlantParameters,
     exponent: float,
     warmth: float,
     position_m: float,
@@ -269,13 +272,13 @@ def worth_of_flow(
 
 
 def exchange_heat(
-    p: AirParameters, begin: AirBegin, heat: HeatShares, end_pa: float, end_m: float
+    p: PlantParameters, begin: AirBegin, heat: HeatShares, end_pa: float, end_m: float
 ) -> tuple[float, float]:
     """Return pressure and T / T_0 after a step in which the walls took heat.
 
     The mass follows from the energy that flowed; what air leaves has the muscle's temperature.
     """
-    if p.effects.polytropic.wall_time_s <= 0.0:
+    if p.effects.air.polytropic.wall_time_s <= 0.0:
         return end_pa, 1.0
     exponent, warmth = step_exponent(p, heat), begin.air.warmth
     before = amount_of_air(p, exponent, begin.position_m, begin.pressure_pa)
@@ -293,14 +296,14 @@ def exchange_heat(
 
 
 def amount_of_air(
-    p: AirParameters, exponent: float, position_m: float, pressure_pa: float
+    p: PlantParameters, exponent: float, position_m: float, pressure_pa: float
 ) -> float:
     """Return P V^a, the amount of air in the muscle in the sense of Eq. 7."""
     return pressure_pa * polytropic_volume(exponent, air_volume_m3(p, position_m, pressure_pa))
 
 
 def solve_pressure_of_air(
-    p: AirParameters,
+    p: PlantParameters,
     exponent: float,
     air: float,
     position_m: float,
@@ -308,7 +311,7 @@ def solve_pressure_of_air(
     guess_pa: float,
 ) -> float:
     """Return the pressure at which the muscle and a part of the line hold `air` (P V^a)."""
-    braid = p.effects.braid_stretch
+    braid = p.effects.air.braid_stretch
     if braid.compliance_per_pa == 0.0:
         return air / (polytropic_volume(exponent, air_volume_m3(p, position_m, guess_pa)) + line_m3)
     pressure_pa = guess_pa
@@ -326,7 +329,7 @@ def solve_pressure_of_air(
 
 
 def fill_chamber(
-    p: AirParameters,
+    p: PlantParameters,
     begin: AirBegin,
     fed_by: MuscleFeed,
     leak_kg_per_s: float,
@@ -339,7 +342,7 @@ def fill_chamber(
 
     Air is conserved: air that the line's volume takes up does not reach the muscle.
     """
-    line, pressure_pa, air = p.effects.line_restriction, begin.pressure_pa, begin.air
+    line, pressure_pa, air = p.effects.air.line_restriction, begin.pressure_pa, begin.air
     energy = step_s * p.paper.specific_energy_j_per_kg
     amount = amount_of_air(p, exponent, begin.position_m, pressure_pa)
     if not restricts(line) and line.volume_m3 <= 0.0:
@@ -359,14 +362,20 @@ def fill_chamber(
 
 
 def net_flow(
-    p: AirParameters, air: AirState, open_to: Ports, pressure_pa: float, step_s: float
+    p: PlantParameters,
+    now: AirNow,
+    air: AirState,
+    open_to: Ports,
+    pressure_pa: float,
+    step_s: float,
 ) -> float:
     """Return the total flow into the muscle at a pressure, kg/s."""
-    return flow_into(p, air, open_to, pressure_pa, step_s) + leak_flow(p, pressure_pa)
+    return flow_into(p, now, air, open_to, pressure_pa, step_s) + leak_flow(p, now, pressure_pa)
 
 
 def stop_at_balance(
-    p: AirParameters,
+    p: PlantParameters,
+    now: AirNow,
     air: AirState,
     open_to: Ports,
     pressure_pa: float,
@@ -380,18 +389,18 @@ def stop_at_balance(
     source the balance is at the source's pressure, as in `pressure.py`. With a resistance in the
     line the flow decays smoothly and needs no stop.
     """
-    if restricts(p.effects.line_restriction):
+    if restricts(p.effects.air.line_restriction):
         return next_pa, False
-    escapes = open_to.atmosphere_m2 > 0.0 or p.effects.chamber_leak.area_m2 > 0.0
-    escapes = escapes or p.extra_kg_per_s != 0.0
+    escapes = open_to.atmosphere_m2 > 0.0 or p.effects.air.chamber_leak.area_m2 > 0.0
+    escapes = escapes or now.extra_kg_per_s != 0.0
     if open_to.tank_m2 > 0.0 and escapes:
         comes = net_kg_per_s > 0.0
-        if comes == (net_flow(p, air, open_to, next_pa, step_s) > 0.0):
+        if comes == (net_flow(p, now, air, open_to, next_pa, step_s) > 0.0):
             return next_pa, False
         one, other = pressure_pa, next_pa
         while abs(other - one) > 1e-3:
             between = 0.5 * (one + other)
-            if comes == (net_flow(p, air, open_to, between, step_s) > 0.0):
+            if comes == (net_flow(p, now, air, open_to, between, step_s) > 0.0):
                 one = between
             else:
                 other = between
@@ -400,70 +409,75 @@ def stop_at_balance(
         return next_pa, False
     source_pa = p.paper.atmospheric_pressure_pa
     if open_to.tank_m2 > 0.0:
-        source_pa = rest_supply_pa(p, air, step_s)
+        source_pa = rest_supply_pa(p, now, air, step_s)
     if (pressure_pa - source_pa) * (next_pa - source_pa) < 0.0:
         return source_pa, True
     return next_pa, next_pa == source_pa
 
 
-def chamber_middle_pa(p: AirParameters, begin: AirBegin) -> tuple[float, bool]:
+def chamber_middle_pa(p: PlantParameters, now: AirNow, begin: AirBegin) -> tuple[float, bool]:
     """Return the predicted absolute pressure in the middle of the step, and whether it balances."""
     pressure_pa, air, half_s = begin.pressure_pa, begin.air, 0.5 * begin.step_s
     open_to = port_areas(p, begin.opening_v)
-    fed_by = solve_feed(p, air, open_to, pressure_pa, pressure_pa, half_s)
-    leak = leak_flow(p, pressure_pa)
+    fed_by = solve_feed(p, now, air, open_to, pressure_pa, pressure_pa, half_s)
+    leak = leak_flow(p, now, pressure_pa)
     net = fed_by.inflow_kg_per_s + leak
     exponent = step_exponent(p, share_heat(p, begin, half_s))
     worth = worth_of_flow(p, exponent, air.warmth, begin.position_m, pressure_pa, net)
     middle_pa, _ = fill_chamber(p, begin, fed_by, leak, exponent, worth, begin.middle_m, half_s)
-    return stop_at_balance(p, air, open_to, pressure_pa, middle_pa, net, half_s)
+    return stop_at_balance(p, now, air, open_to, pressure_pa, middle_pa, net, half_s)
 
 
 def chamber_step(
-    p: AirParameters, begin: AirBegin, middle_pa: float, balanced: bool, end_m: float
+    p: PlantParameters, now: AirNow, begin: AirBegin, middle_pa: float, balanced: bool, end_m: float
 ) -> tuple[float, AirState]:
     """Advance the muscle's absolute pressure, the supply and the line by one midpoint step."""
     air, step_s, half_s = begin.air, begin.step_s, 0.5 * begin.step_s
     open_to = port_areas(p, begin.opening_v)
-    fed_by = solve_feed(p, air, open_to, begin.pressure_pa, middle_pa, half_s)
-    supply_pa, branch_pa = advance_supply(p, air, open_to, fed_by, step_s)
+    fed_by = solve_feed(p, now, air, open_to, begin.pressure_pa, middle_pa, half_s)
+    supply_pa, branch_pa = advance_supply(p, now, air, open_to, fed_by, step_s)
     heat = share_heat(p, begin, step_s)
     if balanced:
         # See `pressure_step`: the flow ends within this step.
         end_pa, warmth = exchange_heat(p, begin, heat, middle_pa, end_m)
         return end_pa, AirState(supply_pa, end_pa, branch_pa, warmth)
-    leak = leak_flow(p, middle_pa)
+    leak = leak_flow(p, now, middle_pa)
     net, exponent = fed_by.inflow_kg_per_s + leak, step_exponent(p, heat)
     worth = worth_of_flow(p, exponent, air.warmth, begin.middle_m, middle_pa, net)
     end_pa, line_pa = fill_chamber(p, begin, fed_by, leak, exponent, worth, end_m, step_s)
-    if not restricts(p.effects.line_restriction):
-        end_pa, _ = stop_at_balance(p, air, open_to, middle_pa, end_pa, net, half_s)
+    if not restricts(p.effects.air.line_restriction):
+        end_pa, _ = stop_at_balance(p, now, air, open_to, middle_pa, end_pa, net, half_s)
     end_pa, warmth = exchange_heat(p, begin, heat, end_pa, end_m)
-    if not restricts(p.effects.line_restriction):
+    if not restricts(p.effects.air.line_restriction):
         line_pa = end_pa
-    elif p.effects.line_restriction.volume_m3 <= 0.0:
+    elif p.effects.air.line_restriction.volume_m3 <= 0.0:
         # Without a volume the line's end follows the flow at the end of the step, not the middle's.
         line_pa = solve_feed(
-            p, AirState(supply_pa, line_pa, branch_pa), open_to, end_pa, end_pa, half_s
+            p, now, AirState(supply_pa, line_pa, branch_pa), open_to, end_pa, end_pa, half_s
         ).node_pa
     return end_pa, AirState(supply_pa, line_pa, branch_pa, warmth)
 
 
 def advance_supply(
-    p: AirParameters, air: AirState, open_to: Ports, fed_by: MuscleFeed, step_s: float
+    p: PlantParameters,
+    now: AirNow,
+    air: AirState,
+    open_to: Ports,
+    fed_by: MuscleFeed,
+    step_s: float,
 ) -> tuple[float, float]:
     """Return the supply's pressure after a step with the flow of the step's middle.
 
     The second is by how much the fast branch lowers it.
     """
-    droop = p.effects.supply_droop
+    droop = p.effects.air.supply_droop
     if droop.resistance_pa_s_per_kg <= 0.0:
-        return p.tank_pa, 0.0
+        return now.tank_pa, 0.0
     kept, given = kept_share(droop, step_s), 0.0
     if open_to.tank_m2 > 0.0:
         given = open_to.tank_m2 * port_flow(p, fed_by.supply_pa, fed_by.node_pa)
     dropped_pa = droop.resistance_pa_s_per_kg * given
-    refilled_pa: float = p.tank_pa - (1.0 - droop.fast_share) * dropped_pa
+    refilled_pa: float = now.tank_pa - (1.0 - droop.fast_share) * dropped_pa
     supply_pa = kept * air.supply_pa + (1.0 - kept) * refilled_pa
     if droop.fast_share <= 0.0:
         return supply_pa, 0.0
@@ -472,7 +486,7 @@ def advance_supply(
 
 
 def pressure_behind_line_pa(
-    p: AirParameters,
+    p: PlantParameters,
     pressure_pa: float,
     begin_pa: float,
     end_pa: float,
@@ -486,7 +500,7 @@ def pressure_behind_line_pa(
     """
     drop_pa = 0.5 * (begin_pa + end_pa) - pressure_pa
     resistance = resistance_at_drop(
-        p.effects.line_restriction, drop_pa, pressure_pa, p.paper.atmospheric_pressure_pa
+        p.effects.air.line_restriction, drop_pa, pressure_pa, p.paper.atmospheric_pressure_pa
     )
     room = air_volume_m3(p, position_m, pressure_pa)
     kept, weight = lag_weights(resistance * room / p.paper.specific_energy_j_per_kg, step_s)

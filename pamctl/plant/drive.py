@@ -19,23 +19,22 @@ acted already before its sample: the loop missed edges of the card's clock. The 
 
 Every `position_m` and `pressure_pa`, in and out, is a sensor's reading: with the effects of the
 sensors, without noise or rounding. `true_...` is the reading of an ideal sensor.
-All arrays are of float, of the same length n, SI, pressures absolute. The loops are compiled
-from the kernels of the simulated rig itself: a fit uses the simulation's own integrator.
+Where the plant leaves the range of its model, the response is NaN from there on.
+All arrays are of float, of the same length n, SI, pressures absolute. The loops call the kernels of
+the simulated rig itself: a fit uses the simulation's own integrator.
 """
 
 from __future__ import annotations
 
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from pamctl.bounded_memory import BoundedMemory
-from pamctl.compiled_ahead.array_kernel import ArrayKernel
-from pamctl.compiled_ahead.packing import Packing, make_packing
+from pamctl.kernel.calls import machine
 from pamctl.plant.chains import SensorMemory, undo_reading
 from pamctl.plant.chamber import pressure_behind_line_pa
-from pamctl.plant.correction_tables import Correction
 from pamctl.plant.effects.air.line_restriction import restricts
 from pamctl.plant.effects.sensors.encoder_backlash import restart_behind_play
 from pamctl.plant.flat import parameters_of
@@ -43,7 +42,6 @@ from pamctl.plant.parameters import (
     PlantParameters,
     PlantState,
     rest_state,
-    take_air_parameters,
     vented_state,
 )
 from pamctl.plant.sensing import (
@@ -54,13 +52,10 @@ from pamctl.plant.sensing import (
 )
 from pamctl.plant.simulated import LONGEST_STEP_S
 from pamctl.plant.step import mechanics_block_step, plant_step, pressure_block_step
-from pamctl.plant.terms.operators import Terms
 from pamctl.plant.terms.undone_readings import undo_reading_term
 from pamctl.plant.valve_chain import settle_valve
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import ArrayLike, NDArray
 
     Array = NDArray[np.float64]
@@ -129,8 +124,8 @@ def drive_coupled(
     commands = _check_signal("command_v", command_v)
     grid = build_grid(dt_s, len(commands), steps, acts_after_s)
     state = _settle_valve(p, vented_state(p) if start is None else start, grid.held_v)
-    rows = np.empty((len(CoupledResponse._fields), len(commands)))
-    _run(run_coupled, p, state, build_steps(p, commands, grid), rows)
+    rows = np.full((len(CoupledResponse._fields), len(commands)), np.nan)
+    machine(run_coupled).fill_until_it_fails(p, state, build_steps(p, commands, grid), rows)
     return CoupledResponse(*rows)
 
 
@@ -192,9 +187,9 @@ def _run_pressure(
     if every_step:
         restarts = restarts._replace(rows=cut.first[restarts.rows])
         cut = cut._replace(first=np.arange(len(cut.ends_s)))
-    rows = np.empty((len(PressureResponse._fields), len(cut.first)))
+    rows = np.full((len(PressureResponse._fields), len(cut.first)), np.nan)
     ends_m = _interpolate(cut.ends_s, grid.samples_s, true_m)
-    _run(run_pressure, p, start, cut, ends_m, restarts, rows)
+    machine(run_pressure).fill_until_it_fails(p, start, cut, ends_m, restarts, rows)
     return PressureResponse(*rows), cut.ends_s
 
 
@@ -219,7 +214,7 @@ def drive_mechanics(
     forces = None if force_n is None else _check_signal("force_n", force_n, len(pressures))
     grid = build_grid(dt_s, len(pressures), steps)
     state = vented_state(p) if start is None else start
-    rows = np.empty((len(MechanicsResponse._fields), len(pressures)))
+    rows = np.full((len(MechanicsResponse._fields), len(pressures)), np.nan)
     cut = build_steps(p, pressures, grid)
     true_pa = undo_sensor("pressure_reading", p, pressures, grid.samples_s)
     ends_pa = _interpolate(cut.ends_s, grid.samples_s, true_pa)
@@ -230,7 +225,7 @@ def drive_mechanics(
     if forces is not None:
         ends_n = _interpolate(cut.ends_s, grid.samples_s, forces)
     restarts = _undo_restarts("position_reading", p, restarts, grid)
-    _run(run_mechanics, p, state, cut, ends_pa, ends_n, restarts, rows)
+    machine(run_mechanics).fill_until_it_fails(p, state, cut, ends_pa, ends_n, restarts, rows)
     return MechanicsResponse(*rows)
 
 
@@ -297,17 +292,7 @@ def without_pressure_offset(p: PlantParameters) -> PlantParameters:
     return p._replace(effects=effects, sensors_act=sensors != neutral)
 
 
-_PLANT = parameters_of({})
-_NEUTRAL = _PLANT.effects
-
-
-def _make_drive_packing(name: str, p: PlantParameters) -> Packing:
-    return make_packing(name, (p, vented_state(p)), Correction)
-
-
-_PLAIN = _make_drive_packing("unpack_drive", _PLANT)
-_WITH_TERMS = _make_drive_packing("unpack_drive_with_terms", _PLANT._replace(terms=Terms()))
-unpack_drive = _PLAIN.unpack
+_NEUTRAL = parameters_of({}).effects
 
 
 def _settle_valve(p: PlantParameters, state: PlantState, held_v: float | None) -> PlantState:
@@ -317,13 +302,11 @@ def _settle_valve(p: PlantParameters, state: PlantState, held_v: float | None) -
     return state._replace(valve=settle_valve(p.effects.valve, p.terms, state.valve, held_v))
 
 
-# The kernels. Each fills `rows`, with one row for each field of its result. `numbers` holds the
-# plant's numbers and its state at the start, packed; `correction` is not packed.
+# The kernels. Each fills `rows`, with one row for each field of its result; `state` is the start.
 
 
-def run_coupled(numbers: Array, correction: Correction, steps: DriveSteps, rows: Array) -> None:
+def run_coupled(p: PlantParameters, state: PlantState, steps: DriveSteps, rows: Array) -> None:
     """Kernel of `drive_coupled`."""
-    p, state = unpack_drive(numbers, correction)
     for k in range(rows.shape[1]):
         if k:
             for j in range(steps.first[k - 1], steps.first[k]):
@@ -336,15 +319,14 @@ def run_coupled(numbers: Array, correction: Correction, steps: DriveSteps, rows:
 
 
 def run_pressure(
-    numbers: Array,
-    correction: Correction,
+    p: PlantParameters,
+    state: PlantState,
     steps: DriveSteps,
     positions_m: Array,
     restarts: Restarts,
     rows: Array,
 ) -> None:
     """Kernel of `drive_pressure`. `positions_m` holds the positions at the ends of the steps."""
-    p, state = unpack_drive(numbers, correction)
     pressure_pa, valve, air, sensors = state.pressure_pa, state.valve, state.air, state.sensors
     age_s = state.age_s
     again = 0
@@ -376,8 +358,8 @@ def run_pressure(
 
 
 def run_mechanics(
-    numbers: Array,
-    correction: Correction,
+    p: PlantParameters,
+    state: PlantState,
     steps: DriveSteps,
     pressures_pa: Array,
     forces_n: Array,
@@ -385,7 +367,6 @@ def run_mechanics(
     rows: Array,
 ) -> None:
     """Kernel of `drive_mechanics`. The loads are those at the ends of the steps."""
-    p, state = unpack_drive(numbers, correction)
     x, v, sensors, mechanics = (
         state.position_m,
         state.velocity_m_per_s,
@@ -403,7 +384,7 @@ def run_mechanics(
                 muscle_pa = pressures_pa[j + 1]
                 if has_line:
                     muscle_pa = pressure_behind_line_pa(
-                        take_air_parameters(p, 0.0),
+                        p,
                         begin_pa,
                         pressures_pa[j],
                         muscle_pa,
@@ -437,17 +418,6 @@ def run_mechanics(
         rows[0, k] = sensed_position_m(p, x, sensors, age_s)
         rows[1, k] = x
         rows[2, k] = v
-
-
-def _run(kernel: Callable[..., None], p: PlantParameters, state: PlantState, *given: Any) -> None:
-    """Call the compiled kernel with the plant's numbers and state packed."""
-    packing = _PLAIN if p.terms is None else _WITH_TERMS
-    _get_twin(kernel, packing)(packing.pack((p, state)), p.correction, *given)
-
-
-@cache
-def _get_twin(kernel: Callable[..., None], packing: Packing) -> Callable[..., None]:
-    return ArrayKernel(kernel, None if packing is _PLAIN else (unpack_drive, packing.unpack))
 
 
 def _check_signal(name: str, values: ArrayLike, length: int | None = None) -> Array:
@@ -631,7 +601,8 @@ def _undo_restarts(
     times_s = np.add.outer(grid.samples_s[restarts.rows], around_s)
     shown = restarts.outputs[:, None] + np.outer(restarts.rates, around_s)
     true = undo_sensor(place, p, shown.ravel(), times_s.ravel()).reshape(shown.shape)
-    return restarts._replace(outputs=true[:, 1], rates=(true[:, 2] - true[:, 0]) / (2.0 * SLOPE_S))
+    rates = (true[:, 2] - true[:, 0]) / (2.0 * SLOPE_S)
+    return restarts._replace(outputs=np.ascontiguousarray(true[:, 1]), rates=rates)
 
 
 def _accumulate_times(dt_s: Array) -> Array:

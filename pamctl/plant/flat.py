@@ -29,6 +29,7 @@ ACTUATOR = "actuator"
 CHAMBER_VOLUME = "chamber_volume_m3"
 _RIGID = {"damping_n_s_per_m": 1e12, "stiffness_n_per_m": 1e12, "kinetic_friction_per_m": 0.0}
 """The walls of a chamber: they move by less than a picometre per newton."""
+_ENDLESS_M = 1e9
 
 
 def _lay_out_group(group: Any) -> tuple[tuple[Any, tuple[str, ...]], ...]:
@@ -119,10 +120,16 @@ def _has_term(terms: Terms | None, part: str) -> bool:
 
 
 def _make_chamber_rigid(v: Mapping[str, float]) -> dict[str, float]:
-    """Return the numbers of a muscle that has the chamber's volume (Eq. 2) and cannot move."""
-    length, braid = v["rest_length_m"], v["braid_length_m"]
+    """Return the numbers of a muscle that has the chamber's volume (Eq. 2) and cannot move.
+
+    Records may hold a position beside it. With b = sqrt(3) L_0 the volume is largest at 0, and
+    L_0 is so long that a position of metres changes it by no bit.
+    """
+    length = _ENDLESS_M
+    braid = math.sqrt(3.0) * length
     turns_squared = length * (braid * braid - length * length) / v[CHAMBER_VOLUME]
-    return {**_RIGID, "braid_turns": math.sqrt(turns_squared / (4.0 * math.pi))}
+    numbers = {"rest_length_m": length, "braid_length_m": braid}
+    return {**_RIGID, **numbers, "braid_turns": math.sqrt(turns_squared / (4.0 * math.pi))}
 
 
 def _explain_unknown(name: str) -> str:

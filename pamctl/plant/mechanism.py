@@ -40,7 +40,7 @@ from pamctl.plant.effects.places import FrictionBand
 from pamctl.plant.paper.friction import AxialForces
 from pamctl.plant.paper.mechanics import slide
 from pamctl.plant.paper.muscle import braid_lever_m, force_area_m2
-from pamctl.plant.parameters import MechanicsState, MechanismParameters
+from pamctl.plant.parameters import MechanicsState, PlantParameters
 from pamctl.plant.terms.mechanics_terms import (
     MotionPoint,
     add_damping_term,
@@ -55,41 +55,46 @@ from pamctl.plant.terms.operators import TermMemory
 
 
 def mechanism_step(
-    p: MechanismParameters,
+    p: PlantParameters,
     position_m: float,
     velocity_m_per_s: float,
     before: MechanicsState,
     middle_pa: float,
     middle_n: float,
+    extra_n: float,
     age_s: float,
     step_s: float,
 ) -> tuple[float, float, MechanicsState]:
     """Advance (x, v) and the memory of the mechanics by one step.
 
     `middle_pa` is the absolute pressure (Pa) in the middle of the step, `middle_n` the force (N)
-    on a direct mechanism.
+    on a direct mechanism. `extra_n` (N) is added to the pull, by a correction table.
     """
     half_s = 0.5 * step_s
     middle_m = position_m + half_s * velocity_m_per_s
     gauge_pa = middle_pa - p.paper.atmospheric_pressure_pa
-    memory = follow_motion(p.effects, before.memory, position_m, middle_m, gauge_pa, half_s)
+    memory = follow_motion(
+        p.effects.mechanics, before.memory, position_m, middle_m, gauge_pa, half_s
+    )
     term = follow_motion_term(p.terms, before.term, position_m, middle_m, gauge_pa, half_s)
     middle_age_s = age_s + half_s
     speed = velocity_m_per_s
-    if depends_on_speed(p.effects) or needs_speed(p.terms):
+    if depends_on_speed(p.effects.mechanics) or needs_speed(p.terms):
         # Friction falls with speed: the speed in the middle is predicted twice.
         for _ in range(2):
             forces = mechanism_forces(
-                p, memory, term, middle_m, gauge_pa, middle_n, speed, middle_age_s
+                p, memory, term, middle_m, gauge_pa, middle_n, extra_n, speed, middle_age_s
             )
             _, speed, _ = move_muscle(
                 p, forces, before.bristles, position_m, velocity_m_per_s, half_s
             )
-    forces = mechanism_forces(p, memory, term, middle_m, gauge_pa, middle_n, speed, middle_age_s)
+    forces = mechanism_forces(
+        p, memory, term, middle_m, gauge_pa, middle_n, extra_n, speed, middle_age_s
+    )
     end_m, end_v, bristles = move_muscle(
         p, forces, before.bristles, position_m, velocity_m_per_s, step_s
     )
-    memory = follow_motion(p.effects, before.memory, position_m, end_m, gauge_pa, step_s)
+    memory = follow_motion(p.effects.mechanics, before.memory, position_m, end_m, gauge_pa, step_s)
     term = follow_motion_term(p.terms, before.term, position_m, end_m, gauge_pa, step_s)
     return end_m, end_v, MechanicsState(bristles, memory, term)
 
@@ -104,12 +109,13 @@ def follow_motion(
 
 
 def mechanism_forces(
-    p: MechanismParameters,
+    p: PlantParameters,
     memory: Any,
     term: TermMemory | None,
     position_m: float,
     gauge_pa: float,
     force_n: float,
+    extra_n: float,
     velocity_m_per_s: float,
     age_s: float,
 ) -> AxialForces:
@@ -117,7 +123,7 @@ def mechanism_forces(
 
     `force_n` drives a direct mechanism, in place of the muscle's pull.
     """
-    e, pull_n, lever_m = p.effects, force_n, 0.0
+    e, pull_n, lever_m = p.effects.mechanics, force_n, 0.0
     here = MotionPoint(position_m, velocity_m_per_s, gauge_pa, age_s)
     pressing_pa = gauge_pa if gauge_pa > 0.0 else 0.0
     grip = 0.0
@@ -132,7 +138,7 @@ def mechanism_forces(
         grip *= position_factor(e.position_friction, position_m)
         grip = pass_grip_term(p.terms, term, grip, here)
     stiffness = p.paper.stiffness_n_per_m * drift_factor(e.drift.stiffness_per_s, age_s)
-    drive_n = pull_n + p.extra_n - stiffness * position_m
+    drive_n = pull_n + extra_n - stiffness * position_m
     drive_n = add_force(e, memory, drive_n, position_m, velocity_m_per_s, gauge_pa, age_s)
     drive_n = add_force_term(p.terms, term, drive_n, here)
     kinetic = FrictionBand(0.0, grip * lever_m)
@@ -164,9 +170,9 @@ def mechanism_forces(
     )
 
 
-def pull_area_m2(p: MechanismParameters, position_m: float, gauge_pa: float) -> float:
+def pull_area_m2(p: PlantParameters, position_m: float, gauge_pa: float) -> float:
     """Return A(x) of Eq. 3 with stretched threads."""
-    braid = p.effects.braid_stretch
+    braid = p.effects.mechanics.braid_stretch
     if braid.compliance_per_pa == 0.0:
         return force_area_m2(p.paper, position_m)
     length = p.paper.rest_length_m - position_m
@@ -175,7 +181,7 @@ def pull_area_m2(p: MechanismParameters, position_m: float, gauge_pa: float) -> 
 
 
 def move_muscle(
-    p: MechanismParameters,
+    p: PlantParameters,
     forces: AxialForces,
     bristles: Bristles,
     position_m: float,
@@ -183,7 +189,7 @@ def move_muscle(
     step_s: float,
 ) -> tuple[float, float, Bristles]:
     """Return x, v and the bristles' forces after a step under frozen forces."""
-    presliding = p.effects.presliding
+    presliding = p.effects.mechanics.presliding
     width_n = forces.upper_n - forces.lower_n
     if presliding.compliance_m_per_n <= 0.0 or width_n <= 0.0:
         if p.direct:
@@ -207,7 +213,7 @@ def move_muscle(
 
 
 def slip_with_damping(
-    p: MechanismParameters,
+    p: PlantParameters,
     damping: float,
     velocity_m_per_s: float,
     surplus_n: float,
@@ -216,7 +222,7 @@ def slip_with_damping(
     step_s: float,
 ) -> SlipEnd:
     """Slip for one step; a bristle's damping is taken at the middle of the distance."""
-    presliding, mass_kg, left_n = p.effects.presliding, p.paper.mass_kg, left.first_n
+    presliding, mass_kg, left_n = p.effects.mechanics.presliding, p.paper.mass_kg, left.first_n
     bent = damping + bristle_damping(presliding, left_n, width_n)
     slipped = slip(presliding, mass_kg, bent, velocity_m_per_s, surplus_n, left, width_n, step_s)
     if bent == damping:

@@ -32,22 +32,21 @@ from pamctl.plant.flat import (
     PAPER,
     parameters_of,
 )
-from pamctl.plant.muscle_parameters import MuscleParameters
+from pamctl.plant.muscle_parameters import ROOM_K, MuscleParameters
 from pamctl.plant.parameters import PlantParameters
 from pamctl.plant.terms.locations import LOCATIONS, SUFFIX, TERMS
 from pamctl.plant.terms.operators import NEEDS_INNER, numbers_of_operator
 
+HUGE = 1e15
+"""No machine has such a number in SI, nor its inverse; the kernels multiply several of them."""
+
 
 def _limit_number(p: EffectParameter) -> Any:
-    """Return the limits of a plant file; where the range follows the machine, only the sign."""
-    meaning = f"{p.meaning} ({p.unit})"
-    if not p.is_scaled:
-        return Field(ge=p.low, le=p.high, description=meaning)
-    if p.low < 0.0:
-        return Field(description=meaning)
-    return (
-        Field(ge=0.0, description=meaning) if p.low == 0.0 else Field(gt=0.0, description=meaning)
-    )
+    """Return the limits of a plant file; where the range follows the machine, they are wide."""
+    low, high = p.low, p.high
+    if p.is_scaled:
+        low, high = (-HUGE if low < 0.0 else 0.0 if low == 0.0 else 1.0 / HUGE), HUGE
+    return Field(ge=low, le=high, description=f"{p.meaning} ({p.unit})")
 
 
 def _make_effect_settings(effect: EffectDescription) -> type[Configured]:
@@ -104,7 +103,10 @@ class TermSettings(Configured):
 
 def _make_term_settings(name: str) -> type[Configured]:
     fields: dict[str, Any] = {
-        p.name: (Annotated[float, Field(description=f"{p.meaning} ({p.unit})")], p.neutral)
+        p.name: (
+            Annotated[float, Field(ge=-HUGE, le=HUGE, description=f"{p.meaning} ({p.unit})")],
+            p.neutral,
+        )
         for p in TERMS[name].parameters
         if not p.choices
     }
@@ -196,7 +198,7 @@ class CorrectionSettings(Configured):
     flow: FlowSettings | None = None
 
 
-Deviation = Annotated[float, Field(ge=0)]
+Deviation = Annotated[float, Field(ge=0, le=HUGE)]
 
 
 class NoiseSettings(Configured):
@@ -225,7 +227,8 @@ class PlantSettings(Configured):
         ),
     ] = "muscle"
     chamber_volume_m3: Annotated[
-        float | None, Field(gt=0, description="of `actuator: chamber`, its tubes included")
+        float | None,
+        Field(ge=1e-12, le=1e6, description="of `actuator: chamber`, its tubes included"),
     ] = None
     parameters: MuscleParameters = MuscleParameters()
     effects: EffectSettings = EffectSettings()
@@ -254,14 +257,19 @@ class PlantSettings(Configured):
         numbers = self.parameters
         if self.actuator == "muscle":
             for name in ("damping_n_s_per_m", "stiffness_n_per_m"):
-                if getattr(numbers, name) == 0.0:
-                    raise ValueError(f"parameters.{name} of a muscle must be greater than 0")
+                if getattr(numbers, name) < 1.0 / HUGE:
+                    raise ValueError(
+                        f"parameters.{name} of a muscle must be at least {1.0 / HUGE:g}"
+                    )
         return self
 
     @model_validator(mode="after")
     def _check_chamber(self) -> PlantSettings:
         if (self.actuator == "chamber") != (self.chamber_volume_m3 is not None):
             raise ValueError("`actuator: chamber` needs chamber_volume_m3, and no other does")
+        if self.actuator == "chamber" and "temperature_k" not in self.parameters.model_fields_set:
+            at_room = self.parameters.model_copy(update={"temperature_k": ROOM_K})
+            object.__setattr__(self, "parameters", at_room)  # the model is frozen
         return self
 
     @model_validator(mode="after")

@@ -57,8 +57,7 @@ class PlantParameters(NamedTuple):
     """The paper's numbers and those of the effects.
 
     `pamctl.plant.flat.parameters_of` makes it, with consistent products and flags. Kernels of the
-    paper's equations take `paper` alone, and kernels of a part's effects take that part alone: a
-    compiled call copies every number of a tuple.
+    paper's equations take `paper` alone, and kernels of a part's effects take that part alone.
     """
 
     paper: PaperParameters
@@ -85,38 +84,19 @@ class PlantParameters(NamedTuple):
         return self.paper.tank_pressure_pa
 
 
-class AirParameters(NamedTuple):
-    """Parameters of the air's part of a step."""
+class AirNow(NamedTuple):
+    """What acts on the air over one step."""
 
-    paper: PaperParameters
-    effects: Any
-    """`AirEffects`."""
     extra_kg_per_s: float
-    """Extra flow into the muscle over this step, from effects and from the correction table."""
+    """Extra flow into the muscle, from effects and from the correction table."""
     tank_pa: float
-    """Absolute pressure of the supply over this step, before it droops."""
-    terms: Terms | None
+    """Absolute pressure of the supply, before it droops."""
 
 
-def take_air_parameters(
-    p: PlantParameters, extra_kg_per_s: float, age_s: float = 0.0
-) -> AirParameters:
-    """Return the parameters of the air's part of a step."""
+def find_tank_pa(p: PlantParameters, age_s: float) -> float:
+    """Return the absolute pressure of the supply, before it droops."""
     tank_pa = p.paper.tank_pressure_pa + ripple_pa(p.effects.air.supply_ripple, age_s)
-    tank_pa = pass_supply_term(p.terms, max(tank_pa, LOWEST_SUPPLY_PA), age_s)
-    return AirParameters(p.paper, p.effects.air, extra_kg_per_s, tank_pa, p.terms)
-
-
-class MechanismParameters(NamedTuple):
-    """Parameters of the mechanics' part of a step."""
-
-    paper: PaperParameters
-    effects: Any
-    """`MechanicsEffects`."""
-    direct: bool
-    extra_n: float
-    """Extra pull over this step, from the correction table."""
-    terms: Terms | None = None
+    return pass_supply_term(p.terms, max(tank_pa, LOWEST_SUPPLY_PA), age_s)
 
 
 class ValveState(NamedTuple):

@@ -11,14 +11,13 @@ from pamctl.plant.mechanism import mechanism_step
 from pamctl.plant.paper.mechanics import mechanics_step
 from pamctl.plant.paper.pressure import middle_pressure_pa, pressure_step
 from pamctl.plant.parameters import (
-    AirParameters,
+    AirNow,
     AirState,
     MechanicsState,
-    MechanismParameters,
     PlantParameters,
     PlantState,
     ValveState,
-    take_air_parameters,
+    find_tank_pa,
 )
 from pamctl.plant.sensing import pressure_at_sensor_pa, sensors_step
 from pamctl.plant.terms.air_terms import add_flow_term
@@ -97,14 +96,14 @@ def mechanics_block_step(
         middle_m = position_m + 0.5 * step_s * velocity_m_per_s
         load = middle_n if p.direct else middle_pa
         extra_n = interpolate_table(p.correction.pull, middle_m, load)
-        with_effects = MechanismParameters(p.paper, p.effects.mechanics, p.direct, extra_n, p.terms)
         return mechanism_step(
-            with_effects,
+            p,
             position_m,
             velocity_m_per_s,
             mechanics,
             middle_pa,
             middle_n,
+            extra_n,
             age_s,
             step_s,
         )
@@ -116,8 +115,8 @@ def air_middle_pa(p: PlantParameters, begin: AirBegin) -> tuple[float, bool]:
     """Predict the pressure at the step's middle; without effects, by the paper's equations."""
     pressure_pa, position_m, middle_m = begin.pressure_pa, begin.position_m, begin.middle_m
     if p.air_acts:
-        here = find_air_parameters(p, begin, pressure_pa, position_m, begin.age_s)
-        return chamber_middle_pa(here, begin)
+        now = find_air_now(p, begin, pressure_pa, position_m, begin.age_s)
+        return chamber_middle_pa(p, now, begin)
     middle_pa = middle_pressure_pa(
         p.paper, pressure_pa, begin.opening_v, position_m, middle_m, begin.step_s
     )
@@ -131,24 +130,24 @@ def air_step(
     pressure_pa, position_m, step_s = begin.pressure_pa, begin.position_m, begin.step_s
     if p.air_acts:
         age_s = begin.age_s + 0.5 * step_s
-        there = find_air_parameters(p, begin, middle_pa, begin.middle_m, age_s)
-        return chamber_step(there, begin, middle_pa, balanced, end_m)
+        now = find_air_now(p, begin, middle_pa, begin.middle_m, age_s)
+        return chamber_step(p, now, begin, middle_pa, balanced, end_m)
     end_pa = pressure_step(
         p.paper, pressure_pa, middle_pa, begin.opening_v, position_m, end_m, step_s
     )
     return end_pa, begin.air
 
 
-def find_air_parameters(
+def find_air_now(
     p: PlantParameters, begin: AirBegin, pressure_pa: float, position_m: float, age_s: float
-) -> AirParameters:
-    """Return the parameters of the air, with the extra flow at a point of the step."""
+) -> AirNow:
+    """Return what acts on the air, with the extra flow at a point of the step."""
     opening_v = begin.opening_v
     extra = interpolate_table(p.correction.flow, opening_v, begin.pressure_pa)
     extra = add_flow(p.effects.air, extra, opening_v, pressure_pa, position_m, age_s)
     gauge_pa = pressure_pa - p.paper.atmospheric_pressure_pa
     extra = add_flow_term(p.terms, extra, opening_v, gauge_pa, position_m, age_s)
-    return take_air_parameters(p, extra, age_s)
+    return AirNow(extra, find_tank_pa(p, age_s))
 
 
 def advance_plant(

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hidden.effects import Size, apply
-from hidden.equations.advance import at_rest
-from hidden.equations.passes import closed_loop, open_loop, settled
+from hidden.equations.machine_code import settle
+from hidden.equations.passes import fill_closed_loop, fill_open_loop
 from hidden.equations.truth import Truth
 from hidden.excitations import Excitation
 from hidden.sensors import ADC_STEP_PA, AO_STEP_V, ENCODER_STEP_M, Sensors
+from pamctl.kernel.calls import machine
 
 Array = NDArray[np.float64]
 
@@ -81,23 +82,21 @@ class HiddenRig:
         rng = np.random.default_rng([self.seed, excitation.seed, len(excitation.name)])
         t_s = self._ticks(excitation, rng)
         noise = self._noise(len(t_s), rng)
-        state = settled(self.truth, at_rest(self.truth, excitation.rest_v),
-                        excitation.rest_v, 0.3, step_s)  # fmt: skip
-        state = state._replace(t_s=0.0)
-        volts: Array = np.zeros(0)
-        forces = np.zeros(len(t_s))
+        state = settle(self.truth, excitation.rest_v, step_s)
+        volts, forces = np.zeros(len(t_s)), np.zeros(len(t_s))
+        seen = np.empty((4, len(t_s)))
         if excitation.wanted_m is not None:
-            seen, volts = closed_loop(
+            machine(fill_closed_loop)(
                 self.truth, state, t_s, self._scaled(excitation.wanted_m), excitation.rest_s,
                 excitation.rest_v, excitation.gains, self._reading(state.geared_m), noise,
-                step_s,
+                step_s, seen, volts,
             )  # fmt: skip
         else:
             if excitation.volts is not None:
                 volts = np.round(excitation.volts / AO_STEP_V) * AO_STEP_V
             if excitation.force_n is not None:
                 volts, forces = np.zeros(len(t_s)), excitation.force_n
-            seen = open_loop(self.truth, state, t_s, volts, forces, step_s)
+            machine(fill_open_loop)(self.truth, state, t_s, volts, forces, step_s, seen)
         return self._measured(excitation, t_s, volts, forces, seen, state.geared_m, noise, rng)
 
     def _ticks(self, excitation: Excitation, rng: np.random.Generator) -> Array:

@@ -7,17 +7,19 @@ from functools import cache
 from typing import Any
 from unittest.mock import patch
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 from support.made_records import all_but, pair
 
 import pamctl.diagnose.extend
-from pamctl.compiled import compile_kernel
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, summary, workflow
 from pamctl.diagnose.extend import add_correction_tables
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.extended_plant_file import format_plant_file
 from pamctl.diagnose.report.phrases import describe_correction
 from pamctl.diagnose.terms.describe import Description
+from pamctl.kernel.calls import machine
 from pamctl.plant.correction_tables import CorrectionTable, interpolate_table
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import AirState, PlantState, ValveState, vented_state
@@ -61,8 +63,21 @@ def apart_m(one: list[PlantState], other: list[PlantState]) -> float:
 # --- in the plant ----------------------------------------------------------------------
 
 
+def fill_lookup(
+    table: CorrectionTable | None, first: float, second: float, found: NDArray[np.float64]
+) -> None:
+    found[0] = interpolate_table(table, first, second)
+
+
+def look_up(table: CorrectionTable | None, first: float, second: float) -> float:
+    """Look up in machine code."""
+    found = np.empty(1)
+    machine(fill_lookup)(table, first, second, found)
+    return float(found[0])
+
+
 def test_a_table_is_linear_between_its_lines_and_constant_beyond_them() -> None:
-    for lookup in (interpolate_table, compile_kernel(interpolate_table)):
+    for lookup in (interpolate_table, look_up):
         for first, second in ((0.0, 10.0), (0.5, 13.0), (1.0, 20.0), (2.9, 19.0), (3.0, 10.0)):
             assert lookup(SLOPING, first, second) == pytest.approx(2.0 * first + second - 10.0)
         assert lookup(SLOPING, 9.0, 99.0) == lookup(SLOPING, 3.0, 20.0)

@@ -95,7 +95,7 @@ def test_the_compiled_drives_are_their_plain_twins_to_the_bit(
     coupled = drive_coupled(p, SMALL, dt_s)
     pressure = drive_pressure(p, SMALL, coupled.position_m, dt_s)
     mechanics = drive_mechanics(p, coupled.pressure_pa, dt_s)
-    monkeypatch.setattr(drive, "_get_twin", lambda kernel, packing: kernel)
+    monkeypatch.setattr(drive, "machine", lambda kernel: kernel)
     for plain, compiled in (
         (drive_coupled(p, SMALL, dt_s), coupled),
         (drive_pressure(p, SMALL, coupled.position_m, dt_s), pressure),

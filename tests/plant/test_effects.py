@@ -115,7 +115,7 @@ def assert_twins_agree(p: PlantParameters, monkeypatch: pytest.MonkeyPatch) -> N
     pressure = drive_pressure(p, some_v, compiled.position_m, TICK_S)
     mechanics = drive_mechanics(p, compiled.pressure_pa, TICK_S)
     assert np.isfinite(np.array(compiled)).all()
-    monkeypatch.setattr(drive, "_get_twin", lambda kernel, packing: kernel)
+    monkeypatch.setattr(drive, "machine", lambda kernel: kernel)
     for plain, twin in (
         (drive_coupled(p, some_v, TICK_S), compiled),
         (drive_pressure(p, some_v, compiled.position_m, TICK_S), pressure),

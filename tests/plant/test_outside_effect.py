@@ -103,6 +103,7 @@ PLANT_FILE = "effects: {friction_slope: {per_m: 12.0}, coil_lag: {time_constant_
 
 USE = """
 import json, sys, warnings
+from types import SimpleNamespace
 with warnings.catch_warnings(record=True) as warned:
     warnings.simplefilter("always")
     from pamctl.plant.catalogue import CATALOGUE
@@ -125,10 +126,10 @@ driven = {
     "slope": drive.drive_coupled(parameters_of({"friction_slope.per_m": 12.0}), command_v, 1e-3),
     "coil": drive.drive_coupled(parameters_of({"coil_lag.time_constant_s": 3e-3}), command_v, 1e-3),
 }
-twin_of = drive._get_twin
-drive._get_twin = lambda kernel, packing: kernel
+machine = drive.machine
+drive.machine = lambda kernel: SimpleNamespace(fill_until_it_fails=kernel)
 plain = drive.drive_coupled(on, command_v, 1e-3)
-drive._get_twin = twin_of
+drive.machine = machine
 hidden = {"friction_slope.per_m": 12.0}
 few = {"friction_slope", "stribeck", "return_friction", "creep", "cubic_stiffness"}
 found = diagnose(*pair(**hidden), PlantSettings(), without={*CATALOGUE} - few)

@@ -518,7 +518,7 @@ def test_a_chamber_fills_as_its_volume_says_and_does_not_move() -> None:
     settings = PlantSettings(
         actuator="chamber",
         chamber_volume_m3=volume_m3,
-        parameters={"valve_gain_m2_per_v": gain, "stiffness_n_per_m": 1.0},
+        parameters={"valve_gain_m2_per_v": gain, "stiffness_n_per_m": 1.0, "temperature_k": 273.0},
     )
     assert settings_of(values_of(settings)) == settings
     p = plant_parameters(settings)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pamctl.compiled import compile_kernel
+from pamctl.kernel.calls import machine
 from pamctl.plant.correction_tables import interpolate_table
 from pamctl.plant.drive import undo_sensor
 from pamctl.plant.effects.friction.presliding import (
@@ -22,7 +22,7 @@ from pamctl.plant.effects.friction.presliding import (
     bristle_damping,
 )
 from pamctl.plant.mechanism import follow_motion, mechanism_forces
-from pamctl.plant.parameters import MechanismParameters, PlantParameters, rest_state
+from pamctl.plant.parameters import PlantParameters, rest_state
 from pamctl.plant.terms.mechanics_terms import follow_motion_term
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def required_force_n(
     columns = np.ascontiguousarray([times, *motion, pressures])
     start = rest_state(p, float(columns[1, 0]), float(columns[4, 0])).mechanics
     needed_n = np.empty(len(times))
-    compile_kernel(fill_required_force)(p, start, columns, rest_speed_m_per_s, needed_n)
+    machine(fill_required_force)(p, start, columns, rest_speed_m_per_s, needed_n)
     return needed_n
 
 
@@ -89,20 +89,18 @@ def fill_required_force(
 ) -> None:
     """Kernel of `required_force_n`; `columns` holds t, x, v, a and the absolute pressure."""
     bristles, memory, term = mechanics.bristles, mechanics.memory, mechanics.term
-    plain = MechanismParameters(p.paper, p.effects.mechanics, p.direct, 0.0, p.terms)
     begin_m, begin_s = columns[1, 0], columns[0, 0]
     for k in range(len(needed_n)):
-        now_s, x, v, push, pressure_pa = columns[:, k]
+        now_s, x, v, push = columns[0, k], columns[1, k], columns[2, k], columns[3, k]
+        pressure_pa = columns[4, k]
         gauge_pa = pressure_pa - p.paper.atmospheric_pressure_pa
         if k:
             memory = follow_motion(
                 p.effects.mechanics, memory, begin_m, x, gauge_pa, now_s - begin_s
             )
             term = follow_motion_term(p.terms, term, begin_m, x, gauge_pa, now_s - begin_s)
-        forces = mechanism_forces(plain, memory, term, x, gauge_pa, 0.0, v, now_s - columns[0, 0])
-        bristles, held_n = friction_force(
-            plain, forces, bristles, x - begin_m, v, rest_speed_m_per_s
-        )
+        forces = mechanism_forces(p, memory, term, x, gauge_pa, 0.0, 0.0, v, now_s - columns[0, 0])
+        bristles, held_n = friction_force(p, forces, bristles, x - begin_m, v, rest_speed_m_per_s)
         plain_n = p.paper.mass_kg * push - forces.drive_n + held_n
         load = plain_n if p.direct else pressure_pa
         needed_n[k] = plain_n - interpolate_table(p.correction.pull, x, load)
@@ -110,7 +108,7 @@ def fill_required_force(
 
 
 def friction_force(
-    p: MechanismParameters,
+    p: PlantParameters,
     forces: AxialForces,
     bristles: Bristles,
     way_m: float,
@@ -118,7 +116,7 @@ def friction_force(
     rest_speed_m_per_s: float,
 ) -> tuple[Bristles, float]:
     """Return the bristles' forces (N) after a way, and all friction that opposes the motion."""
-    v, presliding = velocity_m_per_s, p.effects.presliding
+    v, presliding = velocity_m_per_s, p.effects.mechanics.presliding
     damping = forces.damping_up_n_s_per_m if v > 0.0 else forces.damping_down_n_s_per_m
     width_n = forces.upper_n - forces.lower_n
     if presliding.compliance_m_per_n <= 0.0 or width_n <= 0.0:

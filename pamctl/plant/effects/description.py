@@ -8,9 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from pamctl.plant.effects.places import PLACES, Part
+
+if TYPE_CHECKING:
+    from pamctl.plant.parameters import PaperParameters
 
 MECHANICAL_UNITS = frozenset(
     {"N", "m", "m/s", "kg", "N/m", "N/m3", "m/N", "N s/m", "N/Pa", "N s/(m Pa)", "m2", "m3"}
@@ -28,6 +31,18 @@ A muscle; a force that drives the mechanics directly; a chamber of constant volu
 mechanics.
 """
 ACTUATORS: tuple[Actuator, ...] = get_args(Actuator)
+USED_SIGNALS: Mapping[Actuator, tuple[str, ...]] = {
+    "muscle": ("valve_v", "pressure_pa", "position_m"),
+    "direct": ("force_n", "pressure_pa", "position_m"),
+    "chamber": ("valve_v", "pressure_pa"),
+}
+"""The measured signals that an actuator's model reads."""
+
+
+def describe_unused(signal: str, actuator: Actuator) -> str:
+    """Say that a measured signal is not used, and which are."""
+    used = ", ".join(USED_SIGNALS[actuator])
+    return f"{signal} is not used: a model with `actuator: {actuator}` reads {used}"
 
 
 @dataclass(frozen=True)
@@ -190,8 +205,8 @@ class EffectDescription:
     """Empty: one form, all parameters free."""
     told_from: Mapping[str, Distinction] = field(default_factory=dict)
     """How to distinguish it from other effects, by name; each pair appears once."""
-    unidentifiable: str = ""
-    """Why no experiment on this rig can identify its size; empty if one can."""
+    unidentifiable: Callable[[PaperParameters], str] | None = None
+    """Says why `diagnose` does not fit its size, from the plant's numbers; None where it does."""
     is_searched: bool = True
     """False where the search of `diagnose` leaves it out: it would explain too much, or a fit
     needs the start that a term gives."""

@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pamctl.compiled_ahead.array_kernel import ArrayKernel
-from pamctl.compiled_ahead.packing import make_packing
+from pamctl.kernel.calls import machine
 from pamctl.plant.drive import Restarts, SampleGrid, drive_pressure, undo_sensor
 from pamctl.plant.parameters import PlantParameters, rest_state
 from pamctl.plant.terms.operators import PlantTerm, TermMemory, Terms, follow_value, shape_of
@@ -88,20 +87,15 @@ class PressureTangent:
         ).true_pressure_pa
 
 
-_TERM = make_packing("unpack_term", PlantTerm())
-unpack_term = _TERM.unpack
-
-
 def trace_shape(term: PlantTerm, driver: Array, step_s: Array) -> Array:
     """Return a term's shape along a driver, without its size, shape (n,)."""
     shape = np.empty(len(driver))
-    _run_shape(_TERM.pack(term), np.ascontiguousarray(driver), step_s, shape)
+    machine(fill_shape)(term, np.ascontiguousarray(driver), step_s, shape)
     return shape
 
 
-def fill_shape(numbers: Array, driver: Array, step_s: Array, shape: Array) -> None:
+def fill_shape(term: PlantTerm, driver: Array, step_s: Array, shape: Array) -> None:
     """Kernel of `trace_shape`."""
-    term = unpack_term(numbers)
     memory = TermMemory(0.0, 0.0)
     for k in range(len(driver)):
         begin = driver[k - 1] if k else driver[0]
@@ -112,7 +106,7 @@ def fill_shape(numbers: Array, driver: Array, step_s: Array, shape: Array) -> No
 def answer_pushes(kept: Array, push: Array, shapes: Array) -> Array:
     """Return the output's answer to pushes that follow these shapes, both of shape (m, n)."""
     answers = np.zeros_like(shapes)
-    _run_answers(kept, push, shapes, answers)
+    machine(fill_answers)(kept, push, shapes, answers)
     return answers
 
 
@@ -123,6 +117,3 @@ def fill_answers(kept: Array, push: Array, shapes: Array, answers: Array) -> Non
         for k in range(len(kept)):
             answer = kept[k] * answer + push[k] * 0.5 * (shapes[i, k] + shapes[i, k + 1])
             answers[i, k + 1] = answer
-
-
-_run_shape, _run_answers = ArrayKernel(fill_shape, None), ArrayKernel(fill_answers, None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pamctl.compiled import compile_kernel
+from pamctl.kernel.calls import machine
 from pamctl.plant.terms.operators import Terms
 from pamctl.plant.terms.sensor_terms import show_position_term, show_pressure_term
 
@@ -25,9 +25,7 @@ def undo_reading_term(
     if terms is None or terms.sensors.size == 0.0:
         return shown
     true = shown.copy()
-    compile_kernel(fill_undone)(
-        place == "pressure_reading", terms, shown, times_s, atmosphere_pa, true
-    )
+    machine(fill_undone)(place == "pressure_reading", terms, shown, times_s, atmosphere_pa, true)
     return true
 
 

@@ -7,14 +7,15 @@ pamctl's: the motion is a time-stepping scheme with set-valued friction, in step
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hidden.equations.machine_code import kernel
 from hidden.rig import Record
+from pamctl.kernel.calls import machine
 
 Array = NDArray[np.float64]
 
@@ -59,8 +60,9 @@ class BallScrewRig:
         ripple_n = rng.normal(0.0, self.motor_noise_n, len(wanted_m))
         shown_m, applied_n = np.empty(len(wanted_m)), np.empty(len(wanted_m))
         phase = float(rng.uniform(0.0, 1.0))
-        _follow(self.truth, wanted_m, wanted_v, ripple_n, self.encoder_step_m, phase, shown_m,
-                applied_n)  # fmt: skip
+        machine(_follow)(
+            self.truth, wanted_m, wanted_v, ripple_n, self.encoder_step_m, phase, shown_m, applied_n
+        )
         # The sensor averages over a tick around its instant.
         felt_n = 0.5 * (applied_n + np.concatenate([applied_n[:1], applied_n[:-1]]))
         felt_n += rng.normal(0.0, self.sensor_noise_n, len(felt_n))
@@ -83,13 +85,12 @@ def trapezoids(seconds: float, rng: np.random.Generator) -> tuple[Array, Array]:
     return np.cumsum(wanted_v) * TICK_S, wanted_v
 
 
-@kernel
 def _follow(p, wanted_m, wanted_v, ripple_n, encoder_step_m, phase, shown_m, applied_n):
     """Close the loop: position P with speed feed-forward, speed P; 350 N at the most."""
     x, v, seen_v = 0.0, 0.0, 0.0
     h = 1e-3 / 20
     for k in range(len(wanted_m)):
-        shown_m[k] = np.floor(x / encoder_step_m + phase) * encoder_step_m
+        shown_m[k] = math.floor(x / encoder_step_m + phase) * encoder_step_m
         if k:
             seen_v += 0.3 * ((shown_m[k] - shown_m[k - 1]) / 1e-3 - seen_v)
         asked_v = wanted_v[k] + 25.0 * (wanted_m[k] - shown_m[k])

@@ -1,1 +1,1 @@
-"""The equations of the rigs and their integration, by compiled steps."""
+"""The equations of the rigs and their integration, kernel by kernel."""

@@ -13,9 +13,11 @@ from hidden.equations.air import (
     supply_pa,
     tank_after,
 )
-from hidden.equations.machine_code import kernel, part
 from hidden.equations.mechanism import (
-    SLIP_WIDTHS,
+    SLIP_A,
+    SLIP_B,
+    SLIP_C,
+    SLIP_D,
     band,
     drag,
     dragged,
@@ -30,7 +32,6 @@ from hidden.equations.truth import State
 from hidden.equations.valve import opening, play, slewed, spool
 
 
-@kernel
 def at_rest(p, command_v):
     """Return a vented rig that has stood still for long, its encoder at the true position."""
     x = 0.0 if p.direct == 1.0 else -p.load_n / p.stiffness
@@ -61,14 +62,12 @@ def at_rest(p, command_v):
     )
 
 
-@part
 def line_flow(p, entering, line_pa, muscle_pa, h):
     """Return the flow from the line into the muscle, the stiff pair solved implicitly."""
     swell = h * p.gas_j_per_kg_k * p.wall_k / p.line_m3
     return (line_pa - muscle_pa + swell * entering) / (p.line_pa_s_per_kg + swell)
 
 
-@part
 def moved(p, s, gauge_pa, force_n, x, h):
     """Return (velocity, bristle forces) after h, under the pressure of the middle of h."""
     low, high = band(p, x, gauge_pa, s.v, s.t_s)
@@ -83,7 +82,7 @@ def moved(p, s, gauge_pa, force_n, x, h):
         return v, after, 0.0, 0.0, 0.0, 0.0
     if p.slip_n_per_m > 0.0:
         way, each = 0.5 * h * s.v, 0.25 * p.slip_n_per_m
-        a, b, c, d = SLIP_WIDTHS
+        a, b, c, d = SLIP_A, SLIP_B, SLIP_C, SLIP_D
         half = (
             dragged(s.slip_1, each, a * low, a * high, way)
             + dragged(s.slip_2, each, b * low, b * high, way)
@@ -104,14 +103,12 @@ def moved(p, s, gauge_pa, force_n, x, h):
     return v, 0.0, 0.0, 0.0, 0.0, 0.0
 
 
-@part
 def followed(z, before, after, time, h):
     """Return a first-order lag after h, in which its target goes from one value to another."""
     middle = 0.5 * (before + after)
     return middle + (z - middle) * math.exp(-h / time) if time > 0.0 else after
 
 
-@kernel
 def small_step(p, s, command_v, force_n, h):
     """Advance by h: midpoint rule for the air, trapezoidal rule for the mechanism."""
     drive = min(max(command_v, -p.drive_limit_v), p.drive_limit_v)
@@ -174,7 +171,6 @@ def small_step(p, s, command_v, force_n, h):
     )
 
 
-@part
 def volume_growth(p, x, x_after, gauge_pa):
     """Return the change of the muscle's volume at one pressure."""
     return volume(p, x_after, gauge_pa) - volume(p, x, gauge_pa)

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 
-from hidden.equations.machine_code import kernel, part
 from hidden.equations.physics import nozzle, volume
 from hidden.equations.valve import null_leak
 
 
-@part
 def valve_flows(p, area, leak, tank_pa, port_pa, gas_k):
     """Return the mass flow out of the supply and the one into the atmosphere, kg/s."""
     taken = (max(area, 0.0) + leak) * nozzle(p, tank_pa, port_pa, p.wall_k)
@@ -17,13 +15,11 @@ def valve_flows(p, area, leak, tank_pa, port_pa, gas_k):
     return taken, given
 
 
-@part
 def supply_pa(p, t_s):
     """Return what the regulator holds."""
     return p.supply_pa + p.ripple_pa * math.sin(2.0 * math.pi * p.ripple_hz * t_s)
 
 
-@part
 def tank_after(p, tank_pa, taken, t_s, h):
     """Return the tank's pressure after h: emptied by the valve, refilled by the regulator."""
     if p.regulator_pa_s_per_kg == 0.0:
@@ -33,7 +29,6 @@ def tank_after(p, tank_pa, taken, t_s, h):
     return full + (tank_pa - full) * math.exp(-h / time)
 
 
-@part
 def pressure_of(p, air, gas_k, x, guess_pa):
     """Return the pressure of the air in the muscle; `guess_pa` starts a braid that stretches."""
     pressure = guess_pa
@@ -48,7 +43,6 @@ def pressure_of(p, air, gas_k, x, guess_pa):
     return pressure
 
 
-@kernel
 def air_of(p, pressure_pa, x):
     """Return the air of a muscle that has been at rest for long."""
     room = volume(p, x, pressure_pa - p.atmosphere_pa)
@@ -57,7 +51,6 @@ def air_of(p, pressure_pa, x):
     return pressure_pa * room**p.polytropic
 
 
-@part
 def air_after(p, air, flow, pressure_pa, x, h):
     """Let `flow` (kg/s) enter for h, at a pressure and position from the middle of h."""
     if p.wall_heat_w_per_k > 0.0:
@@ -69,7 +62,6 @@ def air_after(p, air, flow, pressure_pa, x, h):
     return air + brought * p.polytropic * room ** (p.polytropic - 1.0)
 
 
-@part
 def gas_after(p, air, gas_k, flow, expansion_w, h):
     """Return the gas temperature after h: enthalpy in and out, work done, heat through the wall."""
     if p.wall_heat_w_per_k == 0.0:
@@ -81,7 +73,6 @@ def gas_after(p, air, gas_k, flow, expansion_w, h):
     return gas_k + h * power / (air * cv)
 
 
-@part
 def flows(p, area, spool_v, tank_pa, port_pa, muscle_pa, gas_k):
     """Return (taken from the supply, entering at the port, lost by the chamber), kg/s."""
     taken, given = valve_flows(p, area, null_leak(p, spool_v), tank_pa, port_pa, gas_k)

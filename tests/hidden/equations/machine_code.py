@@ -1,50 +1,35 @@
-"""The truths' own way to machine code, kept apart from the plant's."""
+"""The truths' kernels that return a state, at machine speed."""
 
 from __future__ import annotations
 
-import hashlib
-import os
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-import numba
-
-_KERNELS = (
-    "machine_code.py",
-    "physics.py",
-    "truth.py",
-    "valve.py",
-    "air.py",
-    "mechanism.py",
-    "advance.py",
-    "passes.py",
-)
+from hidden.equations.advance import at_rest, small_step
+from hidden.equations.passes import between_readings, settled
+from hidden.equations.truth import State, Truth
+from pamctl.kernel.calls import Call, prepare
 
 
-def _cache_of_these_sources() -> str:
-    # numba would look at one file only, and the kernels call each other across files.
-    folder = Path(__file__).parent
-    digest = hashlib.sha256(b"".join((folder / name).read_bytes() for name in _KERNELS))
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return str(home / "pamctl" / f"hidden-{digest.hexdigest()[:16]}")
+def settle(truth: Truth, rest_v: float, step_s: float) -> State:
+    """Return a rig that has been vented under this voltage, its clock at zero."""
+    start: State = at_rest(truth, rest_v)
+    given = {"p": truth, "state": start, "volts": rest_v, "seconds": 0.3, "longest": step_s}
+    call = prepare(settled, given, updates=("state",))
+    call.run()
+    state: State = call.get("state")
+    return state._replace(t_s=0.0)
 
 
-def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function of numbers, tuples and arrays."""
-    return _compiled(function, for_python=True)
+def prepare_passage(truth: Truth, state: State, times: Any, volts: Any, step_s: float) -> Call:
+    """Return the call of `between_readings` that goes on from reading to reading."""
+    given = {
+        "p": truth, "state": state, "since": 0.0, "until": 0.0, "times": times, "volts": volts,
+        "written": 0, "arrived": 0, "start_force": 0.0, "force_rate": 0.0, "longest": step_s,
+    }  # fmt: skip
+    return prepare(between_readings, given, updates=("state", "arrived"))
 
 
-def part(function: Callable[..., Any]) -> Any:
-    """Compile a function that only kernels call: without what takes Python's tuples apart."""
-    return _compiled(function, for_python=False)
-
-
-def _compiled(function: Callable[..., Any], *, for_python: bool) -> Any:
-    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, _cache_of_these_sources()
-    try:
-        return numba.njit(cache=True, no_cpython_wrapper=not for_python, no_cfunc_wrapper=True)(
-            function
-        )
-    finally:
-        numba.config.CACHE_DIR = before
+def prepare_step(truth: Truth, state: State, step_s: float) -> Call:
+    """Return the call of `small_step` that goes on from step to step."""
+    given = {"p": truth, "s": state, "command_v": 0.0, "force_n": 0.0, "h": step_s}
+    return prepare(small_step, given, updates=("s",))

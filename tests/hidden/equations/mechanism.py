@@ -9,11 +9,9 @@ from __future__ import annotations
 
 import math
 
-from hidden.equations.machine_code import part
 from hidden.equations.physics import braid_grip, braid_lever, pull_area
 
 
-@part
 def band(p, x, gauge_pa, speed, t_s):
     """Return the least and greatest dry friction (N): Eq. 5 gives [0, F_c] and no more."""
     grip = 0.0
@@ -25,10 +23,9 @@ def band(p, x, gauge_pa, speed, t_s):
     return -rise * (p.return_share * grip + p.coulomb_n), rise * (grip + p.coulomb_n)
 
 
-@part
 def elastic(p, state, x):
     """Return everything that pulls back with position: Eq. 4's k x, and what may be added."""
-    force = p.stiffness * x + p.cubic * x**3
+    force = p.stiffness * x + p.cubic * (x * x * x)
     if p.creep_n_per_m > 0.0:
         fast = p.creep_fast_share
         force += p.creep_n_per_m * (
@@ -39,7 +36,6 @@ def elastic(p, state, x):
     return force + state.loop_n
 
 
-@part
 def pull(p, x, gauge_pa, force_n):
     """Return the driving force: the muscle's (Eq. 3), or the one that is given."""
     if p.direct == 1.0:
@@ -50,7 +46,6 @@ def pull(p, x, gauge_pa, force_n):
     return effective * pull_area(p, x, gauge_pa) * (1.0 + p.pull_per_m * x) - p.load_n
 
 
-@part
 def drag(p, x, gauge_pa, forward, t_s):
     """Return the viscous coefficient of one direction: Eq. 5's grip only where x grows."""
     viscous = p.damping + p.pressure_damping * max(gauge_pa, 0.0) + p.drag_per_m * x
@@ -59,7 +54,6 @@ def drag(p, x, gauge_pa, forward, t_s):
     return viscous
 
 
-@part
 def velocity_after(p, v, net, forward_drag, backward_drag, low, high, h):
     """Return the velocity after h, friction being set-valued at rest."""
     inertia = p.mass_kg / h
@@ -71,7 +65,6 @@ def velocity_after(p, v, net, forward_drag, backward_drag, low, high, h):
     return min(backward, 0.0)
 
 
-@part
 def strained(force, stiffness, low, high, way):
     """Return a bristle's force after `way`: it bends, and slides off as the band is reached.
 
@@ -85,17 +78,15 @@ def strained(force, stiffness, low, high, way):
     return limit + (force - limit) * math.exp(-stiffness * abs(way) / width)
 
 
-@part
 def dragged(force, stiffness, low, high, way):
     """Return an elasto-plastic element's force after `way`: a spring on a slider."""
     return min(max(force + stiffness * way, low), high)
 
 
-SLIP_WIDTHS = (0.1, 0.2, 0.3, 0.4)
+SLIP_A, SLIP_B, SLIP_C, SLIP_D = 0.1, 0.2, 0.3, 0.4
 """Share of the band that each Maxwell-slip element can hold; the narrow ones slip first."""
 
 
-@part
 def loop_after(p, force, way):
     """Return a hysteretic spring's own force: Bouc and Wen's, of constant height."""
     if p.loop_n == 0.0:

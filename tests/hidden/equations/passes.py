@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from hidden.equations.advance import small_step
-from hidden.equations.machine_code import kernel
 
 
-@kernel
-def between_readings(p, state, since, until, held, arrived, start_force, force_rate, longest):
+def between_readings(
+    p, state, since, until, times, volts, written, arrived, start_force, force_rate, longest
+):
     """Move from one reading to the next.
 
-    `held` is the list of (time, voltage) written so far; what arrives at the driver is `delay_s`
-    older. Returns the state and the index of the voltage that has arrived.
+    The first `written` of `times` and `volts` have been asked for so far; what arrives at the
+    driver is `delay_s` older. Returns the state and the index of the voltage that has arrived.
     """
-    times, volts, written = held
     steps = max(math.ceil((until - since) / longest - 1e-9), 1)
     h = (until - since) / steps
     now = since
@@ -37,11 +34,9 @@ def between_readings(p, state, since, until, held, arrived, start_force, force_r
     return state, arrived
 
 
-@kernel
-def open_loop(p, state, times, volts, forces, longest):
-    """Return (sensed pressure, sensed position, true pressure, true position) at the readings."""
+def fill_open_loop(p, state, times, volts, forces, longest, seen):
+    """Fill (sensed pressure, sensed position, true pressure, true position) at the readings."""
     n = len(times)
-    seen = np.empty((4, n))
     arrived = 0
     for k in range(n):
         seen[0, k] = state.sensed_pa
@@ -51,24 +46,23 @@ def open_loop(p, state, times, volts, forces, longest):
         if k + 1 < n:
             rate = (forces[k + 1] - forces[k]) / (times[k + 1] - times[k])
             state, arrived = between_readings(
-                p, state, times[k], times[k + 1], (times, volts, k + 1), arrived,
+                p, state, times[k], times[k + 1], times, volts, k + 1, arrived,
                 forces[k], rate, longest,
             )  # fmt: skip
-    return seen
 
 
-@kernel
-def closed_loop(p, state, times, wanted, rest_s, rest_v, gains, reading, noise, longest):
-    """Return what `open_loop` does, and the volts that a PID on the readings asked for.
+def fill_closed_loop(
+    p, state, times, wanted, rest_s, rest_v, gains, reading, noise, longest, seen, volts
+):
+    """Fill what `fill_open_loop` does, and the volts that a PID on the readings asked for.
 
     `gains` are (V/m, V/(m s), V s/m, V/Pa on the pressure's fast part); `reading` is (counts
     per metre, phase, pressure gain, pressure offset, AO step), `noise` in Pa.
     """
     n = len(times)
-    seen = np.empty((4, n))
-    volts = np.empty(n)
-    proportional, integral, derivative, damping = gains
-    per_m, phase, pressure_gain, pressure_offset, step_v = reading
+    proportional, integral, derivative, damping = gains[0], gains[1], gains[2], gains[3]
+    per_m, phase, pressure_gain = reading[0], reading[1], reading[2]
+    pressure_offset, step_v = reading[3], reading[4]
     arrived, total, slope, slow = 0, 0.0, 0.0, p.atmosphere_pa
     before = math.floor(state.geared_m * per_m + phase) / per_m
     for k in range(n):
@@ -98,13 +92,11 @@ def closed_loop(p, state, times, wanted, rest_s, rest_v, gains, reading, noise, 
         volts[k] = round(min(max(u, -5.0), 5.0) / step_v) * step_v
         if k + 1 < n:
             state, arrived = between_readings(
-                p, state, times[k], times[k + 1], (times, volts, k + 1), arrived,
+                p, state, times[k], times[k + 1], times, volts, k + 1, arrived,
                 0.0, 0.0, longest,
             )  # fmt: skip
-    return seen, volts
 
 
-@kernel
 def settled(p, state, volts, seconds, longest):
     """Return the state after holding one voltage for long, its clock set back to zero."""
     for _ in range(math.ceil(seconds / longest)):

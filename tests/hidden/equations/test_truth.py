@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from hidden.effects import IN_TRUTH, ON_SENSORS
-from hidden.equations.advance import at_rest, small_step
+from hidden.equations.advance import at_rest
 from hidden.equations.air import air_of
+from hidden.equations.machine_code import prepare_step
 from hidden.equations.truth import State, Truth
 from hidden.excitations import Excitation, multisine
 from hidden.rig import HiddenRig, Passage, Record, hidden_rig
@@ -62,10 +63,23 @@ def equation_9(_t: float, y: Array, command_v: float, forward: bool) -> list[flo
 
 
 def stepped(state: State, command_v: float, seconds: float) -> list[State]:
-    states = [state]
+    states, step = [state], Stepper(PAPER, state)
     for _ in range(round(seconds / STEP_S)):
-        states.append(small_step(PAPER, states[-1], command_v, 0.0, STEP_S))
+        states.append(step(command_v))
     return states
+
+
+class Stepper:
+    """Advances a truth by one small step a call."""
+
+    def __init__(self, truth: Truth, state: State) -> None:
+        self._call = prepare_step(truth, state, STEP_S)
+
+    def __call__(self, command_v: float) -> State:
+        self._call.put("command_v", command_v)
+        self._call.run()
+        state: State = self._call.get("s")
+        return state
 
 
 @pytest.mark.parametrize(
@@ -111,8 +125,9 @@ def test_air_from_a_tank_without_refill_enters_the_muscle() -> None:
     truth = PAPER._replace(regulator_pa_s_per_kg=1e13, tank_m3=1e-3)
     state = at_rest(truth, 0.0)
     before = truth.tank_m3 * state.tank_pa + state.air
+    step = Stepper(truth, state)
     for k in range(10_000):
-        state = small_step(truth, state, 3.0 * math.sin(k / 900.0) ** 2, 0.0, STEP_S)
+        state = step(3.0 * math.sin(k / 900.0) ** 2)
     assert state.tank_pa < 430e3
     assert truth.tank_m3 * state.tank_pa + state.air == pytest.approx(before, rel=1e-6)
 
@@ -121,9 +136,10 @@ def test_a_resting_muscle_stays_while_the_net_force_lies_inside_the_friction_ban
     state = stepped(at_rest(PAPER, 5.0), 5.0, 0.8)[-1]
     assert state.v < 1e-6
     held = state.x
+    step = Stepper(PAPER, state)
     while abs(state.v) < 1e-9 or state.v > 0.0:
         resting = state
-        state = small_step(PAPER, state, -0.05, 0.0, STEP_S)
+        state = step(-0.05)
     assert held - resting.x < 1e-6
     gauge, length = resting.pressure_pa - 101.3e3, 0.2 - held
     net = gauge * (3 * length**2 - 0.232**2) / (4 * math.pi * 1.94**2) - 9680.0 * held

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import math
 
-from hidden.equations.machine_code import part
 
-
-@part
 def play(output, entered, width):
     """Follow `entered` with a slack of `width` in all."""
     return min(max(output, entered - 0.5 * width), entered + 0.5 * width)
 
 
-@part
 def slewed(p, before, wanted, h):
     """Return how far the driver gets in h."""
     if p.slew_v_per_s == 0.0:
@@ -21,7 +17,6 @@ def slewed(p, before, wanted, h):
     return before + min(max(wanted - before, -p.slew_v_per_s * h), p.slew_v_per_s * h)
 
 
-@part
 def spool(p, position, rate, drive, h):
     """One trapezoidal step of a mass on a spring that is driven to `drive` (all in volts)."""
     if p.spool_rad_per_s == 0.0:
@@ -32,7 +27,6 @@ def spool(p, position, rate, drive, h):
     return position + 0.5 * h * (rate + new_rate), new_rate
 
 
-@part
 def uncovered(p, spool_v):
     """Return what the laps leave of the spool's travel, in volts."""
     if spool_v > p.overlap_fill_v:
@@ -42,7 +36,6 @@ def uncovered(p, spool_v):
     return 0.0
 
 
-@part
 def opening(p, spool_v, t_s):
     """Return the port area: above 0 towards the supply, below 0 towards the atmosphere."""
     v = uncovered(p, spool_v)
@@ -55,7 +48,6 @@ def opening(p, spool_v, t_s):
     return p.valve_m2_per_v * v * (1.0 + wobble + p.gain_trend_per_s * t_s)
 
 
-@part
 def null_leak(p, spool_v):
     """Return the area of each of the two leaks past the spool."""
     if p.null_leak_zone_v > 0.0 and abs(spool_v) > p.null_leak_zone_v:

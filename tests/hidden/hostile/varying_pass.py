@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hidden.equations.advance import at_rest
-from hidden.equations.passes import between_readings, settled
+from hidden.equations.machine_code import prepare_passage, settle
 from hidden.equations.truth import State, Truth
 from hidden.excitations import Excitation
 from hidden.sensors import AO_STEP_V
@@ -45,27 +44,28 @@ def run_varying(
     file's values were really there; before the start and after the last tick the rig is as then.
     """
     start = truth_at(0.0)
-    rest_v = excitation.rest_v
-    state = settled(start, at_rest(start, rest_v), rest_v, 0.3, step_s)._replace(t_s=0.0)
+    state = settle(start, excitation.rest_v, step_s)
     end_s = float(tick_s[-1])
     instants = np.unique(np.clip(np.concatenate([tick_s, pressure_s, position_s]), 0.0, end_s))
     ticks = {float(t): k for k, t in enumerate(tick_s)}
     loop = _Loop(excitation)
     volts = np.zeros(len(tick_s))
     seen = np.zeros((2, len(instants)))
-    rest_m, arrived, written = float(state.geared_m), 0, 0
+    call = prepare_passage(start, state, np.ascontiguousarray(tick_s), volts, step_s)
+    rest_m = float(state.geared_m)
     for i, now in enumerate(instants):
         seen[:, i] = state.sensed_pa, state.geared_m
         tick = ticks.get(float(now))
         if tick is not None:
             dt = float(tick_s[tick] - tick_s[tick - 1]) if tick else 1e-3
             volts[tick] = loop.choose_volts(tick, float(now), dt, *read(tick, state))
-            written = tick + 1
+            call.put("written", tick + 1)
         if i + 1 < len(instants):
-            state, arrived = between_readings(
-                truth_at(float(now)), state, float(now), float(instants[i + 1]),
-                (tick_s, volts, written), arrived, 0.0, 0.0, step_s,
-            )  # fmt: skip
+            call.put("p", truth_at(float(now)))
+            call.put("since", float(now))
+            call.put("until", float(instants[i + 1]))
+            call.run()
+            state = call.get("state")
     at = [np.searchsorted(instants, np.clip(t, 0.0, end_s)) for t in (pressure_s, position_s)]
     return Passed(volts, seen[0][at[0]], seen[1][at[1]], rest_m)
 

@@ -49,10 +49,10 @@ def undo_backlash_m(
     A play of the same width is behind the reading what the reading is behind the muscle. So it is
     on either side after half a width; within the play nobody knows, and it goes there gradually.
     """
-    from pamctl.compiled import compile_kernel
+    from pamctl.kernel.calls import machine
 
     true_m = shown_m.copy()
-    compile_kernel(add_slack)(backlash.width_m, true_m)
+    machine(add_slack)(backlash.width_m, true_m)
     return true_m
 
 

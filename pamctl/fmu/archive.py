@@ -10,25 +10,20 @@ from __future__ import annotations
 
 import hashlib
 import io
-import os
 import platform
-import shutil
-import subprocess
 import sys
 import zipfile
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from pamctl.exit_codes import ExitCode
-from pamctl.fmu.c_source import write_plant_source
 from pamctl.fmu.model_description import MODEL, SOURCES, describe_build, describe_model
+from pamctl.fmu.plant_source import write_plant_source
+from pamctl.kernel.build import CannotBuild, compile_library, require_compiler
 from pamctl.new_file import create_new_file, require_place
 from pamctl.plant.model import PlantSettings, plant_parameters, values_of
 from pamctl.settings.resolve import settings_to_yaml
 
-_COMPILERS = ("cc", "gcc", "clang")
-_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden")
-"""No fused operations: the same bits as the plain functions, as far as the C library has them."""
 _SYSTEMS = {"linux": ("linux", "so"), "darwin": ("darwin", "dylib"), "win32": ("windows", "dll")}
 _PROCESSORS = {"amd64": "x86_64", "arm64": "aarch64"}
 _DATE = (1980, 1, 1, 0, 0, 0)
@@ -50,10 +45,11 @@ def write_fmu(settings: PlantSettings, destination: Path, *, sources_only: bool 
     file cannot be written.
     """
     require_place(destination)
-    if settings.actuator == "direct" and settings.effects.model_dump().get("piston") is None:
+    if settings.actuator == "direct":
         raise FmuError(
-            "`actuator: direct` without a piston is driven by a measured force, which no valve "
-            "command makes: an FMU of the valve and the muscle has nothing to move it"
+            "`actuator: direct` is driven by a measured force, or by the measured pressure on its "
+            "piston: a plant file has no chamber from which a valve command could make them, and "
+            "an FMU has nothing to move it"
         )
     numbers = values_of(settings)
     plant_c = write_plant_source(plant_parameters(settings), numbers)
@@ -88,28 +84,15 @@ def _name_platform() -> tuple[str, str]:
 
 def _compile(sources: dict[str, str], ending: str) -> bytes:
     """Return the shared library."""
-    wanted = os.environ.get("CC")
-    compiler = next(filter(None, map(shutil.which, [wanted] if wanted else _COMPILERS)), None)
-    if compiler is None:
-        tried = wanted or ", ".join(_COMPILERS)
-        raise FmuError(
-            f"no C compiler was found ({tried}): install one (Debian: apt install gcc), or give "
-            "--sources-only for an importer that compiles the sources itself",
-            ExitCode.UNAVAILABLE,
-        )
     with TemporaryDirectory() as folder:
-        for name, text in sources.items():
-            Path(folder, name).write_text(text, "utf-8")
         library = Path(folder, f"{MODEL}.{ending}")
-        command = [compiler, *_FLAGS, *SOURCES, "-o", library.name, "-lm"]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-        if done.returncode:
-            said = next((line for line in done.stderr.splitlines() if "error" in line), "")
+        try:
+            compile_library(require_compiler(), sources, library)
+        except CannotBuild as error:
             raise FmuError(
-                f"{compiler} could not compile the plant ({said or done.returncode}); "
-                "--sources-only writes the FMU without a library",
-                ExitCode.UNEXPECTED,
-            )
+                f"{error}; or give --sources-only for an importer that compiles the sources itself",
+                ExitCode.UNAVAILABLE,
+            ) from error
         return library.read_bytes()
 
 

@@ -17,14 +17,14 @@
 #define EXPORT __attribute__((visibility("default")))
 #endif
 
-typedef enum { OK, WARNING, DISCARD, FAILED, FATAL } Status;
-typedef uint32_t Reference;
-typedef void (*Log)(void *environment, Status status, const char *category, const char *message);
+typedef enum { OK, WARNING, DISCARD, FAILED, FATAL } FmiStatus;
+typedef uint32_t FmiReference;
+typedef void (*FmiLog)(void *environment, FmiStatus status, const char *category, const char *message);
 
 enum { WAITING_MOST = 4096 }; /* changes of the command that are on their way to the valve */
 
 typedef struct {
-    PlantState plant;
+    PLANT plant;
     double time_s;
     double now_s; /* since the start; the commands' own clock */
     double command_v;
@@ -32,28 +32,30 @@ typedef struct {
     double written_v[WAITING_MOST];
     long long written;
     long long arrived;
-} Model;
+} FmiModel;
 
 typedef struct {
-    Model model;
-    Log log;
+    FmiModel model;
+    FmiLog log;
     void *environment;
-} Instance;
+} FmiInstance;
 
-static void start_model(Model *model) {
+static void start_model(FmiModel *model) {
     memset(model, 0, sizeof *model);
     model->plant = start;
 }
 
-static Status fail(const Instance *instance, const char *message) {
+static FmiStatus fail(const FmiInstance *instance, const char *message) {
     if (instance->log) instance->log(instance->environment, FAILED, "logStatusError", message);
     return FAILED;
 }
 
 /* --- the plant ------------------------------------------------------------------------------ */
 
-static Status advance(Instance *instance, double duration_s) {
-    Model *model = &instance->model;
+/* An error leaves the model as it is. Where Python would refuse the arithmetic, `failed` is set. */
+static FmiStatus advance(FmiInstance *instance, double duration_s) {
+    FmiModel *model = &instance->model;
+    failed = 0;
 #ifdef COMMAND_IS_DELAYED
     /* Forget what has arrived; write a command only where it changes. */
     memmove(model->written_s, model->written_s + model->arrived,
@@ -62,39 +64,40 @@ static Status advance(Instance *instance, double duration_s) {
             (size_t)(model->written - model->arrived) * sizeof(double));
     model->written -= model->arrived;
     model->arrived = 0;
-    if (!model->written || model->written_v[model->written - 1] != model->command_v) {
-        if (model->written == WAITING_MOST)
+    long long written = model->written;
+    if (!written || model->written_v[written - 1] != model->command_v) {
+        if (written == WAITING_MOST)
             return fail(instance, "more than 4096 commands are on their way to the valve: "
                                   "use longer communication steps");
-        model->written_s[model->written] = model->now_s;
-        model->written_v[model->written++] = model->command_v;
+        model->written_s[written] = model->now_s;
+        model->written_v[written++] = model->command_v;
     }
-    const ADVANCED after = ADVANCE_DELAYED(
-        parameters, model->plant, (Numbers){model->written_s, model->written},
-        (Numbers){model->written_v, model->written}, model->written, model->arrived,
-        model->now_s, duration_s, LONGEST_STEP_S);
-    model->plant = after.item_0;
-    model->arrived = after.item_1;
+    const ADVANCED after = advance_plant(
+        &model->plant, (Numbers){model->written_s, written}, (Numbers){model->written_v, written},
+        model->arrived, model->now_s, duration_s);
+    const PLANT plant = after.item_0;
 #else
-    model->plant = ADVANCE(parameters, model->plant, model->command_v, duration_s, LONGEST_STEP_S);
+    const PLANT plant = advance_plant(&model->plant, model->command_v, duration_s);
+#endif
+    if (failed || !isfinite(plant.position_m) || !isfinite(plant.pressure_pa))
+        return fail(instance, "the plant has left the range of its model");
+    model->plant = plant;
+#ifdef COMMAND_IS_DELAYED
+    model->written = written;
+    model->arrived = after.item_1;
 #endif
     model->now_s += duration_s;
-    if (!isfinite(model->plant.position_m) || !isfinite(model->plant.pressure_pa))
-        return fail(instance, "the plant has left the range of its model");
     return OK;
 }
 
-static bool read_variable(const Instance *instance, Reference reference, double *value) {
-    const Model *model = &instance->model;
-    const PlantState *plant = &model->plant;
+static bool read_variable(const FmiInstance *instance, FmiReference reference, double *value) {
+    const FmiModel *model = &instance->model;
+    const PLANT *plant = &model->plant;
     switch (reference) {
     case 0: *value = model->time_s; return true;
     case 1: *value = model->command_v; return true;
-    case 2: *value = SENSED_POSITION(parameters, plant->position_m, plant->sensors, plant->age_s);
-        return true;
-    case 3: *value = SENSED_PRESSURE(parameters, plant->pressure_pa, plant->air, plant->sensors,
-                                     plant->age_s);
-        return true;
+    case 2: *value = show_position_m(plant); return true;
+    case 3: *value = show_pressure_pa(plant); return true;
     case 4: *value = plant->position_m; return true;
     case 5: *value = plant->velocity_m_per_s; return true;
     case 6: *value = plant->pressure_pa; return true;
@@ -110,8 +113,8 @@ EXPORT const char *fmi3GetVersion(void) { return "3.0"; }
 
 EXPORT void *fmi3InstantiateCoSimulation(
     const char *name, const char *token, const char *resources, bool visible, bool logging,
-    bool events, bool early_return, const Reference intermediate[], size_t intermediate_count,
-    void *environment, Log log, void *update) {
+    bool events, bool early_return, const FmiReference intermediate[], size_t intermediate_count,
+    void *environment, FmiLog log, void *update) {
     (void)name, (void)resources, (void)visible, (void)logging, (void)events, (void)early_return;
     (void)intermediate, (void)intermediate_count, (void)update;
     if (!token || strcmp(token, TOKEN)) {
@@ -120,7 +123,7 @@ EXPORT void *fmi3InstantiateCoSimulation(
                 "the instantiation token is not that of modelDescription.xml");
         return NULL;
     }
-    Instance *instance = malloc(sizeof *instance);
+    FmiInstance *instance = malloc(sizeof *instance);
     if (!instance) return NULL;
     instance->log = log;
     instance->environment = environment;
@@ -132,51 +135,52 @@ EXPORT void *fmi3InstantiateModelExchange(void) { return NULL; }
 EXPORT void *fmi3InstantiateScheduledExecution(void) { return NULL; }
 EXPORT void fmi3FreeInstance(void *instance) { free(instance); }
 
-EXPORT Status fmi3EnterInitializationMode(Instance *instance, bool with_tolerance, double tolerance,
+EXPORT FmiStatus fmi3EnterInitializationMode(FmiInstance *instance, bool with_tolerance, double tolerance,
                                           double start_s, bool with_stop, double stop_s) {
     (void)with_tolerance, (void)tolerance, (void)with_stop, (void)stop_s;
     instance->model.time_s = start_s;
     return OK;
 }
 
-EXPORT Status fmi3ExitInitializationMode(Instance *instance) { (void)instance; return OK; }
-EXPORT Status fmi3Terminate(Instance *instance) { (void)instance; return OK; }
+EXPORT FmiStatus fmi3ExitInitializationMode(FmiInstance *instance) { (void)instance; return OK; }
+EXPORT FmiStatus fmi3Terminate(FmiInstance *instance) { (void)instance; return OK; }
 
-EXPORT Status fmi3Reset(Instance *instance) {
+EXPORT FmiStatus fmi3Reset(FmiInstance *instance) {
     start_model(&instance->model);
     return OK;
 }
 
-EXPORT Status fmi3SetDebugLogging(Instance *instance, bool on, size_t count,
+EXPORT FmiStatus fmi3SetDebugLogging(FmiInstance *instance, bool on, size_t count,
                                   const char *const names[]) {
     (void)instance, (void)on, (void)count, (void)names;
     return OK;
 }
 
-EXPORT Status fmi3DoStep(Instance *instance, double time_s, double step_s, bool no_earlier_state,
+EXPORT FmiStatus fmi3DoStep(FmiInstance *instance, double time_s, double step_s, bool no_earlier_state,
                          bool *event, bool *terminate, bool *early, double *reached_s) {
     (void)no_earlier_state;
     *event = *terminate = *early = false;
     *reached_s = time_s;
     if (!(step_s > 0.0) || !isfinite(step_s))
         return fail(instance, "the communication step must be longer than 0 s");
-    const Status status = advance(instance, step_s);
+    const FmiStatus status = advance(instance, step_s);
     if (status == OK) instance->model.time_s = *reached_s = time_s + step_s;
     return status;
 }
 
 /* --- variables -------------------------------------------------------------------------------- */
 
-EXPORT Status fmi3GetFloat64(Instance *instance, const Reference references[], size_t count,
+EXPORT FmiStatus fmi3GetFloat64(FmiInstance *instance, const FmiReference references[], size_t count,
                              double values[], size_t value_count) {
     if (count != value_count) return fail(instance, "one value belongs to each reference");
+    failed = 0;
     for (size_t i = 0; i < count; i++)
         if (!read_variable(instance, references[i], &values[i]))
             return fail(instance, "there is no variable of this value reference");
-    return OK;
+    return failed ? fail(instance, "a sensor has left the range of its model") : OK;
 }
 
-EXPORT Status fmi3SetFloat64(Instance *instance, const Reference references[], size_t count,
+EXPORT FmiStatus fmi3SetFloat64(FmiInstance *instance, const FmiReference references[], size_t count,
                              const double values[], size_t value_count) {
     if (count != value_count) return fail(instance, "one value belongs to each reference");
     for (size_t i = 0; i < count; i++) {
@@ -189,12 +193,12 @@ EXPORT Status fmi3SetFloat64(Instance *instance, const Reference references[], s
 
 /* No variable has another type. */
 #define NO_VARIABLES(Name, type)                                                              \
-    EXPORT Status fmi3Get##Name(Instance *instance, const Reference references[],             \
+    EXPORT FmiStatus fmi3Get##Name(FmiInstance *instance, const FmiReference references[],             \
                                 size_t count, type values[], size_t value_count) {            \
         (void)references, (void)values, (void)value_count;                                    \
         return count ? fail(instance, "there is no variable of this type") : OK;              \
     }                                                                                         \
-    EXPORT Status fmi3Set##Name(Instance *instance, const Reference references[],             \
+    EXPORT FmiStatus fmi3Set##Name(FmiInstance *instance, const FmiReference references[],             \
                                 size_t count, const type values[], size_t value_count) {      \
         (void)references, (void)values, (void)value_count;                                    \
         return count ? fail(instance, "there is no variable of this type") : OK;              \
@@ -213,41 +217,41 @@ NO_VARIABLES(String, char *)
 
 /* --- state: all of it is one struct without pointers ------------------------------------------- */
 
-EXPORT Status fmi3GetFMUState(Instance *instance, void **state) {
-    if (!*state) *state = malloc(sizeof(Model));
+EXPORT FmiStatus fmi3GetFMUState(FmiInstance *instance, void **state) {
+    if (!*state) *state = malloc(sizeof(FmiModel));
     if (!*state) return fail(instance, "there is no memory for the state");
-    memcpy(*state, &instance->model, sizeof(Model));
+    memcpy(*state, &instance->model, sizeof(FmiModel));
     return OK;
 }
 
-EXPORT Status fmi3SetFMUState(Instance *instance, const void *state) {
-    memcpy(&instance->model, state, sizeof(Model));
+EXPORT FmiStatus fmi3SetFMUState(FmiInstance *instance, const void *state) {
+    memcpy(&instance->model, state, sizeof(FmiModel));
     return OK;
 }
 
-EXPORT Status fmi3FreeFMUState(Instance *instance, void **state) {
+EXPORT FmiStatus fmi3FreeFMUState(FmiInstance *instance, void **state) {
     (void)instance;
     free(*state);
     *state = NULL;
     return OK;
 }
 
-EXPORT Status fmi3SerializedFMUStateSize(Instance *instance, void *state, size_t *size) {
+EXPORT FmiStatus fmi3SerializedFMUStateSize(FmiInstance *instance, void *state, size_t *size) {
     (void)instance, (void)state;
-    *size = sizeof(Model);
+    *size = sizeof(FmiModel);
     return OK;
 }
 
-EXPORT Status fmi3SerializeFMUState(Instance *instance, const void *state, uint8_t bytes[],
+EXPORT FmiStatus fmi3SerializeFMUState(FmiInstance *instance, const void *state, uint8_t bytes[],
                                     size_t size) {
-    if (size != sizeof(Model)) return fail(instance, "the serialized state has another size");
+    if (size != sizeof(FmiModel)) return fail(instance, "the serialized state has another size");
     memcpy(bytes, state, size);
     return OK;
 }
 
-EXPORT Status fmi3DeserializeFMUState(Instance *instance, const uint8_t bytes[], size_t size,
+EXPORT FmiStatus fmi3DeserializeFMUState(FmiInstance *instance, const uint8_t bytes[], size_t size,
                                       void **state) {
-    if (size != sizeof(Model)) return fail(instance, "the serialized state has another size");
+    if (size != sizeof(FmiModel)) return fail(instance, "the serialized state has another size");
     if (!*state) *state = malloc(size);
     if (!*state) return fail(instance, "there is no memory for the state");
     memcpy(*state, bytes, size);
@@ -257,7 +261,7 @@ EXPORT Status fmi3DeserializeFMUState(Instance *instance, const uint8_t bytes[],
 /* --- what this unit does not offer, as modelDescription.xml says ------------------------------- */
 
 #define NOT_OFFERED(name)                                             \
-    EXPORT Status name(Instance *instance) {                          \
+    EXPORT FmiStatus name(FmiInstance *instance) {                          \
         return fail(instance, #name " is not offered by this unit"); \
     }
 NOT_OFFERED(fmi3GetBinary)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from xml.etree import ElementTree as Xml
 
 from pamctl import __version__
-from pamctl.fmu.c_source import FIRST_NUMBER
+from pamctl.fmu.plant_source import FIRST_NUMBER
 
 MODEL = "pamctl_plant"
 """Name of the shared library, in every importer's menus too."""

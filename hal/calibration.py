@@ -26,11 +26,12 @@ class CalibrationSettings(Configured):
         float, Field(ge=0.0, le=1.0, description="homing refuses a zero outside these two")
     ] = 0.409
     sensor_pa_per_v: Annotated[
-        float, Field(gt=0, description="MPX5700 at 5 V supply: 1 / (5 V x 1.2858e-6 1/Pa)")
+        float,
+        Field(ge=1.0, le=1e9, description="MPX5700 at 5 V supply: 1 / (5 V x 1.2858e-6 1/Pa)"),
     ] = 1.0 / (5.0 * 1.2858e-6)
     atmospheric_pressure_pa: Annotated[float, Field(gt=5e4, lt=1.2e5)] = 101.3e3
     encoder_m_per_count: Annotated[
-        float, Field(gt=0, lt=1e-2, description="EM2, 2000 cycles an inch, X4: 25.4 mm / 8000")
+        float, Field(ge=1e-9, lt=1e-2, description="EM2, 2000 cycles an inch, X4: 25.4 mm / 8000")
     ] = 25.4e-3 / 8000.0
     encoder_sign: Annotated[
         Literal[1, -1], Field(description="1 where counts rise as the muscle contracts, else -1")
@@ -38,7 +39,7 @@ class CalibrationSettings(Configured):
     driver_offset_v: Annotated[
         float, Field(ge=-10, le=10, description="output voltage at which the valve is closed")
     ] = 5.0
-    driver_gain: Annotated[float, Field(gt=0, le=10, description="output V per command V")] = 1.0
+    driver_gain: Annotated[float, Field(ge=1e-3, le=10, description="output V per command V")] = 1.0
     driver_low_v: Annotated[float, Field(ge=-10, le=10, description="lowest V it takes")] = 0.0
     driver_high_v: Annotated[float, Field(ge=-10, le=10, description="highest V it takes")] = 10.0
 

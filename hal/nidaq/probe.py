@@ -6,7 +6,6 @@ Tasks are reserved and released, an input is read. Only `try_hardware_timing` wr
 from __future__ import annotations
 
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
@@ -20,6 +19,7 @@ from nidaqmx.constants import TaskMode
 from nidaqmx.stream_readers import AnalogSingleChannelReader
 from nidaqmx.system import Device, System
 
+from hal.child import child_command
 from hal.driver_library import find_loaded_library
 from hal.nidaq import hold_output
 from hal.nidaq.card_settings import NidaqSettings
@@ -172,7 +172,7 @@ def measure_release(settings: NidaqSettings) -> float | None:
     None: it was not free within `RELEASE_PATIENCE_S`. Raises `RigError` where no process could
     hold it.
     """
-    holder = [sys.executable, "-m", hold_output.__name__, settings.model_dump_json()]
+    holder = child_command(hold_output.__name__, settings.model_dump_json())
     with subprocess.Popen(
         holder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     ) as process:

@@ -48,8 +48,8 @@ class SimSettings(Configured):
     output_delay_ticks: Annotated[
         Literal[0, 1], Field(description="1: a write reaches the valve at the next read")
     ] = 0
-    input_full_scale_v: Annotated[float, Field(gt=0, le=10)] = 5.0
-    output_full_scale_v: Annotated[float, Field(gt=0, le=10)] = 10.0
+    input_full_scale_v: Annotated[float, Field(ge=0.1, le=10)] = 5.0
+    output_full_scale_v: Annotated[float, Field(ge=0.1, le=10)] = 10.0
 
 
 class SensorChain(NamedTuple):
@@ -143,15 +143,18 @@ class SimRig:
         """Let the plant catch up with the clock and sample it."""
         self._require_open()
         now_ns = self._now_ns()
-        self._catch_up(now_ns)
-        self._apply()
         plant, chain = self._plant, self._chain
-        return RawSample(
-            sensed_pressure_v(chain, plant.pressure_pa, self._noise(0.0, 1.0)),
-            sensed_counts(chain, plant.position_m),
-            now_ns,
-            now_ns,
-        )
+        try:
+            self._catch_up(now_ns)
+            self._apply()
+            pressure_v = sensed_pressure_v(chain, plant.pressure_pa, self._noise(0.0, 1.0))
+            counts = sensed_counts(chain, plant.position_m)
+        except (ArithmeticError, ValueError) as error:
+            raise RigError(
+                f"the simulated plant left the range of numbers ({error})",
+                fix="check the sizes in the plant file",
+            ) from error
+        return RawSample(pressure_v, counts, now_ns, now_ns)
 
     def write(self, ao_v: float) -> float:
         """Apply a voltage to the valve driver."""

@@ -1,0 +1,49 @@
+"""How a process of pamctl starts another one: the same code, whatever the working directory holds.
+
+`python -m` looks for modules in the working directory first. A `json.py` beside somebody's data
+would run in place of the library's, and another checkout of pamctl would guard this one's loop.
+So Python starts with `-P`, which leaves that directory out, and runs this file, which takes `hal`
+and `pamctl` from the folder that it lies in itself.
+"""
+
+from __future__ import annotations
+
+import os
+import runpy
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import import_module
+
+
+def child_command(module: str, *arguments: object) -> list[str]:
+    """Return the command that runs a module of `hal` or `pamctl` in a process of its own."""
+    return [sys.executable, "-P", os.path.abspath(__file__), module, *map(str, arguments)]
+
+
+@contextmanager
+def without_working_directory() -> Iterator[None]:
+    """Let the processes that Python itself starts within the block leave that directory out."""
+    name = "PYTHONSAFEPATH"
+    before = os.environ.get(name)
+    os.environ[name] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = before
+
+
+def _run_module() -> None:
+    """Run the module that the first argument names, as `python -m` does."""
+    sys.path.insert(0, os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+    for package in ("hal", "pamctl"):  # their modules are now found there, and nothing else is
+        import_module(package)
+    del sys.path[0], sys.argv[0]
+    runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+
+
+if __name__ == "__main__":
+    _run_module()

@@ -17,7 +17,8 @@ from hal.calibration import CalibrationSettings, Zero, calibration, output_v, pr
 from hal.rig import RawSample, Rig
 from pamctl.control.homing import HomingSettings
 from pamctl.exit_codes import ExitCode
-from pamctl.realtime.clock import Clock
+from pamctl.processes.keep_awake import MASK
+from pamctl.realtime.clock import Clock, SleepWatch
 from pamctl.safety import LimitSettings
 
 HOLD_V_PER_PA = 1e-4
@@ -102,6 +103,7 @@ class Bench:
         self.calibration = calibration(calibration_settings)
         self.safe_valve_v = valve_v(self.calibration, safe_volts)
         self._clock = clock
+        self._sleep = SleepWatch()
         self._command_v = self.safe_valve_v
         self._zero = Zero(calibration_settings.sensor_zero_v, 0.0)
         self._lowest_counts = math.inf
@@ -218,6 +220,11 @@ class Bench:
 
     def _watch(self, sample: RawSample) -> None:
         limits, cal = self.limits, self.calibration
+        slept_s = self._sleep.slept_ns() * 1e-9
+        if slept_s > limits.sample_age_s:
+            raise LimitError(
+                f"the PC slept for {slept_s:.1f} s with the valve driven; forbid it: {MASK}"
+            )
         sensor_v = sample.pressure_v
         absolute_pa = self.pressure_pa(sensor_v)
         if absolute_pa > limits.pressure_pa:

@@ -9,6 +9,7 @@ from hal.rig import open_rig
 from pamctl.commissioning.hands_on import Bench
 from pamctl.processes.backends import build_clock, build_rig, hold_device
 from pamctl.processes.interrupts import Interrupts
+from pamctl.processes.keep_awake import keep_awake
 from pamctl.processes.watchman_main import keep_watchman
 from pamctl.settings.resolve import RunSettings
 
@@ -28,6 +29,7 @@ def open_workplace(settings: RunSettings) -> Iterator[Bench]:
         Interrupts() as interrupts,
         hold_device(settings),
         keep_watchman(settings, rig),
+        keep_awake(),
         open_rig(rig),
         interrupts.heed_signals(),
     ):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,7 +16,8 @@ from typing import NamedTuple
 from hal.backend import RigRequest
 from hal.faulty import FaultyRig
 from hal.reservation import hold_reservation
-from hal.rig import Rig
+from hal.rig import Rig, RigError
+from pamctl.kernel.calls import prepare
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.realtime.clock import Clock, GridClock, SampleClock, VirtualClock
@@ -28,6 +30,8 @@ SHARED_MEMORY = Path(os.environ.get("PAMCTL_SHARED_MEMORY", "/dev/shm"))
 All runs of a PC share one place, so that they see each other's locks. Tests use another place.
 """
 
+_FEWEST_OPEN_FILES = 32
+_MOST_OPEN_FILES = 4096
 _UNKNOWN = Truth(math.nan, math.nan)
 
 
@@ -48,6 +52,27 @@ def build_clock(settings: RunSettings, *, may_spin: bool) -> Clock:
     if settings.fast:
         return VirtualClock(period_ns)
     return GridClock(period_ns, spin_ns=round(loop.spin_us * 1e3) if may_spin else 0)
+
+
+def require_open_files() -> None:
+    """Raise this process's limit of open files to what a run may need; raise `RigError`.
+
+    A process that cannot open a pipe half-way through a start could not end it in good order.
+    """
+    if sys.platform != "linux":
+        return
+    import resource
+
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft == resource.RLIM_INFINITY or soft >= _MOST_OPEN_FILES:
+        return
+    most = _MOST_OPEN_FILES if hard == resource.RLIM_INFINITY else min(hard, _MOST_OPEN_FILES)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
+    if most < _FEWEST_OPEN_FILES:
+        raise RigError(
+            f"this process may open only {most} files, and a run needs {_FEWEST_OPEN_FILES}; "
+            f"raise the limit with `ulimit -n {_MOST_OPEN_FILES}`"
+        )
 
 
 def require_backend(settings: RunSettings) -> None:
@@ -104,3 +129,10 @@ def hold_device(settings: RunSettings) -> Iterator[None]:
     device = device_of(settings)
     with hold_reservation(SHARED_MEMORY / f"pamctl-{device}.lock", device):
         yield
+
+
+def make_plant(settings: RunSettings) -> SimulatedPlant | None:
+    """Return the plant of a simulated rig as machine code; None where the clock does not wait."""
+    if settings.fast or not settings.rig.record.is_simulated:
+        return None
+    return SimulatedPlant(plant_parameters(settings.plant), prepare=prepare)

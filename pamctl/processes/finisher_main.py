@@ -17,6 +17,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
+from hal.child import child_command
 from pamctl.recording.recorder import RECORDER_PATIENCE_S, outlive_signals
 from pamctl.recording.ring import Ring, RingError
 
@@ -26,7 +27,7 @@ _LOOK_EVERY_S = 0.1
 def start_finisher(ring_path: Path) -> None:
     """Start a finisher that outlives this process."""
     subprocess.Popen(
-        [sys.executable, "-m", "pamctl.processes.finisher_main", str(ring_path)],
+        child_command("pamctl.processes.finisher_main", ring_path),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

@@ -19,7 +19,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from types import FrameType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from hal.rig import Rig
 from pamctl.exit_codes import Ending, ExitCode
@@ -34,6 +34,8 @@ from pamctl.recording.recorder import RECORDER_PATIENCE_S, spawn_recorder
 from pamctl.recording.ring import RecorderFlag, Ring
 
 _POLL_S = 0.05
+_FINISH_PATIENCE_S = 60.0
+"""A recorder that writes nothing for this time after the last row is killed."""
 
 Progress = Callable[[Mapping[str, float], float], None]
 """Called with the newest tick's columns and the worst lateness (s) so far."""
@@ -66,7 +68,8 @@ def conduct_run(
 ) -> FrontReport:
     """Run the loop on a fresh ring to its end; return when the log is on disk.
 
-    Takes over SIGINT and SIGTERM while it runs. `rig` is not opened here: it is made safe
+    Takes over the signals that end a run, and leaves them without effect: call it within
+    `restore_signals`. `rig` is not opened here: it is made safe
     where neither loop nor guardian is left to do it. `mode` is for this process alone: it
     says whether the front may be scheduled in real time while it watches. `pace` says
     how long the loop may be silent. `desk` takes marks from other terminals.
@@ -100,12 +103,31 @@ def conduct_run(
 
 @contextmanager
 def block_signals() -> Iterator[None]:
-    """Block SIGINT and SIGTERM; a process that is started within inherits the block."""
+    """Block the signals that end a run; a process that is started within inherits the block."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def restore_signals() -> Iterator[None]:
+    """Restore the handlers of the signals that end a run, unless an exception ends the block.
+
+    The block reports the run as well: a further Ctrl-C, or a closed terminal, must not cut that
+    short.
+    """
+    before = {number: signal.getsignal(number) for number in STOP_SIGNALS}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def ignore_signals() -> None:
+    """Let a process that a signal has ended go in its own way: further ones say nothing new."""
+    for number in STOP_SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
 
 
 class _SignalForwarder:
@@ -114,16 +136,15 @@ class _SignalForwarder:
     def __init__(self) -> None:
         self._loop: subprocess.Popen[bytes] | None = None
         self._early: list[int] = []
-        self._before: dict[int, Any] = {}
 
     def __enter__(self) -> _SignalForwarder:
         for number in STOP_SIGNALS:
-            self._before[number] = signal.signal(number, self._forward)
+            if signal.getsignal(number) is not signal.SIG_IGN:  # ignored under nohup
+                signal.signal(number, self._forward)
         return self
 
     def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
+        """Leave the handlers: without a loop they do nothing."""
 
     def start_forwarding(self, loop: subprocess.Popen[bytes]) -> None:
         self._loop = loop
@@ -194,13 +215,13 @@ def read_ending(loop: subprocess.Popen[bytes]) -> Ending:
 
 def close_log(ring: Ring, recorder: subprocess.Popen[bytes], ending: Ending) -> FrontReport:
     """Wait for the recorder; where it is dead, finish its work from the ring."""
-    _await_recorder(recorder, ring)
+    fault = _await_recorder(recorder, ring)
     _, said = recorder.communicate()
     if recorder.returncode == 0:
         ring.unlink()
         return FrontReport(ending, True, "")
     complaint = said.decode(errors="replace").strip().removeprefix("recorder: ")
-    complaint = complaint or f"the recorder died with {recorder.returncode}"
+    complaint = complaint or fault or f"the recorder died with {recorder.returncode}"
     if not ring.recorder_flags & RecorderFlag.READY:
         # The recorder never began: there is no log to finish and no tick to save.
         ring.unlink()
@@ -208,16 +229,31 @@ def close_log(ring: Ring, recorder: subprocess.Popen[bytes], ending: Ending) -> 
     return _finish_log_apart(ring, ending, complaint)
 
 
-def _await_recorder(recorder: subprocess.Popen[bytes], ring: Ring) -> None:
-    """Let the recorder finish; kill one without a heartbeat, whose work can be done here."""
-    beats, since_s = ring.recorder_beats, time.monotonic()
+def _await_recorder(recorder: subprocess.Popen[bytes], ring: Ring) -> str:
+    """Let the recorder finish; return why it was killed, whose work can be done here.
+
+    It must show life all the time, and get on with its rows within a minute.
+    """
+    fault = ""
+    seen, beaten_s = (ring.recorder_beats, ring.tail), time.monotonic()
+    moved_s = beaten_s
     while recorder.poll() is None:
-        if ring.recorder_beats != beats:
-            beats, since_s = ring.recorder_beats, time.monotonic()
-        elif time.monotonic() - since_s > RECORDER_PATIENCE_S:
+        now, now_s = (ring.recorder_beats, ring.tail), time.monotonic()
+        if now[0] != seen[0]:
+            beaten_s = now_s
+        if now[1] != seen[1]:
+            moved_s = now_s
+        seen = now
+        if now_s - beaten_s > RECORDER_PATIENCE_S:
+            fault = f"the recorder gave no sign of life for {RECORDER_PATIENCE_S:g} s"
+        elif now_s - moved_s > _FINISH_PATIENCE_S:
+            fault = f"the recorder did not finish the log within {_FINISH_PATIENCE_S:g} s"
+        if fault:
             recorder.kill()
             recorder.wait()
+            break
         time.sleep(_POLL_S)
+    return fault
 
 
 def _finish_log_apart(ring: Ring, ending: Ending, complaint: str) -> FrontReport:

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 from hal.rig import Rig, RigError
 from pamctl.processes.starvation import CpuBooks
+from pamctl.realtime.clock import SleepWatch
 from pamctl.recording.ring import LoopStage, Ring
 
 POLL_MS = 5
@@ -102,11 +103,22 @@ class Silence:
         self._listener = Listener(time.monotonic_ns(), ring.loop_beat_ns)
         self._books = CpuBooks(loop_pid)
         self._is_counting = False
+        self._sleep = SleepWatch()
+        self._woke_ns: int | None = None
         self._heartbeat_ns, self._starved_ns, self._lead_ns = heartbeat_ns, starved_ns, lead_ns
 
     def find_fault(self) -> str:
         """Look at the heartbeat; say what is wrong with a loop that must be killed."""
         now_ns = time.monotonic_ns()
+        fault = self._find_silence(now_ns)
+        slept_ns = self._sleep.slept_ns()
+        if slept_ns <= self._heartbeat_ns:
+            return fault
+        if not fault and self._goes_on(now_ns):
+            fault = "the loop went on"
+        return f"{fault} after the PC had slept for {slept_ns * 1e-9:.1f} s" if fault else ""
+
+    def _find_silence(self, now_ns: int) -> str:
         silent_ns = self._listener.measure_silence_ns(now_ns, self._ring.loop_beat_ns)
         self._count_cpu_time(now_ns, silent_ns)
         ring = self._ring
@@ -119,6 +131,13 @@ class Silence:
         if silent_ns <= max(patience, self._starved_ns) + self._lead_ns:
             return ""
         return f"the loop was starved: it got no CPU for {silent_ms:.0f} ms"
+
+    def _goes_on(self, now_ns: int) -> bool:
+        """Tell whether a loop still ticks, though it should have tripped: the PC has slept."""
+        if self._woke_ns is None:
+            self._woke_ns = now_ns
+        is_ticking = self._ring.loop_stage == LoopStage.TICKING and not self._ring.loop_done
+        return is_ticking and now_ns - self._woke_ns > self._heartbeat_ns + self._lead_ns
 
     def _count_cpu_time(self, now_ns: int, silent_ns: int) -> None:
         is_suspicious = silent_ns > 2 * _POLL_NS

@@ -17,22 +17,22 @@ from typing import NoReturn
 
 from hal.rig import RigError
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.processes.backends import build_clock, build_rig, require_backend
+from pamctl.processes.backends import build_clock, build_rig, make_plant, require_backend
 from pamctl.processes.finisher_main import start_finisher
 from pamctl.processes.loop_supervisor import LoopSupervisor
-from pamctl.processes.machine_code.libraries import load_leap, load_plant, load_tick
 from pamctl.realtime.cued_helm import CuedHelm
 from pamctl.realtime.loop import ControlLoop
 from pamctl.realtime.orders import Orders
 from pamctl.realtime.scheduling import Preparation, SchedulingError, keep_single_threaded, prepare
 from pamctl.realtime.tick import TickSetup
 from pamctl.realtime.tick_cost import TickCost, rehearse_tick_s
-from pamctl.realtime.tick_path import TickPath
+from pamctl.realtime.tick_runner import TickRunner
 from pamctl.recording.last_words import make_outcome_event, put_last_event
 from pamctl.recording.ring import RecorderFlag, Ring, RingError, RingFull
 from pamctl.recording.run_journal import RingJournal, wait_for_recorder
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings, from_resolved
+from pamctl.simulate.many_ticks import find_many_ticks
 
 
 def main() -> NoReturn:
@@ -42,7 +42,7 @@ def main() -> NoReturn:
         settings = from_resolved(json.dumps(ring.meta.config))
         pace, front = settings.rig.loop, sys.stdin.fileno()
         supervisor = LoopSupervisor(ring, front, pace, patient=settings.fast)
-        ending = run_to_ending(partial(_run, ring, settings, supervisor))
+        ending = supervisor.name_cause(run_to_ending(partial(_run, ring, settings, supervisor)))
         # If the ring has no room for it, the front puts it there once the recorder has made room.
         ring.loop_done = _put_outcome(ring, ending)
         if supervisor.may_be_last():
@@ -101,16 +101,14 @@ def _run(ring: Ring, settings: RunSettings, supervisor: LoopSupervisor) -> Endin
         return ending
     with prepare("off" if settings.fast else settings.rt, settings.rig.loop.cpu) as preparation:
         setup = build_tick_setup(settings)
-        tick, path = load_tick(setup)
-        _record_start(ring, settings, preparation, path)
-        many = None
+        tick = TickRunner(setup)
+        _record_start(ring, settings, preparation, tick.way)
         for event in () if settings.fast else check_rate(settings, setup, tick):
             ring.put_event(0, ring.meta.start_mono_ns, event)
         clock = build_clock(settings, may_spin=preparation.may_spin)
-        parts = build_rig(settings, clock, plant=load_plant(settings))
+        parts = build_rig(settings, clock, plant=make_plant(settings))
         if settings.fast:
             wait_for_recorder(ring)
-            tick, many = load_leap(setup, parts.rig, parts.clock)
         program = build_program(settings)
         journal = RingJournal(ring)
         controller = settings.controller.model_dump(mode="json")
@@ -126,7 +124,7 @@ def _run(ring: Ring, settings: RunSettings, supervisor: LoopSupervisor) -> Endin
             helm=CuedHelm(setup, controller, program, journal, _attach_orders()),
             opened=partial(free_foreign_threads, preparation),
             tick=tick,
-            many=many,
+            many=find_many_ticks(setup, parts.rig, parts.clock),
             ended=tell_parent,
         ).run()
 
@@ -136,7 +134,7 @@ def _attach_orders() -> Orders | None:
 
 
 def check_rate(
-    settings: RunSettings, setup: TickSetup, tick: TickPath | None = None
+    settings: RunSettings, setup: TickSetup, tick: TickRunner | None = None
 ) -> list[dict[str, object]]:
     """Warn of a rate that this PC cannot hold; return what to note in the log.
 

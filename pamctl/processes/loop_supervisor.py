@@ -2,6 +2,7 @@
 
 A signal, a full disk and a slow recorder leave time for a smooth stop. The death of a process
 does not: the loop may be killed next, and a smooth stop that is cut short leaves the valve open.
+Nor does a PC that has slept: nobody knows what muscle and card did meanwhile.
 """
 
 from __future__ import annotations
@@ -14,12 +15,19 @@ from collections.abc import Callable
 from types import FrameType
 
 from pamctl.exit_codes import Ending, ExitCode
+from pamctl.realtime.clock import SleepWatch
 from pamctl.realtime.loop_settings import LoopSettings
 from pamctl.recording.ring import RecorderFlag, Ring
 from pamctl.recording.run_journal import SILENT_RECORDER_S
 
-STOP_SIGNALS = {signal.SIGINT: ExitCode.SIGINT, signal.SIGTERM: ExitCode.SIGTERM}
+STOP_SIGNALS = {
+    signal.SIGINT: ExitCode.SIGINT,
+    signal.SIGTERM: ExitCode.SIGTERM,
+}
+if hasattr(signal, "SIGHUP"):  # Windows closes a terminal in other ways
+    STOP_SIGNALS[signal.SIGHUP] = ExitCode.SIGHUP
 _LOOK_EVERY_S = 8e-3
+_SLEPT = "safety trip: the PC slept"
 _FRONT_GONE = "the commanding process is gone"
 STARTS_WITHIN_S = 60.0
 """Time for the processes of a run to find each other (s). A disk that is busy with other work may
@@ -48,7 +56,10 @@ class LoopSupervisor:
         silent_looks = math.ceil(pace.heartbeat_ms * 1e-3 * pace.rate_hz / self._look_every)
         self._guardian = _Heartbeat(max(2, silent_looks))
         self._is_time_to_look = False
-        self._loss = ""
+        # A sleep is a silence too, on a clock that the loop does not see.
+        self._sleep = SleepWatch()
+        self._longest_sleep_ns = round(pace.heartbeat_ms * 1e6)
+        self._loss: Ending | None = None
         self._signals: list[int] = []
         self._beats = -1
         self._beat_s = time.monotonic()
@@ -62,7 +73,7 @@ class LoopSupervisor:
         self._beats, self._beat_s = -1, time.monotonic()
 
     def listen(self) -> None:
-        """Take over SIGINT and SIGTERM: the first signal stops smoothly, the second at once."""
+        """Take over the signals that end a run: the first stops smoothly, the second at once."""
         for number in STOP_SIGNALS:
             signal.signal(number, self._on_signal)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
@@ -86,25 +97,32 @@ class LoopSupervisor:
         return None
 
     def wants_abort(self) -> bool:
-        """Say whether to stop at once: after a second signal, or after the death of a process.
+        """Say whether to stop at once: a second signal, the death of a process, a PC that slept.
 
         Call it first in every tick, also during a smooth stop.
         """
         self._asked += 1
         # Every few milliseconds is often enough.
         self._is_time_to_look = not self._asked % self._look_every
-        if self._is_time_to_look and not self._loss:
-            self._loss = self._find_loss()
-        return bool(self._loss) or len(self._signals) > 1
+        if self._is_time_to_look and self._loss is None:
+            self._loss = self._find_sleep() or self._find_loss()
+        return self._loss is not None or len(self._signals) > 1
 
     def find_stop(self, tick: int) -> Ending | None:
         """Return why and how to stop, once there is a reason to."""
         if self._signals:
             number = signal.Signals(self._signals[0])
             return Ending(STOP_SIGNALS[number], f"stopped by {number.name}")
-        if self._loss:
-            return Ending(ExitCode.UNEXPECTED, self._loss)
+        if self._loss is not None:
+            return self._loss
         return self._find_recorder_trouble() if self._is_time_to_look else None
+
+    def name_cause(self, ending: Ending) -> Ending:
+        """Return how a run ended: a PC that slept is the cause of whatever failed after it."""
+        slept = self._find_sleep()
+        if slept is None or not ending.code or ending.reason.startswith(_SLEPT):
+            return ending
+        return slept._replace(reason=f"{slept.reason}; {ending.reason}")
 
     def is_front_gone(self) -> bool:
         """Tell whether the process that started this one is dead."""
@@ -112,10 +130,20 @@ class LoopSupervisor:
 
     def may_be_last(self) -> bool:
         """Tell whether another process is gone: the rest may die before the log is finished."""
-        return bool(self._loss) or self.is_front_gone()
+        return self._loss is not None or self.is_front_gone()
 
-    def _find_loss(self) -> str:
-        """Return which of the other processes is gone; empty where all are alive."""
+    def _find_sleep(self) -> Ending | None:
+        if self._patient or (slept_ns := self._sleep.slept_ns()) <= self._longest_sleep_ns:
+            return None
+        slept_s = slept_ns * 1e-9
+        return Ending(ExitCode.SAFETY_TRIP, f"{_SLEPT} for {slept_s:.1f} s during the run")
+
+    def _find_loss(self) -> Ending | None:
+        """Return which of the other processes is gone; None where all are alive."""
+        lost = self._name_lost_process()
+        return Ending(ExitCode.UNEXPECTED, lost) if lost else None
+
+    def _name_lost_process(self) -> str:
         ring, recorded = self._ring, self._recorded
         flags = recorded.recorder_flags if recorded else 0
         if flags & RecorderFlag.FAILED and not flags & RecorderFlag.DISK_FULL:

@@ -17,7 +17,6 @@ from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.writer import LogWriter
 from pamctl.processes.backends import build_clock, build_rig, require_backend
-from pamctl.processes.machine_code.libraries import load_leap
 from pamctl.realtime.cued_helm import CuedHelm
 from pamctl.realtime.loop import ControlLoop
 from pamctl.recording.last_words import make_outcome_event
@@ -25,6 +24,7 @@ from pamctl.recording.log_journal import LogJournal
 from pamctl.recording.rows import RowLogger
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings
+from pamctl.simulate.many_ticks import find_many_ticks
 
 
 class _Interrupt:
@@ -76,7 +76,6 @@ def _run(journal: LogJournal, meta: RunMeta, settings: RunSettings) -> Ending:
     journal.put_gains(0, meta.start_mono_ns, controller)
     setup, program = build_tick_setup(settings), build_program(settings)
     parts = build_rig(settings, build_clock(settings, may_spin=False))
-    tick, many = load_leap(setup, parts.rig, parts.clock)
     with _heed_interrupt() as interrupt:
         return ControlLoop(
             rig=parts.rig,
@@ -88,8 +87,7 @@ def _run(journal: LogJournal, meta: RunMeta, settings: RunSettings) -> Ending:
             supervisor=interrupt,
             truth=parts.truth,
             helm=CuedHelm(setup, controller, program, journal),
-            tick=tick,
-            many=many,
+            many=find_many_ticks(setup, parts.rig, parts.clock),
         ).run()
 
 

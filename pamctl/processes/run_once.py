@@ -7,45 +7,47 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from hal.backend import find_backends
 from hal.calibration import Zero, calibration
+from hal.child import child_command
 from hal.rig import Rig
 from pamctl.control.filters import warp_cutoff
 from pamctl.control.law_registry import describe_law, law_of
 from pamctl.exit_codes import Ending, ExitCode
+from pamctl.kernel import build
 from pamctl.log.annotate.annotation import NOTHING_SAID, Annotation, annotate_meta
 from pamctl.log.naming import bare_name
 from pamctl.log.run_meta import RunMeta
+from pamctl.plain_text import escape_name
 from pamctl.processes.backends import (
     SHARED_MEMORY,
     build_clock,
     build_rig,
     hold_device,
+    make_plant,
     require_backend,
+    require_open_files,
 )
 from pamctl.processes.front import FrontReport, ProcessCommands, conduct_run
-from pamctl.processes.machine_code.libraries import start_building
+from pamctl.processes.keep_awake import keep_awake
 from pamctl.processes.mark_desk import MarkDesk, open_mark_desk
 from pamctl.realtime.keyframe import keyframe_fields
 from pamctl.realtime.tick import first_state
+from pamctl.realtime.tick_runner import TickRunner
 from pamctl.recording.log_path import choose_log_path
 from pamctl.recording.orphans import finish_orphans
 from pamctl.recording.ring import Ring
 from pamctl.report.progress_line import ProgressLine
 from pamctl.runs.index_finished import index_quietly
 from pamctl.settings.build import build_tick_setup
-from pamctl.settings.resolve import (
-    RunSettings,
-    list_shipped,
-    resolve,
-    settings_to_json,
-    settings_to_yaml,
-)
+from pamctl.settings.config_files import list_shipped
+from pamctl.settings.resolve import RunSettings, resolve, settings_to_json, settings_to_yaml
 from pamctl.signals import list_tick_fields
+from pamctl.simulate.many_ticks import find_many_ticks
 
 LiveView = Callable[..., AbstractContextManager[None]]
 """Serves live values inside a `with` block; `live_view("--ring", path)` names their source."""
@@ -84,10 +86,9 @@ def run_once(
     Raises `LogPathError`, and `RigError` or `RingError` where the device cannot be had.
     """
     # Wrong input is found before the valve is touched.
+    require_open_files()
     require_backend(settings)
-    note = start_building(settings)
-    if note and not quiet:
-        print(f"note: {note}", file=sys.stderr, flush=True)
+    build_machine_code(settings, quiet=quiet)
     path = choose_log_path(log, names["controller"], names["experiment"])
     meta = annotate_meta(make_run_meta(settings, names, path), said, records)
     if settings.fast and sys.platform != "linux":
@@ -104,7 +105,10 @@ def run_once(
             live_view("--ring", str(ring.path)),
             # Without a clock there is no moment to mark.
             open_mark_desk(path, wanted=not settings.fast) as desk,
+            nullcontext("") if settings.fast else keep_awake() as risk,
         ):
+            if risk and not quiet:
+                print(f"note: {risk}", file=sys.stderr, flush=True)
             report = _conduct_run(ring, rig, progress, settings, desk)
     progress.end_line()
     return _conclude_run(settings, names, path, report, is_usual_place=log is None)
@@ -131,9 +135,8 @@ def secure_device(settings: RunSettings) -> Iterator[Rig]:
 def _conduct_run(
     ring: Ring, rig: Rig, progress: ProgressLine, settings: RunSettings, desk: MarkDesk | None
 ) -> FrontReport:
-    start = [sys.executable, "-m"]
-    guardian = None if settings.fast else [*start, "pamctl.processes.guardian_main"]
-    commands = ProcessCommands([*start, "pamctl.processes.loop_main"], guardian)
+    guardian = None if settings.fast else child_command("pamctl.processes.guardian_main")
+    commands = ProcessCommands(child_command("pamctl.processes.loop_main"), guardian)
     try:
         # Without a clock no valve depends on the front: it needs no priority.
         mode = "off" if settings.fast else settings.rt
@@ -156,7 +159,8 @@ def make_run_meta(settings: RunSettings, names: Mapping[str, str], path: Path) -
     cal = calibration(settings.rig.calibration)
     controller, nominal_dt_s = settings.controller, 1.0 / settings.rig.loop.rate_hz
     backend = settings.rig.backend
-    run = {**names, "law": controller.law, "backend": backend}
+    run = {name: escape_name(said) for name, said in names.items()}
+    run |= {"law": controller.law, "backend": backend}
     package = find_backends().packages.get(backend)
     if package is not None:  # whoever reads the log without it must know what is missing
         run["backend_package"] = package
@@ -252,3 +256,22 @@ def _find_shipped_experiment(settings: RunSettings, name: str) -> str | None:
     if shipped not in list_shipped("experiment"):
         return None
     return shipped if resolve(experiment=shipped).experiment == settings.experiment else None
+
+
+def build_machine_code(settings: RunSettings, *, quiet: bool = False) -> None:
+    """Build what the loop of a run will load, where it is missing; say so unless `quiet`.
+
+    Raise `NotInC` for a law that is no kernel.
+    """
+    if not quiet:
+        build.progress.begin = _tell_building
+    setup = build_tick_setup(settings)
+    TickRunner(setup)
+    make_plant(settings)
+    if settings.fast:
+        parts = build_rig(settings, build_clock(settings, may_spin=False))
+        find_many_ticks(setup, parts.rig, parts.clock)
+
+
+def _tell_building() -> None:
+    print("note: building machine code, once: some seconds", file=sys.stderr, flush=True)

@@ -14,7 +14,7 @@ from functools import partial
 from typing import NoReturn
 
 from pamctl.exit_codes import EMERGENCY_STOP, Ending, ExitCode
-from pamctl.processes.backends import build_clock, build_rig, require_backend
+from pamctl.processes.backends import build_clock, build_rig, make_plant, require_backend
 from pamctl.processes.finisher_main import start_finisher
 from pamctl.processes.loop_main import (
     await_guardian,
@@ -24,12 +24,12 @@ from pamctl.processes.loop_main import (
     run_to_ending,
 )
 from pamctl.processes.loop_supervisor import LoopSupervisor
-from pamctl.processes.machine_code.libraries import load_plant, load_tick
 from pamctl.realtime.loop import ControlLoop
 from pamctl.realtime.loop_settings import LoopSettings
 from pamctl.realtime.orders import Orders
 from pamctl.realtime.scheduling import keep_single_threaded, prepare
 from pamctl.realtime.steering import SteeredProgram
+from pamctl.realtime.tick_runner import TickRunner
 from pamctl.recording.ring import Ring, RingFull
 from pamctl.recording.session_journal import SessionJournal
 from pamctl.settings.build import build_ordered_program, build_tick_setup, nominal_zero_of
@@ -60,7 +60,9 @@ def main() -> NoReturn:
         settings = from_resolved(json.dumps(ring.meta.config))
         supervisor = _SessionSupervisor(ring, orders, settings.rig.loop)
         journal = SessionJournal(ring, supervisor.watch_recording)
-        ending = run_to_ending(partial(_run, ring, settings, orders, journal, supervisor))
+        ending = supervisor.name_cause(
+            run_to_ending(partial(_run, ring, settings, orders, journal, supervisor))
+        )
         recorded = journal.run
         with suppress(RingFull):
             journal.end_last_run(ending)
@@ -85,13 +87,13 @@ def _run(
         return ending
     with prepare(settings.rt, settings.rig.loop.cpu) as preparation:
         setup = build_tick_setup(settings)
-        tick, path = load_tick(setup)
-        start = {"event": "timing_setup", **preparation.as_metadata(), "tick": path}
+        tick = TickRunner(setup)
+        start = {"event": "timing_setup", **preparation.as_metadata(), "tick": tick.way}
         journal.put_event(0, ring.meta.start_mono_ns, start)
         for event in check_rate(settings, setup, tick):
             journal.put_event(0, ring.meta.start_mono_ns, event)
         clock = build_clock(settings, may_spin=preparation.may_spin)
-        parts = build_rig(settings, clock, plant=load_plant(settings))
+        parts = build_rig(settings, clock, plant=make_plant(settings))
         steered = SteeredProgram(
             orders,
             journal,

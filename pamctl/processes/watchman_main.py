@@ -15,6 +15,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
+from hal.child import child_command
 from hal.rig import Rig, RigError
 from pamctl.exit_codes import ExitCode
 from pamctl.processes.backends import build_clock, build_rig, require_backend
@@ -32,9 +33,11 @@ def keep_watchman(settings: RunSettings, rig: Rig) -> Iterator[None]:
     The block closes the rig. Raises `RigError` where the watchman cannot work, or where neither
     the block nor the watchman could make the rig safe.
     """
-    command = [sys.executable, "-m", "pamctl.processes.watchman_main"]
     watchman = subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
+        child_command("pamctl.processes.watchman_main"),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        start_new_session=True,
     )
     assert watchman.stdin is not None
     assert watchman.stdout is not None

@@ -45,7 +45,8 @@ from pamctl.plant.model import plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
 from pamctl.realtime.clock import VirtualClock, Wake
-from pamctl.settings.resolve import RunSettings, check_config_file, config_dir, resolve
+from pamctl.settings.config_files import config_dir
+from pamctl.settings.resolve import RunSettings, check_config_file, resolve
 from pamctl.settings.yaml12 import load_yaml, parse_yaml
 
 PAMCTL = str(Path(sys.executable).with_name("pamctl"))

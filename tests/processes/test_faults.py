@@ -19,9 +19,11 @@ from support.runs import AO_STEP_V, MemoryJournal, ScriptedSupervisor, parts, ru
 from hal.faulty import FaultSettings, FaultyRig
 from hal.rig import RawSample, Rig
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.realtime import tick_path
+from pamctl.kernel.calls import PlainCall
+from pamctl.realtime import run_ticks
 from pamctl.realtime.clock import Clock
 from pamctl.realtime.loop import ControlLoop
+from pamctl.realtime.tick_runner import TickRunner
 from pamctl.safety import (
     ENCODER_JUMP,
     PRESSURE_LIMIT,
@@ -264,23 +266,25 @@ def test_a_valve_that_is_stuck_is_noticed_by_the_pressure_alone(
 def test_an_exception_in_the_law_leaves_the_output_safe(
     bench: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    right = tick_path.step
+    right = run_ticks.step
 
     def wrong(setup: Any, state: Any, raw: Any, reference: Any, timing: Any) -> Any:
         if timing.tick == BEGINS:
             raise ZeroDivisionError("in the law")
         return right(setup, state, raw, reference, timing)
 
-    monkeypatch.setattr(tick_path, "step", wrong)
+    monkeypatch.setattr(run_ticks, "step", wrong)
     monkeypatch.setitem(SIM, "none", [])
     monkeypatch.setitem(CARD, "none", lambda card: None)
     settings = run_settings(*MOVING)
     made, journal = BENCHES[bench](settings, "none"), MemoryJournal()
+    setup = build_tick_setup(settings)
     with pytest.raises(ZeroDivisionError, match="in the law"):
         ControlLoop(
             rig=made.rig,
             clock=made.clock,
-            setup=build_tick_setup(settings),
+            setup=setup,
+            tick=TickRunner(setup, PlainCall),
             nominal_zero=nominal_zero_of(settings),
             program=build_program(settings),
             journal=journal,

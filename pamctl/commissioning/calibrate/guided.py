@@ -15,12 +15,12 @@ from pamctl.commissioning.open_bench import open_workplace
 from pamctl.commissioning.terminal_operator import Terminal
 from pamctl.new_file import NewFileError, require_place, write_files
 from pamctl.processes.backends import require_backend
+from pamctl.settings.config_files import find_config_file
 from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import (
     SECTIONS,
     RawSettings,
     RunSettings,
-    find_config_file,
     settings_to_data,
     shorten_path,
     validate_settings,

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hal.doctor_finding import DoctorFinding, Level
+from pamctl.processes.keep_awake import MASK, can_sleep, keep_awake
 from pamctl.realtime.scheduling import Preparation
 
 _MB = 1 << 20
@@ -31,6 +32,7 @@ def examine_pc(shared_memory: Path, log_directory: Path) -> Iterator[DoctorFindi
     yield check_kernel()
     yield check_processors(os.cpu_count() or 1)
     yield check_governor(Path("/sys/devices/system/cpu"))
+    yield check_sleep()
     yield check_shared_memory(shared_memory)
     yield check_log_disk(log_directory)
 
@@ -85,6 +87,18 @@ def check_governor(cpus: Path) -> DoctorFinding:
         "cpupower frequency-set -g performance",
         {"governors": governors},
     )
+
+
+def check_sleep() -> DoctorFinding:
+    """Check that the PC does not go to sleep during a run: the card would hold its voltage."""
+    name = "pc.sleep"
+    if not can_sleep():
+        return DoctorFinding(name, "ok", "this PC cannot be suspended", data={"may_suspend": False})
+    with keep_awake() as risk:
+        data = {"may_suspend": bool(risk)}
+    if not risk:
+        return DoctorFinding(name, "ok", "may be suspended, but not during a run", data=data)
+    return DoctorFinding(name, "warning", risk.partition(";")[0], "no sleep in a run", MASK, data)
 
 
 def check_shared_memory(directory: Path) -> DoctorFinding:

@@ -1,4 +1,0 @@
-"""What runs as machine code: found for a run, or built in the background for the next one.
-
-Read `libraries.py` first.
-"""

@@ -1,0 +1,159 @@
+"""Shared memory is open to everybody on the PC: it may be full, or hold what pamctl never made."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from standin.standin import Card
+from support.patience import BUSY_PC, PATIENCE_S
+from support.processes.card_runs import OWN_SAFE_V, of, own
+from support.processes.daemons import AO_STEP_V, as_root
+
+from hal.sim.register import SharedRegister, peek_v
+from pamctl.processes.backends import SHARED_MEMORY
+from pamctl.recording.ring import Ring, RingError
+
+assert own  # a fixture
+
+PAMCTL = str(Path(sys.executable).with_name("pamctl"))
+DEVICE = "shared0"
+ON_DEVICE = ("--set", f"rig.sim.device={DEVICE}")
+RUN = ("run", "--quiet", "--duration", "0.1", "--log", "run.mcap", *ON_DEVICE)
+FULL = """mount -t tmpfs -o size=12k tmpfs "$0" && {} cat /dev/zero >"$0/filler"
+"$@"; code=$?; cp "$0"/*.ao . 2>/dev/null; exit $code"""
+"""A shell script that fills a shared memory which nobody else sees, and keeps the output."""
+
+
+@pytest.fixture
+def shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A shared memory for this test alone."""
+    place = Path(tempfile.mkdtemp(dir=SHARED_MEMORY))
+    monkeypatch.setenv("PAMCTL_SHARED_MEMORY", str(place))
+    monkeypatch.chdir(tmp_path)
+    return place
+
+
+def run_verb(*words: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([PAMCTL, *words], capture_output=True, text=True, timeout=PATIENCE_S)
+
+
+def run_safe_in_full_memory(
+    place: Path, before: str = "", options: tuple[str, ...] = ON_DEVICE
+) -> subprocess.CompletedProcess[str]:
+    command = ["unshare", "-rm", "sh", "-c", FULL.format(before), place, PAMCTL, "safe"]
+    done = subprocess.run([*command, *options], capture_output=True, text=True, timeout=PATIENCE_S)
+    if "unshare" in done.stderr or "mount" in done.stderr:
+        pytest.skip("this PC lets nobody mount")
+    return done
+
+
+def test_safe_says_not_safe_where_full_memory_has_no_room_for_the_output(shared: Path) -> None:
+    done = run_safe_in_full_memory(shared)
+    assert done.returncode == 69, done.stderr
+    assert f"NOT SAFE, {DEVICE}" in done.stderr
+    assert "No space left" in done.stderr
+
+
+def test_safe_drives_an_output_that_was_there_before_the_memory_was_full(
+    shared: Path, tmp_path: Path
+) -> None:
+    left = tmp_path / "left" / f"pamctl-{DEVICE}.ao"
+    left.parent.mkdir()
+    register = SharedRegister(left, DEVICE)
+    register.reserve()
+    register.volts = 8.0
+    register.release()
+    done = run_safe_in_full_memory(shared, f'cp -p {left} "$0" &&')
+    assert done.returncode == 0, done.stderr
+    assert peek_v(tmp_path / left.name) == 0.0
+
+
+def test_safe_drives_a_card_whatever_the_memory(
+    shared: Path, own: Card, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in own.environment().items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setenv("PAMCTL_SHARED_MEMORY", str(shared))
+    safe_volts = ("--set", f"rig.safe_volts={OWN_SAFE_V}")
+    done = run_safe_in_full_memory(shared, "", ("--backend", "nidaq", *of(own), *safe_volts))
+    assert "safe" in done.stdout, done.stderr
+    assert own.output_v == pytest.approx(OWN_SAFE_V, abs=AO_STEP_V)
+
+
+def put_pipe(path: Path) -> None:
+    os.mkfifo(path, 0o666)
+
+
+def put_link(path: Path) -> None:
+    target = path.with_name("target")
+    target.write_text("not for everybody")
+    path.symlink_to(target)
+
+
+def put_link_to_nothing(path: Path) -> None:
+    path.symlink_to(path.with_name("nothing"))
+
+
+def put_foreign_file(path: Path) -> None:
+    path.write_text("somebody's")
+    path.chmod(0o644)
+    os.chown(path, 65534, 65534)
+
+
+TRICKS = [put_pipe, put_link, put_link_to_nothing, pytest.param(put_foreign_file, marks=as_root)]
+Trick = Callable[[Path], None]
+
+
+def assert_untouched(path: Path) -> None:
+    assert not path.with_name("nothing").exists()
+    if (target := path.with_name("target")).exists():
+        assert target.read_text() == "not for everybody"
+
+
+@pytest.mark.parametrize("put", TRICKS)
+def test_a_daemon_refuses_a_fault_file_that_pamctl_did_not_make(shared: Path, put: Trick) -> None:
+    path = shared / f"pamctl-{DEVICE}.fault"
+    put(path)
+    done = run_verb("daemon", "--socket", shared / "d.sock", *ON_DEVICE)
+    assert done.returncode == 69, done.stderr
+    assert str(path) in done.stderr.splitlines()[-1]
+    assert "not for everybody" not in done.stderr
+    assert_untouched(path)
+
+
+@pytest.mark.parametrize("put", TRICKS)
+@pytest.mark.parametrize("kind", ["ao", "lock"])
+def test_a_run_refuses_files_of_its_device_that_pamctl_did_not_make(
+    shared: Path, kind: str, put: Trick
+) -> None:
+    path = shared / f"pamctl-{DEVICE}.{kind}"
+    put(path)
+    done = run_verb(*RUN)
+    assert done.returncode == 69, done.stderr
+    assert str(path) in done.stderr.splitlines()[-1]
+    assert_untouched(path)
+
+
+def test_no_ring_that_pamctl_did_not_make_stops_a_start(shared: Path) -> None:
+    for put in (put_pipe, put_link, put_link_to_nothing):
+        put(shared / f"pamctl-1-{put.__name__}.ring")
+    patient = [p for one in ("rig.homing.enabled=false", *BUSY_PC) for p in ("--set", one)]
+    done = run_verb(*RUN, *patient)
+    assert done.returncode == 0, done.stderr
+    assert_untouched(shared / "a.ring")
+
+
+@pytest.mark.parametrize("put", TRICKS)
+@pytest.mark.parametrize("open_ring", [Ring.attach, Ring.watch])
+def test_a_ring_is_never_a_pipe_a_link_or_another_users(
+    shared: Path, put: Trick, open_ring: Callable[[Path], Ring]
+) -> None:
+    put(shared / "a.ring")
+    with pytest.raises(RingError):
+        open_ring(shared / "a.ring")

@@ -1,0 +1,261 @@
+"""A PC that goes to sleep while a valve depends on it, and what keeps it awake."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from standin.standin import Card
+from support.made_up import meta
+from support.patience import BUSY_PC, PATIENCE_S
+from support.processes.card_runs import AT_ONCE, OWN_SAFE_V, await_writes, own, start
+from support.processes.children import PARTS, await_children
+from support.processes.daemons import AO_STEP_V, NOT_HOMED, SAFE_V, daemon
+from support.processes.rings import await_tick
+from support.processes.sleeping import SleepingPc
+
+from hal.sim.register import peek_v
+from pamctl.commissioning.doctor.pc import check_sleep
+from pamctl.commissioning.hands_on import LimitError
+from pamctl.commissioning.open_bench import open_workplace
+from pamctl.daemon.client import DaemonDeclinedError
+from pamctl.log.reader import read
+from pamctl.processes import keep_awake
+from pamctl.processes.backends import ao_path
+from pamctl.processes.guardian import LoopProcess, guard
+from pamctl.realtime.clock import SleepWatch
+from pamctl.recording.ring import LoopStage, Ring
+from pamctl.settings.resolve import resolve
+
+assert own  # a fixture
+
+PAMCTL = str(Path(sys.executable).with_name("pamctl"))
+DEVICE = f"sleep{os.getpid()}"
+SETTINGS = (f"rig.sim.device={DEVICE}", NOT_HOMED, *BUSY_PC)
+RUN = [PAMCTL, "run", "--json", "--quiet", "--log", "run.mcap", "--rt", "off"]
+RUN += [part for setting in SETTINGS for part in ("--set", setting)]
+SLEEP_S = 1.5
+"""Longer than a loop may be silent on a busy PC."""
+FAKE_INHIBIT = """#!/bin/sh
+echo "$@" >> inhibited
+{then}
+echo released >> inhibited
+"""
+
+
+@pytest.fixture
+def pc(tmp_path: Path) -> SleepingPc:
+    return SleepingPc(tmp_path)
+
+
+def start_run(folder: Path, environment: dict[str, str]) -> subprocess.Popen[str]:
+    out = subprocess.PIPE
+    return subprocess.Popen(RUN, cwd=folder, env=environment, stdout=out, stderr=out, text=True)
+
+
+def test_a_run_over_which_the_pc_slept_trips_with_its_reason(
+    pc: SleepingPc, tmp_path: Path
+) -> None:
+    with start_run(tmp_path, pc.environment) as front:
+        await_tick(front.pid, lambda tick: tick["valve_v"] > 0.0)
+        pc.sleep([front.pid, *await_children(front.pid, *PARTS).values()], SLEEP_S)
+        told, said = front.communicate(timeout=PATIENCE_S)
+    assert front.returncode == 4, said
+    assert "the PC slept for 1." in json.loads(told)["reason"]
+    assert peek_v(ao_path(DEVICE)) == SAFE_V
+    outcome = read(tmp_path / "run.mcap").events[-1]
+    assert outcome["event"] == "outcome"
+    assert "the PC slept for 1." in outcome["reason"]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("timing", ["on_demand", "hardware_timed"])
+def test_a_card_is_at_its_safe_voltage_after_the_pc_slept(
+    pc: SleepingPc, own: Card, timing: str
+) -> None:
+    asleep = {name: pc.environment[name] for name in ("LD_PRELOAD", "SLEPT_FILE")}
+    front = start(own, *AT_ONCE, "--set", f"rig.nidaq.timing={timing}", "--rt", "off", **asleep)
+    await_writes(own, front, 300)
+    pc.sleep([front.pid, *await_children(front.pid, *PARTS).values()], SLEEP_S)
+    _, said = front.communicate(timeout=PATIENCE_S)
+    assert front.returncode == 4, said
+    assert "safety trip: the PC slept for 1." in said
+    assert own.output_v == pytest.approx(OWN_SAFE_V, abs=AO_STEP_V)
+
+
+@pytest.mark.long
+def test_a_hold_over_which_the_pc_slept_is_a_fault_to_acknowledge(
+    pc: SleepingPc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in pc.environment.items():
+        monkeypatch.setenv(name, value)
+    with daemon(tmp_path, "asleep", NOT_HOMED) as made:
+        made.ask("goto", position_m=8e-3, within_s=0.5)
+        made.wait_until(lambda s: s["state"] == "ready" and not made.is_safe())
+        children = children_of(made.process.pid)
+        pc.sleep([made.process.pid, *children], SLEEP_S)
+        made.wait_safe()
+        assert "the PC slept for 1." in made.wait_for("fault")["fault"]
+        with pytest.raises(DaemonDeclinedError, match="acknowledge"):
+            made.ask("goto", position_m=8e-3, within_s=0.5)
+
+
+def children_of(pid: int) -> list[int]:
+    lists = [path.read_text() for path in Path(f"/proc/{pid}/task").glob("*/children")]
+    return [int(child) for text in lists for child in text.split()]
+
+
+class StillRig:
+    """What the guardian needs of a rig."""
+
+    safe_failure = None
+
+    def make_safe(self) -> None:
+        self.is_safe = True
+
+
+def test_a_loop_that_goes_on_after_the_pc_slept_is_killed_by_the_guardian(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ended, rig = threading.Event(), StillRig()
+    with (
+        subprocess.Popen(["sleep", "60"]) as loop,
+        Ring.create(tmp_path / "a.ring", meta(tmp_path / "a.mcap"), rows=256) as ring,
+    ):
+
+        def beat() -> None:
+            while not ended.wait(1e-3):
+                ring.loop_beat_ns = time.monotonic_ns()
+
+        ring.loop_stage = LoopStage.TICKING
+        beating = threading.Thread(target=beat)
+        beating.start()
+        monkeypatch.setattr(SleepWatch, "slept_ns", lambda watch: 20_000_000_000)
+        takeover = guard(ring, LoopProcess(loop.pid), rig, 500_000_000)  # type: ignore[arg-type]
+        ended.set()
+        beating.join()
+    assert takeover is not None
+    assert "the loop went on after the PC had slept for 20.0 s" in takeover.reason
+    assert rig.is_safe
+    assert loop.returncode == -signal.SIGKILL
+
+
+def test_a_calibration_over_which_the_pc_slept_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = resolve(overrides=[f"rig.sim.device={DEVICE}"])
+    with open_workplace(settings) as bench:
+        bench.step(1.0)
+        monkeypatch.setattr(SleepWatch, "slept_ns", lambda watch: 20_000_000_000)
+        with pytest.raises(LimitError, match=r"the PC slept for 20\.0 s"):
+            bench.step(1.0)
+    assert peek_v(ao_path(DEVICE)) == SAFE_V
+
+
+def test_a_pc_that_did_not_sleep_did_not() -> None:
+    watch = SleepWatch()
+    assert max(watch.slept_ns() for _ in range(100_000)) < 1_000_000
+
+
+# --- keeping it awake --------------------------------------------------------------------
+
+
+def put_inhibit(folder: Path, then: str) -> dict[str, str]:
+    """Put a `systemd-inhibit` first on the path; return the environment."""
+    program = folder / "bin/systemd-inhibit"
+    program.parent.mkdir()
+    program.write_text(FAKE_INHIBIT.format(then=then))
+    program.chmod(0o755)
+    return {**os.environ, "PATH": f"{program.parent}:{os.environ['PATH']}"}
+
+
+def await_lines(path: Path, holds: Callable[[list[str]], bool]) -> None:
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not (path.exists() and holds(path.read_text().splitlines())):
+        assert time.monotonic() < deadline_s, path.exists() and path.read_text()
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_a_run_forbids_sleep_until_it_ends_however_it_ends(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    environment = put_inhibit(tmp_path, "cat")
+    with start_run(tmp_path, environment) as front:
+        await_tick(front.pid, lambda tick: tick["tick"] > 10)
+        (line,) = (tmp_path / "inhibited").read_text().splitlines()
+        assert "--what=sleep" in line
+        assert "--mode=block" in line
+        front.send_signal(number)
+        front.communicate(timeout=PATIENCE_S)
+    if number == signal.SIGKILL:
+        await_lines(tmp_path / "inhibited", lambda lines: lines[-1] == "released")
+
+
+@pytest.mark.long
+def test_a_daemon_forbids_sleep_while_it_holds_and_no_longer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", put_inhibit(tmp_path, "exec cat")["PATH"])
+    monkeypatch.chdir(tmp_path)
+
+    def count_holders(pid: int) -> int:
+        children = children_of(pid)
+        return sum(Path(f"/proc/{child}/comm").read_text() == "cat\n" for child in children)
+
+    with daemon(tmp_path, "awake", NOT_HOMED) as made:
+        pid = made.process.pid
+        assert count_holders(pid) == 0
+        made.ask("goto", position_m=8e-3, within_s=0.5)
+        made.wait_until(lambda s: s["state"] == "ready")
+        assert count_holders(pid) == 1
+        made.ask("disarm")
+        made.wait_until(lambda s: s["state"] == "idle")
+        assert count_holders(pid) == 0
+
+
+@pytest.fixture
+def sleepy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A PC that can be put to sleep."""
+    (tmp_path / "state").write_text("freeze mem disk\n")
+    monkeypatch.setattr(keep_awake, "_STATES", tmp_path / "state")
+    monkeypatch.setattr(keep_awake, "_TARGET", tmp_path / "sleep.target")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("then", "why"),
+    [
+        ("echo Access denied >&2; exit 1", "Access denied"),
+        ("exit 1", "it failed"),
+        (None, "No such"),
+    ],
+)
+def test_one_line_says_that_nothing_keeps_the_pc_awake(
+    sleepy: Path, monkeypatch: pytest.MonkeyPatch, then: str | None, why: str
+) -> None:
+    path = str(sleepy / "none") if then is None else put_inhibit(sleepy, then)["PATH"]
+    monkeypatch.setenv("PATH", path)
+    with keep_awake.keep_awake() as risk:
+        assert why in risk
+        assert "systemctl mask" in risk
+        assert len(risk.splitlines()) == 1
+    finding = check_sleep()
+    assert (finding.level, finding.data["may_suspend"]) == ("warning", True)
+    assert "systemctl mask" in finding.fix
+
+
+def test_the_doctor_is_content_where_runs_forbid_sleep_or_the_pc_cannot(
+    sleepy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", put_inhibit(sleepy, "exec cat")["PATH"])
+    assert check_sleep().found == "may be suspended, but not during a run"
+    (sleepy / "sleep.target").symlink_to("/dev/null")
+    assert check_sleep().found == "this PC cannot be suspended"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import socket
+import struct
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -58,9 +59,12 @@ class Client:
         Raises `DaemonUnreachableError`.
         """
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._socket.settimeout(patience_s)
+        # A socket with a timeout of Python's would not wait while many others connect.
+        most = struct.pack("@ll", *divmod(round(patience_s * 1e6), 1_000_000))
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, most)
         try:
             self._socket.connect(str(path))
+            self._socket.settimeout(patience_s)
         except OSError as error:
             self._socket.close()
             raise DaemonUnreachableError(_advice(path, error)) from error

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from pamctl.daemon.protocol import (
     LONGEST_MOTION_S,
@@ -31,6 +31,16 @@ Operator = Annotated[str, AfterValidator(clean_text), Field(max_length=LONGEST_N
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,60}$")]
 
 
+_MOST_SWEPT = 8
+
+
+def _refuse_many(swept: Any) -> Any:
+    """Count first: to check thousands of entries would keep an emergency stop waiting."""
+    if isinstance(swept, dict) and len(swept) > _MOST_SWEPT:
+        raise ValueError(f"more than {_MOST_SWEPT} entries")
+    return swept
+
+
 class StartParams(Params):
     """An experiment, as its file holds it."""
 
@@ -41,7 +51,7 @@ class StartParams(Params):
     operator: Annotated[str, Field(max_length=LONGEST_NAME)] = ""
     sample: Annotated[str, Field(max_length=LONGEST_NAME)] = ""
     tags: Annotated[list[str], Field(default_factory=list, max_length=MOST_TAGS)]
-    sweep: Annotated[dict[str, str] | None, Field(max_length=8)] = None
+    sweep: Annotated[dict[str, str] | None, BeforeValidator(_refuse_many)] = None
 
 
 class GotoParams(Params):

@@ -8,9 +8,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pamctl.control.experiment import ExperimentSettings
+from pamctl.control.course import Course
+from pamctl.control.experiment import ExperimentSettings, plan_experiment
+from pamctl.control.handed_course import pack_handed_course
 from pamctl.daemon.protocol import RequestRefusedError
+from pamctl.json_text import to_json
 from pamctl.realtime.gain_ramp import GainRampError, require_blendable
+from pamctl.recording.ring import PAYLOAD_BYTES
 from pamctl.settings.envelope import find_excesses
 from pamctl.settings.problems import ConfigError
 from pamctl.settings.resolve import (
@@ -91,6 +95,27 @@ def require_feasible(settings: RunSettings) -> None:
     excesses = find_excesses(settings)
     if excesses:
         raise RequestRefusedError("; ".join(f"the experiment {e}" for e in excesses))
+
+
+def hand_over_course(settings: RunSettings, ring_rows: int) -> tuple[Course, bytes]:
+    """Return the course of an experiment, and the same packed for the loop.
+
+    The text with it is what the loop records. Refuse one that has no room in the ring.
+    """
+    plan = plan_experiment(settings.experiment)
+    course = Course(plan.segments, settings.duration_s, plan.cues)
+    told = {
+        "experiment": settings_to_data(settings.experiment),
+        "duration_s": settings.duration_s,
+    }
+    text = to_json(told)[1:-1]
+    most = ring_rows // 4 * PAYLOAD_BYTES
+    if len(text) > most:
+        raise RequestRefusedError(
+            f"the experiment has {len(text)} bytes, and a quarter of the ring only {most}; "
+            "make rig.loop.ring_rows larger"
+        )
+    return course, pack_handed_course(course, text)
 
 
 def require_tunable(settings: RunSettings, changed: RunSettings) -> None:

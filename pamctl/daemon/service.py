@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pamctl import __version__
-from pamctl.control.experiment import HoldSettings, plan_experiment
+from pamctl.control.experiment import HoldSettings
 from pamctl.daemon.gain_history import GainEdit, GainHistory
 from pamctl.daemon.latch import Latch
 from pamctl.daemon.monitor_desk import MonitorDesk
@@ -30,6 +30,7 @@ from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.daemon.recent_columns import read_recent_columns, replace_nan
 from pamctl.daemon.requested_settings import (
     change_gains,
+    hand_over_course,
     load_controller,
     load_experiment,
     plan_hold,
@@ -44,6 +45,7 @@ from pamctl.log.changed_gains import CHANGES, describe_changes
 from pamctl.log.naming import bare_name
 from pamctl.plain_text import clean_text
 from pamctl.plant.model import PlantSettings
+from pamctl.processes.keep_awake import SleepInhibitor
 from pamctl.realtime.gain_ramp import DEFAULT_RAMP_S
 from pamctl.runs.index_finished import index_in_own_process
 from pamctl.settings.resolve import RunSettings, settings_to_data
@@ -108,6 +110,7 @@ class Service:
         self._shelf = shelf
         self._idle_after_s = idle_after_s
         self._session: Session | None = None
+        self._inhibitor: SleepInhibitor | None = None
         self._latch = latch
         self._holds = False
         self._stopping: DaemonRun | None = None
@@ -349,7 +352,9 @@ class Service:
         if session is None or session is not self._session:
             return
         if not session.is_alive:
-            self._conclude_session(self._close_session(session))
+            ending = self._close_session(session)
+            if not self._is_leaving:
+                self._conclude_session(ending)
         elif session.run is not None and session.run.is_over:
             self._conclude_run(session)
         elif session.run is None and (self._latch.reason or self._parked_too_long):
@@ -382,9 +387,16 @@ class Service:
         self._shelf.tidy()
         index_in_own_process(run.log)
 
+    def leave(self) -> None:
+        """Begin the smooth stop, and nothing more. Waits for no order; `close` must follow."""
+        self._is_leaving = True
+        session = self._session
+        if session is not None:
+            session.begin_end()
+
     def close(self) -> None:
         """End everything and begin nothing more; the valve is safe when this returns."""
-        self._is_leaving = True
+        self.leave()
         with self._busy:
             self._end_session()
         self._monitor.close()
@@ -403,6 +415,8 @@ class Service:
 
     def _close_session(self, session: Session) -> Ending:
         ending = session.close()
+        if self._inhibitor is not None:
+            self._inhibitor.release()
         self._session, self._holds = None, False
         return ending
 
@@ -421,21 +435,17 @@ class Service:
     ) -> Path:
         settings = load_experiment(self._settings, experiment, name, duration_s)
         require_feasible(settings)
-        length_s = plan_experiment(settings.experiment).duration_s
-        self._shelf.require_room(min(length_s, duration_s or math.inf), self._rate_hz)
+        rows = settings.rig.loop.ring_rows
+        course, packed = hand_over_course(settings, rows)
+        self._shelf.require_room(course.duration_s, self._rate_hz)
         session = self._session or self._begin_session()
         # An emergency stop may have come meanwhile.
         self._require(DaemonState.READY, DaemonState.RUNNING)
         path = self._shelf.new_path(f"{bare_name(self._names['controller'])}-{name}")
         meta = self._workshop.meta(settings, {**self._names, "experiment": name}, path)
         meta = annotate_meta(meta, said, records)
-        order = {
-            "do": "run",
-            "experiment": settings_to_data(settings.experiment),
-            "duration_s": duration_s,
-        }
         try:
-            session.begin(name, meta, settings.rig.loop.ring_rows, order)
+            session.begin(name, meta, rows, packed)
         except RequestRefusedError:
             self._parked_since_s = time.monotonic()
             raise
@@ -446,7 +456,12 @@ class Service:
         return path
 
     def _begin_session(self) -> Session:
-        session = Session(self._workshop, self._settings, self._names)
+        self._inhibitor = SleepInhibitor()
+        try:
+            session = Session(self._workshop, self._settings, self._names)
+        except BaseException:
+            self._inhibitor.release()
+            raise
         self._session, self._parked_since_s = session, time.monotonic()
         return session
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import signal
 import sys
 import threading
@@ -14,6 +15,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, NamedTuple
 
+from hal.child import child_command
 from hal.rig import Rig
 from pamctl import __version__
 from pamctl.daemon.announcements import Announcements
@@ -26,13 +28,21 @@ from pamctl.daemon.session import Workshop
 from pamctl.daemon.shelf import Shelf
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.plant.model import PlantSettings
-from pamctl.processes.backends import SHARED_MEMORY, device_of, require_backend
-from pamctl.processes.machine_code.libraries import start_building
-from pamctl.processes.run_once import LiveView, make_run_meta, new_ring_path, secure_device
+from pamctl.processes.backends import SHARED_MEMORY, device_of, require_backend, require_open_files
+from pamctl.processes.keep_awake import keep_awake
+from pamctl.processes.run_once import (
+    LiveView,
+    build_machine_code,
+    make_run_meta,
+    new_ring_path,
+    secure_device,
+)
 from pamctl.recording.orphans import finish_orphans_in_own_process
 from pamctl.settings.resolve import RunSettings
 
 _LOOK_EVERY_S = 5e-3
+_TURN_OF_A_THREAD_S = 5e-4
+_END_PATIENCE_S = 10.0
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _OWN_ERROR = Ending(ExitCode.UNEXPECTED, "an error of the daemon's own")
 
@@ -74,10 +84,12 @@ def serve_daemon(
     announcements = Announcements(sys.stdout.fileno()) if options.announce else None
     tell: Tell = _announce_nothing if announcements is None else announcements.put
     try:
+        require_open_files()
         require_backend(settings)
-        note = start_building(settings)
-        if note:
-            print(f"note: {note}", file=sys.stderr, flush=True)
+        build_machine_code(settings)
+        with keep_awake() as risk:  # each session asks anew; only now somebody reads the answer
+            if risk:
+                print(f"note: {risk}", file=sys.stderr, flush=True)
         with secure_device(settings) as device:
             finish_orphans_in_own_process(SHARED_MEMORY)  # its memory would stay with the daemon
             service = Service(
@@ -93,6 +105,7 @@ def serve_daemon(
                 monitor_trips=options.monitor_trips,
             )
             with options.live_view("--socket", str(options.socket)):
+                _shorten_pauses()
                 ending = asyncio.run(_serve(service, options.socket, options.group, tell))
                 _ignore_signals()
         tell(_make_event("ended", exit_code=int(ending.code), reason=ending.reason))
@@ -100,6 +113,13 @@ def serve_daemon(
     finally:
         if announcements is not None:
             announcements.end()
+
+
+def _shorten_pauses() -> None:
+    """Keep the threads of this process from holding each other up: one of them stops the valve."""
+    sys.setswitchinterval(_TURN_OF_A_THREAD_S)
+    gc.collect()
+    gc.freeze()  # to look through all that was imported takes a tenth of a second, again and again
 
 
 def _announce_nothing(event: Mapping[str, object]) -> None:
@@ -111,10 +131,9 @@ def _make_event(event: str, **details: object) -> dict[str, object]:
 
 
 def _make_workshop(settings: RunSettings, rig: Rig, readers: int) -> Workshop:
-    start = [sys.executable, "-m"]
     return Workshop(
-        loop=[*start, "pamctl.processes.session_main"],
-        guardian=[*start, "pamctl.processes.guardian_main"],
+        loop=child_command("pamctl.processes.session_main"),
+        guardian=child_command("pamctl.processes.guardian_main"),
         rig=rig,
         meta=make_run_meta,
         device=device_of(settings),
@@ -175,6 +194,7 @@ def _stop(stop: asyncio.Future[Ending], service: Service, ending: Ending) -> Non
         service.stop_at_once()
     else:
         stop.set_result(ending)
+        service.leave()
 
 
 def _make_signal_ending(number: signal.Signals) -> Ending:
@@ -221,6 +241,9 @@ class _Watch(threading.Thread):
             notify("WATCHDOG=1")
 
     def end(self) -> None:
-        """Stop looking; return when the thread has ended."""
+        """Stop looking; return when the thread has ended, or after a moment."""
         self._ended.set()
-        self.join()
+        self.join(_END_PATIENCE_S)
+        if self.is_alive():
+            message = f"pamctl daemon: the watch did not end within {_END_PATIENCE_S:g} s"
+            print(message, file=sys.stderr, flush=True)

@@ -15,7 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,8 @@ from pamctl.signals import Phase
 
 _ORDER_PATIENCE_S = 2.0
 _START_PATIENCE_S = 2.0 * STARTS_WITHIN_S
+_LOOP_PATIENCE_S = 30.0
+"""Time for what a living loop does within a stop and the release of its device."""
 _SESSION_ROWS = 4096
 """Ticks between runs go to no log; clients ask for the newest only."""
 
@@ -88,7 +90,11 @@ class Session:
         path = workshop.ring_path().with_suffix(".session")
         self._ring = Ring.create(path, meta, _SESSION_ROWS)
         self._open_rings = [self._ring]
+        self._failing = ""
+        """What the loop did not do in time, and was killed for."""
         self._reading = threading.Lock()
+        self._may_signal = threading.Lock()
+        """Taken once, by whoever ends the loop."""
         with block_signals():
             self._guardian = Guardianship(
                 self._ring, workshop.guardian, workshop.rig, settings.rig.loop
@@ -190,12 +196,12 @@ class Session:
         except OrderError as error:
             raise RequestRefusedError(str(error)) from error
 
-    def begin(self, name: str, meta: RunMeta, rows: int, order: Mapping[str, Any]) -> None:
-        """Begin a run with its own log.
+    def begin(self, name: str, meta: RunMeta, rows: int, course: bytes) -> None:
+        """Begin a run with its own log, on a course that is packed for the loop.
 
         Raises `RequestRefusedError` if the log cannot be written.
         """
-        ring = Ring.create(self._workshop.ring_path(), meta, rows)
+        ring = Ring.create(self._workshop.ring_path(), meta, rows, course)
         if self._workshop.readers is not None:
             ring.admit_readers(self._workshop.readers)
         self._open_rings.append(ring)
@@ -205,7 +211,9 @@ class Session:
         self.runs_begun += 1
         try:
             await_recorder(ring, run.recorder)
-            self.order({**order, "ring": str(ring.path)})
+            # The settings are long, and the loop needs none of them.
+            short = replace(meta, config={}, attachments={}, metadata={}).to_text().decode()
+            self.order({"do": "run", "ring": str(ring.path), "meta": short})
         except (RecorderError, RequestRefusedError) as error:
             self.run = before
             ring.loop_done = 1
@@ -215,6 +223,7 @@ class Session:
             self._close_ring(ring)
             raise RequestRefusedError(str(error)) from error
         if before is not None:
+            self._wait_for_loop("end the run before this one", lambda: before.is_over)
             self._finish(before, Ending(ExitCode.OK, "another run has begun"))
 
     def stop_now(self) -> None:
@@ -228,29 +237,45 @@ class Session:
         """Finish the log of a run that is over; wait for its recorder."""
         return None if self.run is None else self._finish(self.run, Ending(ExitCode.OK, ""))
 
+    def _wait_for_loop(self, what: str, is_done: Callable[[], bool]) -> None:
+        """Wait until the loop has done something, or is dead; kill one that does not do it."""
+        deadline_s = time.monotonic() + _LOOP_PATIENCE_S
+        while self.is_alive and not is_done():
+            self.look()
+            if time.monotonic() > deadline_s and not self._failing:
+                self._failing = f"the loop did not {what} within {_LOOP_PATIENCE_S:g} s"
+                self._loop.kill()
+            time.sleep(5e-3)
+
     def _finish(self, run: DaemonRun, ending: Ending) -> FrontReport:
+        if not run.is_over:  # the loop is dead: its recorder would wait for more
+            put_event_for_dead_loop(run.ring, make_outcome_event(ending))
+            run.ring.loop_done = 1
         report = close_log(run.ring, run.recorder, ending)
         if self.run is run:
             self.run = None  # only now: its log is whole
         self._close_ring(run.ring)
         return report
 
+    def begin_end(self) -> None:
+        """Begin to end the loop smoothly; return at once. Any thread may call it, any often."""
+        # A second signal would cut the smooth stop short.
+        if self._may_signal.acquire(blocking=False):
+            self._loop.send_signal(signal.SIGTERM)
+
     def close(self) -> Ending:
         """End the loop smoothly if it lives; return how it ended. The valve is safe afterwards."""
-        if self.is_alive:
-            self._loop.send_signal(signal.SIGTERM)
-        while self.is_alive:
-            self.look()
-            time.sleep(5e-3)
-        ending = self._guardian.judge_ending(read_ending(self._loop))
+        self.begin_end()
+        self._wait_for_loop("end", lambda: False)
+        ending = read_ending(self._loop)
+        if self._failing:
+            ending = ending._replace(reason=self._failing)
+        ending = self._guardian.judge_ending(ending)
         if not self._ring.loop_done:
             self._ring.loop_done = 1
         self._guardian.dismiss()
         run = self.run
         if run is not None:
-            if not run.is_over:
-                put_event_for_dead_loop(run.ring, make_outcome_event(ending))
-                run.ring.loop_done = 1
             self._finish(run, ending)
         self._ring.unlink()
         self._close_ring(self._ring)

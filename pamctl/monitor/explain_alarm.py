@@ -16,6 +16,7 @@ import threading
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
+from hal.child import child_command
 from pamctl.diagnose.measured.record import Record
 from pamctl.exit_codes import ExitCode
 from pamctl.plant.model import PlantSettings
@@ -42,7 +43,7 @@ class AlarmExplainer:
     def start(self, record: Record, plant: PlantSettings, before: Record | None) -> None:
         """Begin the diagnosis of a record; `before` is the rig before the alarm."""
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "pamctl.monitor.explain_alarm"],
+            child_command("pamctl.monitor.explain_alarm"),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import sys
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from hal.child import child_command
 from pamctl.plant.model import PlantSettings
 
 _PATIENCE_S = 2.0
@@ -28,7 +28,7 @@ class MonitorHandle:
         self._state: dict[str, Any] = {"blocks": [], "explanation": None, "problem": ""}
         # Its own process group gets no Ctrl-C. It leaves when its standard input ends.
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "pamctl.monitor.monitor_main"],
+            child_command("pamctl.monitor.monitor_main"),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             process_group=0,

@@ -39,10 +39,9 @@ from mcap.records import (
     Statistics,
     SummaryOffset,
 )
-from mcap.writer import MCAP0_MAGIC as MAGIC
 from numpy.typing import NDArray
 
-from pamctl.log.framing import FRAME
+from pamctl.log.framing import FRAME, MAGIC
 from pamctl.log.ticks import INDEX_ENTRY, MESSAGE_HEADER
 
 SEQUENCE = 0xFFFFFFFF

@@ -20,6 +20,7 @@ from pamctl.log.framing import LogError
 from pamctl.log.reader import NoSuchColumn, read
 from pamctl.log.schema import TICK_TOPIC, unit_of_column
 from pamctl.new_file import create_new_file, require_place
+from pamctl.plain_text import escape_name
 
 Columns = Mapping[str, NDArray[Any]]
 
@@ -68,7 +69,7 @@ def export_ticks(
     kept = _select_ticks(log["t_s"], from_s, to_s, every)
     columns = {name: log[name][kept] for name in fields or log.columns}
     with create_new_file(destination) as stream:
-        write(stream, columns, Path(source).name)
+        write(stream, columns, escape_name(Path(source).name))
     ticks = len(next(iter(columns.values())))
     return ExportSummary(str(source), str(destination), ticks, tuple(columns))
 

@@ -15,15 +15,16 @@ from io import BytesIO
 from pathlib import Path
 from typing import NamedTuple
 
+import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Chunk, DataEnd, Footer
-from mcap.stream_reader import get_chunk_data_stream
-from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from pamctl.exit_codes import ExitCode
 from pamctl.regular_file import describe_irregular_file
 
+MAGIC = b"\x89MCAP0\r\n"
+"""The begin and the end of every MCAP file. Only `mcap.writer` has it, which no reader needs."""
 FRAME = struct.Struct("<BQ")
 """Opcode, and number of bytes in the body after it."""
 NO_CHECKSUM = bytes(4)
@@ -140,10 +141,40 @@ def unpack_chunk(chunk: FileRecord) -> memoryview:
         return memoryview(read_chunk_content(Chunk.read(chunk.stream())))
 
 
+MOST_CHUNK_BYTES = 1 << 26
+"""What a compressed chunk may hold: 16 times the largest that common writers make by default."""
+
+
 def read_chunk_content(chunk: Chunk) -> bytes:
     """Return a chunk's records as bytes; raise a parser's error if they are not as written."""
-    stream, size = get_chunk_data_stream(chunk, validate_crc=True)
-    return stream.read(size)
+    content = _decompress(chunk)
+    if chunk.uncompressed_crc not in (0, zlib.crc32(content)):
+        raise ValueError("the checksum of a chunk is wrong")
+    return content
+
+
+def _decompress(chunk: Chunk) -> bytes:
+    """Decompress no more than a chunk declares: a kilobyte may hold a gigabyte."""
+    size, data = chunk.uncompressed_size, chunk.data
+    if chunk.compression == "":
+        return data
+    if size > MOST_CHUNK_BYTES:
+        limit = f"the limit is {MOST_CHUNK_BYTES >> 20} MB"
+        raise ValueError(f"a chunk declares {size / 2**20:.1f} MB, {limit}")
+    if chunk.compression == "zstd":
+        # What the frame itself declares would overrule the chunk.
+        declared = zstandard.get_frame_parameters(data).content_size
+        is_larger = declared not in (size, zstandard.CONTENTSIZE_UNKNOWN)
+        content = b"" if is_larger else zstandard.decompress(data, size)
+    elif chunk.compression == "lz4":
+        import lz4.frame  # no log of pamctl needs it
+
+        content = lz4.frame.LZ4FrameDecompressor().decompress(data, size + 1)
+    else:
+        raise ValueError(f"a chunk is compressed with {chunk.compression}")
+    if len(content) != size:
+        raise ValueError(f"a chunk does not hold the {size} bytes that it declares")
+    return content
 
 
 def record_at(data: memoryview, at: int) -> FileRecord:

@@ -15,13 +15,15 @@ import threading
 from contextlib import suppress
 from pathlib import Path
 
+from hal.child import child_command
+
 INDEX_NAME = ".pamctl-runs.sqlite"
 _LEAST_URGENT = 19
 
 
 def index_in_own_process(log: Path) -> None:
     """Start the process; never wait for it, and never fail."""
-    command = [sys.executable, "-m", "pamctl.runs.index_finished", str(log)]
+    command = child_command("pamctl.runs.index_finished", log)
 
     def run() -> None:
         with suppress(OSError):

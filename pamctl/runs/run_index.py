@@ -70,10 +70,10 @@ class RunIndex:
         """Read the logs that are new or changed, or all; forget those that are gone."""
         there = dict(_list_logs(self.folder))
         known = {
-            path: (size, mtime_ns)
+            os.fsdecode(path): (size, mtime_ns)
             for path, size, mtime_ns in self._base.execute("SELECT path, size, mtime_ns FROM runs")
         }
-        gone = [(path,) for path in known.keys() - there.keys()]
+        gone = [(_encode_path(path),) for path in known.keys() - there.keys()]
         if gone:
             with self._writing() as base:
                 base.executemany("DELETE FROM runs WHERE path = ?", gone)
@@ -198,12 +198,19 @@ def _is_current(base: sqlite3.Connection) -> bool:
     return (version, application) == (_FORMAT, _APPLICATION)
 
 
+def _encode_path(path: str) -> str | bytes:
+    """Return a file's name as SQLite takes it: its bytes where they are not UTF-8."""
+    name = os.fsencode(path)
+    return path if name.decode(errors="replace") == path else name
+
+
 def _encode(row: RunRow) -> list[Any]:
-    values = vars(row)
+    values = {**vars(row), "path": _encode_path(row.path)}
     return [json.dumps(values[n]) if n in _JSON else values[n] for n in _COLUMNS]
 
 
 def _decode(values: Sequence[Any]) -> RunRow:
     named: Mapping[str, Any] = dict(zip(_COLUMNS, values, strict=True))
     read = {name: json.loads(named[name]) for name in _JSON}
-    return RunRow(**{**named, **read, "tags": tuple(read["tags"])})
+    path, tags = os.fsdecode(named["path"]), tuple(read["tags"])
+    return RunRow(**{**named, **read, "path": path, "tags": tags})

@@ -22,7 +22,7 @@ from pamctl.log.naming import bare_name
 from pamctl.log.reader import scan_log
 from pamctl.log.schema import EVENT_TOPIC, TICK_TOPIC
 from pamctl.log.ticks import TickColumns
-from pamctl.plain_text import clean_text
+from pamctl.plain_text import clean_text, escape_name
 from pamctl.safety import explain_verdicts
 from pamctl.signals import find_followed_m
 from pamctl.simulate.merit import compute_merit
@@ -33,6 +33,7 @@ ENDINGS = {
     ExitCode.OVERRUNS: "overruns",
     ExitCode.SIGINT: "stopped",
     ExitCode.SIGTERM: "stopped",
+    ExitCode.SIGHUP: "stopped",
 }
 """The ending of a run in one word; every other code is `failed`."""
 UNFINISHED, UNREADABLE, IMPORTED, FAILED = "unfinished", "unreadable", "imported", "failed"
@@ -115,10 +116,10 @@ def read_row(path: Path) -> RunRow:
             return replace(bare, reason=why)
         return _describe_run(bare, contents, ticks, str(damage or ""))
     except LogError as error:
-        return replace(bare, reason=str(error))
+        return replace(bare, reason=escape_name(str(error)))
     # A foreign file may be wrong in any way; it must not hide the others.
     except Exception as error:
-        return replace(bare, reason=f"{type(error).__name__}: {error}")
+        return replace(bare, reason=escape_name(f"{type(error).__name__}: {error}"))
 
 
 def _describe_run(bare: RunRow, contents: Contents, ticks: TickColumns, damage: str) -> RunRow:

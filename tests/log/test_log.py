@@ -33,6 +33,7 @@ from support.made_up import (
     tick,
 )
 from support.patience import PATIENCE_S
+from support.runs import pack_row
 
 from pamctl.json_text import from_json, to_json
 from pamctl.log import LogError, info, read
@@ -164,7 +165,7 @@ def test_numbers_that_are_not_finite_survive_in_a_tick(tmp_path):
         measurement=record.measurement._replace(position_m=math.nan, pressure_pa=-math.inf)
     )
     with Ring.create(tmp_path / "a.ring", meta(path)) as ring, recording(ring) as process:
-        ring.put_tick(broken)
+        ring.put_row(pack_row(broken))
         ring.loop_done = 1
         assert process.wait(PATIENCE_S) == 0
     log = read(path)

@@ -20,12 +20,12 @@ from typing import BinaryIO, NamedTuple
 
 from mcap.opcode import Opcode
 from mcap.records import DataEnd, Footer, Metadata, MetadataIndex, Statistics
-from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from pamctl.log.annotate.annotation import ANNOTATION, Annotation, date_record
 from pamctl.log.container import encode_record, encode_summary
 from pamctl.log.framing import (
     FRAME,
+    MAGIC,
     Damage,
     FileRecord,
     LogError,

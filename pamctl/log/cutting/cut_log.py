@@ -23,6 +23,7 @@ from pamctl.log.repair.recover import LogCopy
 from pamctl.log.schema import CUT, GAINS_TOPIC, KEYFRAME_TOPIC, TICK_TOPIC
 from pamctl.log.writer import LogWriter
 from pamctl.new_file import create_new_file, require_place
+from pamctl.plain_text import escape_name
 
 FEWEST_ROWS = 2
 """A stretch between gaps with fewer rows has no period: it is left out."""
@@ -157,7 +158,7 @@ class _PieceCopy(LogCopy):
 def _describe_cut(log: Log, part: slice, checksum: str) -> dict[str, str]:
     t_s, ticks = log["t_s"], log["tick"]
     story = {
-        "source": log.path.name,
+        "source": escape_name(log.path.name),
         "sha256": checksum,
         "source_rows": str(len(t_s)),
         "first_row": str(part.start),

@@ -1,6 +1,6 @@
 """Parse a file in a process of its own: a damaged file may crash its parser, or take all memory.
 
-parse_apart("run.tdms")  ->  python -m pamctl.log.importing.parse_apart run.tdms
+parse_apart("run.tdms")  ->  a process that runs this module with `run.tdms` as its argument
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
+from hal.child import child_command
 from pamctl.log.importing.measured_table import ImportRefused, MeasuredTable
 
 MEMORY_BYTES = 6 << 30
@@ -51,7 +52,7 @@ def parse_apart(path: Path) -> MeasuredTable:
     if size > LARGEST_BYTES:
         limit = f"the limit is {LARGEST_BYTES >> 30} GB"
         raise ImportRefused(f"{path} is too large: {size / 2**30:.1f} GB, {limit}; cut it")
-    command = [sys.executable, "-m", __name__, os.fspath(path)]
+    command = child_command(__name__, path)
     try:
         parser = subprocess.run(
             command, stdin=subprocess.DEVNULL, capture_output=True, check=False, timeout=LONGEST_S

@@ -22,6 +22,7 @@ from pamctl.log.importing.plausibility import judge_sign, judge_time, judge_valu
 from pamctl.log.importing.quantities import TIME, ColumnReading
 from pamctl.log.importing.resample import resample_columns
 from pamctl.new_file import require_place
+from pamctl.plain_text import escape_name
 from pamctl.regular_file import describe_irregular_file
 
 Floats = NDArray[np.float64]
@@ -194,7 +195,7 @@ def _describe_import(
 ) -> dict[str, str]:
     """Return the metadata record `import`: the source, and how the log was made from it."""
     return {
-        "source": source.name,
+        "source": escape_name(source.name),
         "sha256": _hash_file(source),
         "rows": str(len(table.rows)),
         "first_t_s": repr(first_t_s),

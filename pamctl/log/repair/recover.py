@@ -33,6 +33,7 @@ from pamctl.log.schema import JSON_SCHEMAS, TICK_TOPIC
 from pamctl.log.ticks import find_message_run
 from pamctl.log.writer import NO_SCHEMA, LogWriter
 from pamctl.new_file import create_new_file
+from pamctl.plain_text import escape_name
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ def sign_recovery(writer: LogWriter, recovery: Recovery) -> None:
     writer.metadata(
         "recovery",
         {
-            "source": recovery.source,
+            "source": escape_name(recovery.source),
             "damage": "; ".join(recovery.damage),
             "lossless": str(recovery.lossless).lower(),
             "unverified": ", ".join(recovery.unverified),

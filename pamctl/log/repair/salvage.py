@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 from mcap.opcode import Opcode
 from mcap.records import Chunk, DataEnd, Footer
-from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from pamctl.log.framing import (
     FRAME,
+    MAGIC,
     Damage,
     FileRecord,
     record_at,

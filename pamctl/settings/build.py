@@ -34,7 +34,7 @@ def build_tick_setup(settings: RunSettings) -> TickSetup:
     return TickSetup(
         calibration=cal,
         filters=filter_gains(settings.controller),
-        gains=law.to_gains(settings.controller),
+        gains=law.gains_within(settings.controller, settings.rig.limits.command_v),
         armed=law.armed,
         limits=convert_limits(
             settings.rig.limits,
@@ -69,13 +69,16 @@ def build_ordered_program(settings: RunSettings, order: Mapping[str, Any]) -> Pr
     """Return the program of a run that was ordered from a daemon's loop.
 
     `order` is the log's event: the experiment, where its motion starts, and whether to home first.
+    In place of the experiment it may hold the `course`, worked out.
     """
-    experiment = _EXPERIMENT.validate_python(order["experiment"])
-    plan = plan_experiment(experiment)
-    course = start_at_position(plan.segments, order["start_m"])
+    course = order.get("course")
+    if course is None:
+        plan = plan_experiment(_EXPERIMENT.validate_python(order["experiment"]))
+        segments = start_at_position(plan.segments, order["start_m"])
+        course = Course(segments, order["duration_s"], plan.cues)
     return Program(
         build_homing(settings) if order["homes"] else None,
-        Course(course, order["duration_s"], plan.cues),
+        course,
         safe_valve_v=safe_valve_v(settings, calibration(settings.rig.calibration)),
         stop_ramp_s=settings.rig.loop.stop_ramp_s,
     )

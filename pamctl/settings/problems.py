@@ -2,7 +2,8 @@
 
 Pydantic finds the errors, and describes them and their places in its own terms. This module
 translates: keys as in the file, bounds as a sentence, the nearest name for a typing error, and a
-hint at the cause of a wrong value.
+hint at the cause of a wrong value. Neither pydantic nor YAML is imported here: every verb knows
+`ConfigError`.
 """
 
 from __future__ import annotations
@@ -13,13 +14,14 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pydantic_core import ErrorDetails
-
-from hal.backend import hint_at_missing
 from pamctl.exit_codes import ExitCode
-from pamctl.settings.yaml12 import KeyPath
+
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
+
+    from pamctl.settings.yaml12 import KeyPath
 
 JsonSchema = dict[str, Any]
 
@@ -222,7 +224,13 @@ def _explain_tag(place: _Place, tag: str, given: Any) -> _Complaint:
     return _Complaint(at, must=expected, got=value, hint=hint)
 
 
-_EXPLAIN_UNKNOWN: Mapping[str, Callable[[str], str]] = {"backend": hint_at_missing}
+def _hint_at_backend(name: str) -> str:
+    from hal.backend import hint_at_missing
+
+    return hint_at_missing(name)
+
+
+_EXPLAIN_UNKNOWN: Mapping[str, Callable[[str], str]] = {"backend": _hint_at_backend}
 """Explains an unknown value, for keys whose values come from installed packages."""
 
 

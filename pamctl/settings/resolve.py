@@ -9,9 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from functools import partial
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -28,6 +26,7 @@ from pamctl.control.law_registry import (
 )
 from pamctl.log.importing.column_map import ImportMap
 from pamctl.plant.model import PlantSettings
+from pamctl.settings.config_files import DEFAULT_NAMES, find_config_file, list_shipped
 from pamctl.settings.known_effects import build_compensation
 from pamctl.settings.problems import (
     ConfigError,
@@ -50,6 +49,19 @@ from pamctl.settings.yaml12 import (
 )
 
 Settings = TypeVar("Settings")
+
+
+def require_muscle(plant: PlantSettings) -> None:
+    """Raise ValueError for a plant that no run, and no law, can move."""
+    lacks = {
+        "direct": "is a mechanism without a valve, which no run can drive",
+        "chamber": "does not move, and every run begins by moving the muscle",
+    }
+    if plant.actuator in lacks:
+        raise ValueError(
+            f"plant.actuator {plant.actuator} {lacks[plant.actuator]}: it is for "
+            "`pamctl diagnose`, `audit` and `compare` of logs; give the plant of a muscle"
+        )
 
 
 class RunSettings(Configured):
@@ -84,11 +96,7 @@ class RunSettings(Configured):
 
     @model_validator(mode="after")
     def _check_muscle(self) -> RunSettings:
-        if self.plant.actuator == "direct":
-            raise ValueError(
-                "plant.actuator direct is a mechanism without a valve, which no run can drive: it "
-                "is for `pamctl diagnose`; give the plant of a muscle"
-            )
+        require_muscle(self.plant)
         return self
 
     @model_validator(mode="after")
@@ -108,15 +116,6 @@ SECTIONS: Mapping[str, TypeAdapter[Any]] = {
 """One folder of `config/` each."""
 KINDS: Mapping[str, TypeAdapter[Any]] = {**SECTIONS, "import-map": TypeAdapter(ImportMap)}
 """Every kind of user file: the sections of a run, and the map of an import."""
-
-DEFAULT_NAMES: Mapping[str, str] = {
-    "controller": "qsmc",
-    "experiment": "tracking-2",
-    "rig": "sim",
-    "plant": "paper",
-}
-"""The defaults of `pamctl run`."""
-
 
 _CHOSEN_BY_FILE = {"controller": "law", "rig": "backend", "experiment": "kind"}
 """The key of a section that determines its other keys."""
@@ -271,35 +270,7 @@ def build_config_schema() -> JsonSchema:
     return {"$schema": dialect, **shared, "anyOf": alternatives}
 
 
-# --- where the files are ---------------------------------------------------------------
-
-
-def config_dir() -> Path:
-    """Return the folder of the shipped configuration, in an installed package or a checkout."""
-    package = Path(str(files("pamctl")))
-    installed = package / "_config"
-    return installed if installed.is_dir() else package.parent / "config"
-
-
-def list_shipped(section: str) -> list[str]:
-    """Return the names of the shipped files of one section."""
-    return sorted(path.stem for path in (config_dir() / section).glob("*.yaml"))
-
-
-def find_config_file(section: str, name: str, option: str = "") -> Path:
-    """Return the file for a name or path on the command line; raise `ConfigError`.
-
-    `option` is the text before the name in messages [default: `--` and the section].
-    """
-    if Path(name).suffix in {".yaml", ".yml"} or Path(name).name != name:
-        return Path(name)
-    if name in list_shipped(section):
-        return config_dir() / section / f"{name}.yaml"
-    near = get_close_matches(name, list_shipped(section), n=1)
-    meant = f"did you mean '{near[0]}'? There are" if near else "there are"
-    listed = ", ".join(list_shipped(section)) or "none"
-    message = f"there is no such {section}; {meant} {listed}; or give the path of a .yaml file"
-    raise ConfigError([Problem(f"{option or f'--{section}'} {name}", "", message)])
+# --- one file ----------------------------------------------------------------------------
 
 
 def read_section_file(

@@ -21,7 +21,7 @@ from pamctl.plant.model import PlantSettings
 from pamctl.plant.muscle_parameters import MuscleParameters
 from pamctl.settings.datasheet.datasheet_units import DatasheetError, read_quantity
 from pamctl.settings.datasheet.plant_questions import list_questions
-from pamctl.settings.resolve import read_section_file
+from pamctl.settings.resolve import read_section_file, resolve
 
 AIR = {"atmospheric_pressure_pa": 94e3}
 
@@ -85,8 +85,8 @@ def test_angle_and_diameter_give_the_braid_of_the_paper() -> None:
 
 def test_a_nominal_flow_is_that_of_an_isentropic_orifice() -> None:
     gain = read_quantity("valve_gain_m2_per_v", "350 l/min", AIR)
-    # Psi from 7 to 6 bar by its closed form, at the model's 273 K.
-    ratio, gamma, upstream_pa, energy = 6.0 / 7.0, 1.4, 7e5, 287.1 * 273.0
+    # Psi from 7 to 6 bar by its closed form, at the 20 degC of the datasheet.
+    ratio, gamma, upstream_pa, energy = 6.0 / 7.0, 1.4, 7e5, 287.1 * 293.15
     flow = upstream_pa * math.sqrt(
         2.0 * gamma / (gamma - 1.0) / energy
         * (ratio ** (2.0 / gamma) - ratio ** ((gamma + 1.0) / gamma))
@@ -105,19 +105,43 @@ def test_every_number_of_the_settings_is_asked_of_a_muscle_with_its_description(
 
 def test_answers_make_a_file_and_wrong_ones_are_asked_again(tmp_path: Path) -> None:
     out = tmp_path / "chamber.yaml"
-    answers = "chamber\n94 kPa\n2 kg\n-1 l\n2 l\n6 bar gauge\n\n\n"
+    answers = "chamber\n94 kPa\n2 kg\n-1 l\n2 l\n6 bar gauge\n25 C\n\n"
     done = make("--out", str(out), answers=answers)
     assert done.exit_code == 0, done.stderr
     assert "is none of its units" in done.stderr
-    assert "must be greater than 0 (got -0.001)" in done.stderr
+    assert "must be at least 1e-12 (got -0.001)" in done.stderr
     assert "will fit valve_gain_m2_per_v, tank_pressure_pa" in done.stdout
     plant = read_section_file("plant", out)
     assert plant == PlantSettings(
         actuator="chamber",
         chamber_volume_m3=2e-3,
-        parameters={"atmospheric_pressure_pa": 94e3, "tank_pressure_pa": 694e3},
+        parameters={
+            "atmospheric_pressure_pa": 94e3,
+            "tank_pressure_pa": 694e3,
+            "temperature_k": 298.15,
+        },
     )
     assert "# tank_pressure_pa: given as 6 bar gauge" in out.read_text()
+
+
+def test_the_air_of_a_rig_of_ones_own_is_at_room_temperature_and_the_papers_is_not(
+    tmp_path: Path,
+) -> None:
+    new = tmp_path / "new.yaml"
+    for actuator, values in (("chamber", ["--value", "chamber_volume_m3=2 l"]), ("muscle", [])):
+        new.unlink(missing_ok=True)
+        done = make("--out", str(new), "--yes", "--actuator", actuator, *values)
+        assert done.exit_code == 0, done.stderr
+        assert read_section_file("plant", new).parameters.temperature_k == 293.0
+    written = tmp_path / "written.yaml"
+    for text, kelvin in (
+        ("actuator: chamber\nchamber_volume_m3: 0.002\n", 293.0),
+        ("actuator: chamber\nchamber_volume_m3: 0.002\nparameters: {temperature_k: 273}\n", 273.0),
+        ("parameters: {mass_kg: 0.1}\n", 273.0),
+    ):
+        written.write_text(text)
+        assert read_section_file("plant", written).parameters.temperature_k == kelvin
+    assert resolve(plant="paper").plant.parameters.temperature_k == 273.0
 
 
 def test_without_questions_options_and_defaults_make_a_file(tmp_path: Path) -> None:

@@ -19,18 +19,15 @@ from typer.testing import CliRunner
 
 from hal.configured import Configured
 from pamctl.cli.app import app
+from pamctl.settings.config_files import DEFAULT_NAMES, config_dir, find_config_file, list_shipped
 from pamctl.settings.problems import ConfigError
 from pamctl.settings.resolve import (
-    DEFAULT_NAMES,
     SECTIONS,
     RawSettings,
     RunSettings,
     build_config_schema,
     check_config_file,
-    config_dir,
-    find_config_file,
     from_resolved,
-    list_shipped,
     resolve,
     settings_to_json,
     settings_to_yaml,
@@ -572,7 +569,7 @@ def test_config_show_keeps_problems_off_stdout() -> None:
     assert (code, out) == (78, "")
     assert err == (
         "--set plant.parameters.mass_kg=-1: plant.parameters.mass_kg: "
-        "must be greater than 0 (got -1)\n"
+        "must be at least 1e-09 (got -1)\n"
     )
     assert config("show", "--no-such-option")[0] == 2
 

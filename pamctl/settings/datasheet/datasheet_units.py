@@ -20,6 +20,7 @@ NOMINAL_UPSTREAM_PA, NOMINAL_DOWNSTREAM_PA = 7e5, 6e5
 """Where datasheets state a valve's nominal flow: from 6 to 5 bar gauge."""
 NORMAL_AIR_KG_PER_M3 = 1.185
 """Air of ISO 6358's reference: 20 degC, 100 kPa, 65 % humidity."""
+NORMAL_K = 293.15
 FULL_COMMAND_V = 5.0
 
 
@@ -145,7 +146,8 @@ def _read_valve_gain(number: float, words: list[str], known: Mapping[str, float]
     from pamctl.plant.paper.valve import orifice_flow
 
     del known
-    flow = orifice_flow(parameters_of({}).paper, NOMINAL_UPSTREAM_PA, NOMINAL_DOWNSTREAM_PA)
+    air = parameters_of({"temperature_k": NORMAL_K}).paper
+    flow = orifice_flow(air, NOMINAL_UPSTREAM_PA, NOMINAL_DOWNSTREAM_PA)
     return number * 1e-3 / 60.0 * NORMAL_AIR_KG_PER_M3 / (FULL_COMMAND_V * flow)
 
 

@@ -13,7 +13,7 @@ from pydantic.fields import FieldInfo
 
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
-from pamctl.plant.muscle_parameters import MuscleParameters
+from pamctl.plant.muscle_parameters import ROOM_K, MuscleParameters
 from pamctl.settings.datasheet.datasheet_units import DatasheetError, list_units
 
 _OF_AIR = {
@@ -33,6 +33,8 @@ _SELDOM = {
 """Numbers of air, or factors of a product of which another is asked: the defaults will do."""
 _NO_DEFAULT = {"direct": _OF_MOTION, "chamber": {"chamber_volume_m3"}}
 """Numbers for which no other rig's value is a guess."""
+_DEFAULTS = {"temperature_k": ROOM_K}
+"""Where the paper's number is no guess for a rig of one's own."""
 _EFFECTS = {"direct": ("piston",)}
 """Effects that are part of an actuator, where the catalogue has them."""
 _FIRST = ("atmospheric_pressure_pa",)
@@ -77,7 +79,10 @@ class PlantQuestion:
         try:
             TypeAdapter(kind).validate_python(value)
         except ValidationError as error:
-            words = error.errors()[0]["msg"].removeprefix("Input should be ")
+            first = error.errors()[0]
+            words = first["msg"].removeprefix("Input should be ")
+            if "ge" in first.get("ctx", {}):
+                words = f"at least {first['ctx']['ge']:g}"
             raise DatasheetError(f"{self.name}: must be {words} (got {value:g})") from None
 
 
@@ -108,7 +113,7 @@ def _make_question(actuator: str, name: str, field: FieldInfo) -> PlantQuestion:
         name,
         _PLAIN_WORDS.get(name, field.description or name),
         list_units(name),
-        None if needed else field.default,
+        None if needed else _DEFAULTS.get(name, field.default),
         is_seldom=name in _SELDOM,
         field=field,
     )

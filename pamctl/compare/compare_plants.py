@@ -7,14 +7,8 @@ from collections.abc import Sequence
 from pamctl.compare.coupled_gap import Comparison, compare_model
 from pamctl.log import Log
 from pamctl.plant.model import plant_parameters
-from pamctl.settings.resolve import (
-    DEFAULT_NAMES,
-    SECTIONS,
-    RawSettings,
-    find_config_file,
-    read_section_file,
-    validate_settings,
-)
+from pamctl.settings.config_files import DEFAULT_NAMES, find_config_file
+from pamctl.settings.resolve import SECTIONS, RawSettings, read_section_file, validate_settings
 
 OWN_PLANT = "the log's own"
 
@@ -33,5 +27,6 @@ def compare_plants(log: Log, names: Sequence[str]) -> dict[str, Comparison]:
             for name in names or [DEFAULT_NAMES["plant"]]
         }
     return {
-        name: compare_model(log, plant_parameters(settings)) for name, settings in plants.items()
+        name: compare_model(log, plant_parameters(settings), settings.actuator)
+        for name, settings in plants.items()
     }

@@ -42,7 +42,8 @@ def format_comparison(path: Path, found: Mapping[str, Comparison]) -> str:
         pairs = zip(rms[::2], rms[1::2], strict=True)
         cells = "".join(f"{um:>{cell - 9}}{kpa:>9}" for um, kpa in pairs)
         lines.append(f"{name:<18}{ticks:>8}{cells}")
-    return "\n".join([*lines, "", f"next: {_suggest_next(path, found)}"])
+    unused = dict.fromkeys(text for comparison in found.values() for text in comparison.unused)
+    return "\n".join([*lines, "", *unused, f"next: {_suggest_next(path, found)}"])
 
 
 def list_gaps(found: Mapping[str, Comparison]) -> tuple[list[str], list[list[str]]]:
@@ -99,6 +100,7 @@ def make_comparison_document(path: Path, found: Mapping[str, Comparison]) -> dic
         "plants": [
             {
                 "plant": name,
+                "unused": [*comparison.unused],
                 "gap": {
                     way.way.replace(" ", "_"): {
                         signal: _gap_fields(comparison.gap(way, signal))

@@ -12,9 +12,9 @@ there. Imported logs are compared in the signals that they hold.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ from pamctl.plant.drive import (
     drive_pressure,
     find_period_s,
 )
+from pamctl.plant.effects.description import USED_SIGNALS, Actuator, describe_unused
 from pamctl.plant.parameters import PlantParameters, PlantState, rest_state
 from pamctl.signals import Phase
 
@@ -76,6 +77,8 @@ class Comparison:
     coupled: ModelOutput
     pressure_block: ModelOutput
     mechanics: ModelOutput
+    unused: tuple[str, ...] = ()
+    """A sentence for each signal of the log that the model does not read."""
 
     @property
     def ways(self) -> tuple[ModelOutput, ModelOutput, ModelOutput]:
@@ -102,20 +105,34 @@ class Comparison:
         ]
 
 
-def compare_model(log: Log, plant: PlantParameters) -> Comparison:
-    """Drive a model by a log; raise `LogError` if the log cannot drive it."""
+def compare_model(log: Log, plant: PlantParameters, actuator: Actuator | None = None) -> Comparison:
+    """Drive a model by a log; raise `LogError` if the log cannot drive it.
+
+    A chamber must be said to be one: it does not move, whatever position is beside it.
+    """
     measured = select_comparable(log, plant)
-    stretches = list(_find_stretches(measured))
+    actuator = actuator or ("direct" if plant.direct else "muscle")
+    unused = [
+        name
+        for name in ("valve_v", "pressure_pa", "position_m", "force_n")
+        if getattr(measured, name) is not None and name not in USED_SIGNALS[actuator]
+    ]
+    without: dict[str, Any] = dict.fromkeys(unused)
+    used = replace(measured, **without)
+    is_chamber = actuator == "chamber"
+    if is_chamber and (used.valve_v is None or used.pressure_pa is None):
+        raise LogError(
+            f"{log.path}: a chamber needs valve_v to drive it, and pressure_pa to compare it with"
+        )
+    stretches = list(_find_stretches(used))
     if not stretches:
         raise LogError(f"{log.path} has no {_SHORTEST} complete ticks in a row")
     rows = {name: np.full(len(measured), np.nan) for name in ("x", "p", "block_p", "block_x")}
-    commanded = measured.valve_v is not None and not plant.direct
-    pressed, pulled = (
-        measured.pressure_pa is not None,
-        plant.direct and measured.force_n is not None,
-    )
+    commanded = used.valve_v is not None
+    pressed = used.pressure_pa is not None and not is_chamber
+    pulled = used.force_n is not None
     for stretch in stretches:
-        part = measured[stretch]
+        part = used[stretch]
         start = _find_start(plant, part, follows_homing=stretch.start == 0 and _was_homed(log))
         # The mechanics have no command, and need no step where one acts.
         steps = count_steps(find_period_s(part.dt_s[1:]))
@@ -138,12 +155,18 @@ def compare_model(log: Log, plant: PlantParameters) -> Comparison:
                 start=start,
                 steps=steps,
             ).position_m
-    drives_block = commanded and measured.position_m is not None
+    drives_block = commanded and used.position_m is not None
+    block_pa = rows["p"] if is_chamber else rows["block_p"] if drives_block else None
     return Comparison(
         measured,
-        ModelOutput("coupled", *((rows["x"], rows["p"]) if commanded else (None, None))),
-        ModelOutput("pressure block", None, rows["block_p"] if drives_block else None),
+        ModelOutput(
+            "coupled",
+            rows["x"] if commanded and not is_chamber else None,
+            rows["p"] if commanded else None,
+        ),
+        ModelOutput("pressure block", None, block_pa),
         ModelOutput("mechanics", rows["block_x"] if pressed or pulled else None, None),
+        tuple(describe_unused(name, actuator) for name in unused),
     )
 
 

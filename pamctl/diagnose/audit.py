@@ -18,16 +18,22 @@ import numpy as np
 
 from pamctl.diagnose.experiments import find_separating_experiment
 from pamctl.diagnose.fitting.block_fit import Fit, find_secants, project_out
-from pamctl.diagnose.fitting.candidates import Candidate, apply_dose, list_candidates
+from pamctl.diagnose.fitting.candidates import (
+    Candidate,
+    apply_dose,
+    list_candidates,
+    list_forms,
+)
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
 from pamctl.diagnose.fitting.evidence import prepare_evidence, with_modelled_pressure
 from pamctl.diagnose.fitting.fitted_model import Model, extract_block_fit
 from pamctl.diagnose.fitting.model_fit import recalibrate
 from pamctl.diagnose.fitting.numbers import FreeNumber, look_up_parameter, unit_of, value_of
+from pamctl.diagnose.measured.quality_rules import leave_out_unused
 from pamctl.diagnose.measured.record import Array, Record
 from pamctl.diagnose.measured.refuse import check_measured_runs, check_sensors
 from pamctl.plant.catalogue import CATALOGUE
-from pamctl.plant.model import PlantSettings
+from pamctl.plant.model import PlantSettings, plant_parameters
 
 INERT = 1e-9
 """An effect that uses a smaller share of the room below the limit changes nothing."""
@@ -85,6 +91,8 @@ class Audit:
     sees: tuple[str, ...]
     blind_spots: tuple[BlindSpot, ...]
     inseparable: tuple[Inseparable, ...]
+    unasked: tuple[tuple[str, str], ...] = ()
+    """The other effects of the catalogue, and why they are not asked."""
 
     def advise_beyond(self, experiment: str) -> Audit:
         """Return the same findings; no advice repeats an experiment that was run already."""
@@ -92,7 +100,7 @@ class Audit:
             replace(s, experiment="") if s.experiment == experiment else s for s in self.blind_spots
         )
         pairs = (_advise_pair(pair.names, (experiment,)) for pair in self.inseparable)
-        return Audit(self.sees, tuple(spots), tuple(pairs))
+        return Audit(self.sees, tuple(spots), tuple(pairs), self.unasked)
 
     def as_dict(self) -> dict[str, object]:
         """Return plain values, for `--json`."""
@@ -104,11 +112,13 @@ class Audit:
                 {"names": list(p.names), "experiment": p.experiment, "why": p.why}
                 for p in self.inseparable
             ],
+            "unasked": [{"name": name, "why": why} for name, why in self.unasked],
         }
 
 
 def audit_run(record: Record, plant: PlantSettings) -> Audit:
     """Audit one record, measured or simulated; raises `BadData`."""
+    (record,), _ = leave_out_unused([record], plant)
     check_measured_runs([record], plant)
     evidence = prepare_evidence([record], [record], plant)
     check_sensors([record], evidence.noises, plant)
@@ -128,7 +138,8 @@ def audit_model(model: Model, candidates: Sequence[Candidate], *, pairs: bool = 
 
     The first form of an effect stands for all its forms.
     """
-    firsts = {c.name: c for c in reversed(candidates)}
+    not_fitted = _list_not_fitted(model)
+    firsts = {c.name: c for c in reversed((*candidates, *not_fitted))}
     doses = {
         block: _simulate_doses(model, block, firsts.values()) for block in model.evidence.blocks
     }
@@ -140,18 +151,21 @@ def audit_model(model: Model, candidates: Sequence[Candidate], *, pairs: bool = 
         )
         for name in firsts
     }
-    sees = tuple(name for name, power in powers.items() if power > 1.0)
+    mere = {c.name for c in not_fitted}
+    sees = tuple(name for name, power in powers.items() if power > 1.0 and name not in mere)
     # What moves nothing at all is no part of another actuator than the muscle.
     is_muscle = model.evidence.nominal.actuator == "muscle"
-    blind = tuple(
+    blind = [
         _describe_blind_spot(c, powers[n])
         for n, c in firsts.items()
-        if n not in sees and (is_muscle or powers[n] > INERT)
-    )
+        if n not in (*sees, *mere) and (is_muscle or powers[n] > INERT)
+    ]
+    blind += [_describe_not_fitted(c, powers[c.name], model) for c in not_fitted]
+    blind += _list_unseen_effects(model, candidates)
     alike = _find_inseparable_pairs(doses, spare, sees) if pairs else []
-    return Audit(
-        sees, (*blind, *_list_unseen_effects(model, candidates)), tuple(map(_advise_pair, alike))
-    )
+    told = {*sees, *(spot.name for spot in blind)}
+    unasked = tuple((n, _explain_unasked(n, model)) for n in CATALOGUE if n not in told)
+    return Audit(sees, tuple(blind), tuple(map(_advise_pair, alike)), unasked)
 
 
 def _find_inseparable_pairs(
@@ -237,8 +251,45 @@ def _find_visible_size(switch: FreeNumber, size: float, power: float) -> tuple[f
     return size / power, unit_of(switch)
 
 
+def _list_not_fitted(model: Model) -> tuple[Candidate, ...]:
+    """Return the effects that no diagnosis fits, where these records drive their block."""
+    evidence = model.evidence
+    return tuple(
+        form
+        for effect in CATALOGUE.values()
+        if effect.unidentifiable
+        and evidence.nominal.actuator in effect.actuators
+        and effect.name not in evidence.nominal.acting
+        for form in list_forms(effect, evidence)
+    )
+
+
+def _describe_not_fitted(candidate: Candidate, power: float, model: Model) -> BlindSpot:
+    """Say of an effect that no diagnosis fits whether it would show here, and from which size."""
+    explain = CATALOGUE[candidate.name].unidentifiable
+    assert explain is not None
+    because = explain(plant_parameters(model.evidence.nominal).paper)
+    spot = _describe_blind_spot(candidate, power)
+    if power <= 1.0:
+        return replace(spot, why=f"{spot.why}: {because}")
+    return replace(spot, why=f"it is not fitted, though its smallest size would show: {because}")
+
+
+def _explain_unasked(name: str, model: Model) -> str:
+    """Say why an effect is neither among those that show nor among the blind spots."""
+    effect, nominal = CATALOGUE[name], model.evidence.nominal
+    there = _BLOCKS_OF.get(nominal.actuator, (PRESSURE, MECHANICS, "sensors"))
+    if nominal.actuator not in effect.actuators or effect.block not in there:
+        return f"it is no part of a plant with `actuator: {nominal.actuator}`"
+    if name in nominal.acting or name in model.names:
+        return "the model has it already"
+    if not effect.is_searched:
+        return "no candidate of the search: asked as a fault of the set-up, or of what is left"
+    return "it changes nothing in these records, or was left out"
+
+
 def _list_unseen_effects(model: Model, candidates: Sequence[Candidate]) -> list[BlindSpot]:
-    """List effects that reach no block that these records drive, or that nothing can identify."""
+    """List effects that reach no block that these records drive."""
     examined = {c.name for c in candidates} | {*model.names}
     actuator = model.evidence.nominal.actuator
     there = _BLOCKS_OF.get(actuator)
@@ -247,13 +298,9 @@ def _list_unseen_effects(model: Model, candidates: Sequence[Candidate]) -> list[
         for name, effect in CATALOGUE.items()
         if actuator in effect.actuators and (there is None or effect.block in there)
     }
-    spots = [
-        BlindSpot(name, effect.unidentifiable, "", None)
-        for name, effect in here.items()
-        if effect.unidentifiable
-    ]
+    spots = []
     for name, effect in here.items():
-        if name in examined or effect.unidentifiable or not effect.is_searched:
+        if name in examined or not effect.is_searched:
             continue
         if effect.block not in (*model.evidence.blocks, "sensors"):
             why = "these records do not drive its block"

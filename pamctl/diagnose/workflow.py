@@ -42,6 +42,7 @@ from pamctl.diagnose.hidden_motion import name_with_hidden_motion
 from pamctl.diagnose.locate import locate_misfits
 from pamctl.diagnose.measured.noise.channel_noise import describe_channels
 from pamctl.diagnose.measured.noise.mend import SensorFault, mend_records
+from pamctl.diagnose.measured.quality_rules import leave_out_unused
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.measured.refuse import (
     AcceptedDoubt,
@@ -104,7 +105,7 @@ def diagnose(
     forget_results()  # of the diagnosis before: no key of it comes again
     progress = progress or (lambda line: None)
     stated = {**(plant.noise.stated if plant.noise else {}), **(noise or {})}
-    train, holdout, faults = _mend_records(train, holdout, stated)
+    train, holdout, faults = _mend_records(train, holdout, plant, stated)
     try:
         evidence, train, holdout, is_cut, accepted = _check_and_prepare(
             train, holdout, plant, accept, cut=cut
@@ -198,16 +199,21 @@ def _decide_next(found: Diagnosis, records: Sequence[Record], progress: Progress
 
 
 def _mend_records(
-    train: Sequence[Record], holdout: Sequence[Record], stated: Mapping[str, float]
+    train: Sequence[Record],
+    holdout: Sequence[Record],
+    plant: PlantSettings,
+    stated: Mapping[str, float],
 ) -> tuple[list[Record], list[Record], list[SensorFault]]:
     """Mend every record; a statement of its noise that is given here comes before its own.
 
-    The zeros that homing gave the pressure sensor are aligned.
+    Channels that the plant's model does not read are left out. The zeros that homing gave the
+    pressure sensor are aligned.
     """
-    mended, faults = mend_records([*train, *holdout])
+    used, unused = leave_out_unused([*train, *holdout], plant)
+    mended, faults = mend_records(used)
     stating = [replace(r, stated_noise={**r.stated_noise, **stated}) for r in mended]
     aligned = align_resting_pressure(stating)
-    return aligned[: len(train)], aligned[len(train) :], faults
+    return aligned[: len(train)], aligned[len(train) :], [*unused, *faults]
 
 
 def _check_and_prepare(

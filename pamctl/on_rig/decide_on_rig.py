@@ -23,7 +23,8 @@ from pamctl.on_rig.rig_plan import FULL_PROGRAM, REST_S, RigPlan, require_inside
 from pamctl.on_rig.rig_round import RigRound, compare_repeated_part
 from pamctl.session.pamctl_error import PamctlError, translate_errors
 from pamctl.session.steered_rig import SteeredRig
-from pamctl.settings.resolve import find_config_file, read_section_file, settings_to_data
+from pamctl.settings.config_files import find_config_file
+from pamctl.settings.resolve import read_section_file, settings_to_data
 
 MOST_TOGETHER = 2
 """Programs that may refute an explanation together, where none does alone."""

@@ -7,6 +7,7 @@ import shutil
 import sys
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 
 from pamctl.signals import Phase, find_followed_m
 
@@ -45,7 +46,8 @@ class ProgressLine:
     def end_line(self) -> None:
         """Put the terminal's cursor on a new line."""
         if self._width and not self._quiet:
-            print(file=sys.stderr)
+            with suppress(OSError, ValueError):  # the terminal was closed
+                print(file=sys.stderr)
 
     def _show(self, text: str) -> None:
         if self._terminal:

@@ -10,11 +10,12 @@ from typing import Any
 from pamctl.control.law_registry import installed_laws
 from pamctl.log.naming import bare_name
 from pamctl.new_file import require_place
+from pamctl.settings.config_files import find_config_file
 from pamctl.settings.known_effects import build_compensation
 from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import (
-    find_config_file,
     read_section_file,
+    require_muscle,
     resolve,
     settings_to_data,
 )
@@ -101,7 +102,7 @@ class TuningTask:
             raise _option_error(f"--start {start}", f"holds gains of {began.law}, not of {law}")
         if began is not None and began.length_unit != "mm":
             raise _option_error(f"--start {start}", "the search works in mm, not in inches")
-        named = make_fixed_members([(bare_name(name), _read("plant", name)) for name in plants])
+        named = make_fixed_members([(bare_name(name), _read_muscle(name)) for name in plants])
         draws = size is not None or not plants
         if compensate and draws:
             raise _option_error(
@@ -164,6 +165,15 @@ def _require_new(out: Path | None) -> None:
     if out is None:
         raise _option_error("--out is required", "name a new file for the gains")
     require_place(out)
+
+
+def _read_muscle(name: str) -> Any:
+    plant = _read("plant", name)
+    try:
+        require_muscle(plant)
+    except ValueError as error:
+        raise ConfigError([Problem(name, "", str(error))]) from error
+    return plant
 
 
 def _read(section: str, name: str, option: str = "") -> Any:

@@ -45,8 +45,6 @@ from pamctl.tune.plant_ensemble import (
 )
 from pamctl.tune.search_space import find_space
 
-pytestmark = pytest.mark.usefixtures("closed_loops")
-
 PID = resolve(controller="pid").controller
 PAPER = make_fixed_members([("paper", resolve().plant)])
 LAWS = tuple(installed_laws())

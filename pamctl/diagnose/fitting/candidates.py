@@ -81,7 +81,7 @@ def list_candidates(evidence: Evidence, without: Collection[str] = ()) -> tuple[
         and effect.is_searched
         and not effect.unidentifiable
         and nominal.actuator in effect.actuators
-        for candidate in _list_forms(effect, evidence)
+        for candidate in list_forms(effect, evidence)
     ]
     return tuple(_leave_out_inert(found, evidence))
 
@@ -134,7 +134,8 @@ def _largest_dose(candidate: Candidate, nominal: PlantSettings) -> dict[str, flo
     }
 
 
-def _list_forms(effect: EffectDescription, evidence: Evidence) -> Iterator[Candidate]:
+def list_forms(effect: EffectDescription, evidence: Evidence) -> Iterator[Candidate]:
+    """Yield the forms of an effect; none where it moves no block of the evidence."""
     reached = frozenset(block for block in effect.seen_by if block in evidence.blocks)
     if not reached:
         return

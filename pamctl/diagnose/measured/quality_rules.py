@@ -6,15 +6,18 @@ A doubt may be wrong: the user overrules it with a reason, which the document ke
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from pamctl.diagnose.measured.column_shift import check_time_shifts
+from pamctl.diagnose.measured.noise.mend import SensorFault
 from pamctl.diagnose.measured.noise.sensor_noise import Noise
 from pamctl.diagnose.measured.record import CHANNELS, Array, Record, estimate_resolution
+from pamctl.plant.effects.description import USED_SIGNALS, describe_unused
 from pamctl.plant.model import PlantSettings
 
 Flags = NDArray[np.bool_]
@@ -42,13 +45,6 @@ HALF_SPAN = 0.5
 STILL_TIMES_NOISE = 10.0
 """A signal that varies by less than this multiple of its noise tells nothing."""
 
-USED: Mapping[str, tuple[str, ...]] = {
-    "direct": ("force_n", "pressure_pa", "position_m"),
-    "chamber": ("valve_v", "pressure_pa"),
-}
-"""The channels that an actuator's model reads; the rules ask nothing of the others."""
-_OF_VALVE_AND_AIR = ("valve_v", "pressure_pa", "position_m")
-
 
 class Doubt(NamedTuple):
     """What a rule found."""
@@ -59,8 +55,25 @@ class Doubt(NamedTuple):
 
 def list_used_channels(record: Record, plant: PlantSettings) -> tuple[str, ...]:
     """Return the measured channels that this plant's model reads."""
-    used = USED.get(plant.actuator, _OF_VALVE_AND_AIR)
+    used = USED_SIGNALS[plant.actuator]
     return tuple(channel for channel in record.channels if channel in used)
+
+
+def leave_out_unused(
+    records: Sequence[Record], plant: PlantSettings
+) -> tuple[list[Record], list[SensorFault]]:
+    """Return the records without the channels that this plant's model does not read."""
+    kept, faults = list[Record](), dict[str, SensorFault]()
+    for record in records:
+        unused = [c for c in record.channels if c not in list_used_channels(record, plant)]
+        without: dict[str, Any] = dict.fromkeys(unused)
+        if "valve_v" in unused:
+            without |= {"acts_after_s": None, "held_v": None}
+        kept.append(replace(record, **without) if unused else record)
+        for channel in unused:
+            says = describe_unused(channel, plant.actuator)
+            faults[channel] = SensorFault(channel, "unused", says)
+    return kept, [*faults.values()]
 
 
 def doubt_record(record: Record, plant: PlantSettings) -> Iterator[Doubt]:

@@ -34,6 +34,10 @@ RISE_SHARE = 2e-3
 """A channel has not left its start within this share of its span, however quiet it is."""
 CORRELATED = 2.0
 """How much smaller the third differences of a sensor's noise may be than those of white noise."""
+FEWEST_AVERAGES = 8
+"""Averages whose scatter is known, and which an input's slow motion may show."""
+SHORT_PARTS = 5
+"""Short averages in an average."""
 QUIET_SAMPLES = 50
 """Samples whose noise is taken together, to find the quiet parts of a channel."""
 
@@ -160,7 +164,12 @@ class Record:
         for channel in self.channels:
             if channel != "valve_v":
                 moved[_find_rise(self[channel]) :] = True
-        return int(np.argmax(moved)) if moved.any() else len(self)
+        rest = int(np.argmax(moved)) if moved.any() else len(self)
+        # A force may swing within its noise until friction lets go: nothing else shows it.
+        for channel in ("force_n", *(() if self.valve_v is not None else ("pressure_pa",))):
+            if channel in self.channels:
+                rest = _find_slow_move(self[channel][:rest])
+        return rest
 
 
 def _find_rise(values: Array) -> int:
@@ -169,14 +178,33 @@ def _find_rise(values: Array) -> int:
     Noise hides the beginning of a slow ramp. The ramp takes as long to reach the first level as
     from there to the second, twice as high: its beginning is extrapolated from both.
     """
-    away = np.abs(values - np.median(values[:RISE_FROM]))
     least = RISE_SHARE * float(np.ptp(values))
     level = max(
         RISE_OVER_NOISE * max(estimate_quiet_noise(values), estimate_resolution(values)), least
     )
+    return _extrapolate_rise(np.abs(values - np.median(values[:RISE_FROM])), level)
+
+
+def _find_slow_move(rest: Array) -> int:
+    """Return where an input leaves its start in a rest, by averages, which show less of its noise.
+
+    The noise is that of short averages, so that a memory of some samples is in it.
+    """
+    whole = len(rest) // QUIET_SAMPLES * QUIET_SAMPLES
+    if whole < FEWEST_AVERAGES * QUIET_SAMPLES:
+        return len(rest)
+    short = rest[:whole].reshape(-1, QUIET_SAMPLES // SHORT_PARTS).mean(axis=1)
+    averages = short.reshape(-1, SHORT_PARTS).mean(axis=1)
+    scatter = float(np.sqrt(np.mean(np.diff(short, 3) ** 2) / (20.0 * SHORT_PARTS)))
+    scatter = max(scatter, estimate_resolution(rest) / QUIET_SAMPLES**0.5)
+    begins = _extrapolate_rise(np.abs(averages - averages[0]), RISE_OVER_NOISE * scatter)
+    return len(rest) if begins == len(averages) else QUIET_SAMPLES * begins
+
+
+def _extrapolate_rise(away: Array, level: float) -> int:
     first, second = (np.flatnonzero(away > times * level) for times in (1.0, 2.0))
     if not len(first):
-        return len(values)
+        return len(away)
     later = int(second[0]) if len(second) else int(first[0])
     return max(2 * int(first[0]) - later, 0)
 

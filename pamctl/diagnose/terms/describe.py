@@ -110,13 +110,17 @@ def describe_rest(
     progress: Callable[[str], None] = lambda line: None,
     without: Collection[str] = (),
 ) -> Description:
-    """Describe what a naming leaves unexplained; effects in `without` take no term's place."""
+    """Describe what a naming leaves unexplained; effects in `without` take no term's place.
+
+    A term may replace effects of its own block. What was named in another block stays.
+    """
     block = max(naming.model.evidence.blocks, key=naming.model.ratio)
     progress(f"asking what no effect of the catalogue explains in the {block} block")
-    before = naming.base
+    own = frozenset(c.name for c in naming.model.effects if c.blocks <= {block})
+    before = naming.withdraw_effects(own).model if own else naming.model
     ranking, trials = find_terms(before, block, executor)
     chosen = _choose(naming, before, trials, block)
-    if chosen is None and naming.model.effects:
+    if chosen is None and own:
         beside_block = max(naming.model.unexplained or (block,), key=naming.model.ratio)
         beside, more = find_terms(naming.model, beside_block, executor)
         chosen = _choose(naming, naming.model, more, beside_block)
@@ -130,7 +134,7 @@ def describe_rest(
     if named is not None:
         return replace(plain, leads=(), naming=named)
     term, said = _say_term(naming, before, chosen, trials, block)
-    return replace(plain, term=term, naming=said, is_beside=before is not naming.base)
+    return replace(plain, term=term, naming=said, is_beside=before is naming.model)
 
 
 def _choose(

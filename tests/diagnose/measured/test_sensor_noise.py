@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -243,3 +244,24 @@ def test_noise_below_a_converters_step_is_read_from_how_often_each_step_is_shown
     noise = estimate_channel_noise([Record("rest", t_s, valve_v, shown)], "pressure_pa")
     assert noise.resolution == pytest.approx(100.0)
     assert noise.deviation == pytest.approx(100.0 * share, rel=0.15)
+
+
+def test_a_stated_noise_is_all_the_noise_there_is() -> None:
+    random = np.random.default_rng(3)
+    moving_pa = np.concatenate([np.zeros(900), 1e5 * np.sin(0.003 * np.arange(2000)) ** 2])
+    records = [
+        Record(
+            f"wandering-{k}",
+            1e-3 * np.arange(2900),
+            valve_v=np.repeat([-5.0, 5.0], [900, 2000]),
+            pressure_pa=2e5
+            + moving_pa
+            + random.normal(0.0, 300.0, 2900)
+            + np.cumsum(random.normal(0.0, 40.0, 2900)),
+        )
+        for k in range(4)
+    ]
+    assert estimate_channel_noise(records, "pressure_pa").walk > 0.0
+    stated = [replace(r, stated_noise={"pressure_pa": 250.0}) for r in records]
+    noise = estimate_channel_noise(stated, "pressure_pa")
+    assert (noise.source, noise.deviation, noise.walk) == ("stated", 250.0, 0.0)

@@ -23,7 +23,7 @@ SOURCES = {
 
 @dataclass(frozen=True)
 class ChannelNoise:
-    """One channel, or the time stamps, `t_s`, which have faults only."""
+    """One channel; the time stamps, `t_s`, and channels that are not used have faults only."""
 
     noise: Noise | None
     faults: tuple[SensorFault, ...] = ()
@@ -45,7 +45,10 @@ class ChannelNoise:
         return {
             **entry,
             "faults": list(dict.fromkeys(fault.kind for fault in self.faults)),
-            "says": [self.describe(channel), *(fault.says for fault in self.faults)],
+            "says": [
+                *([] if self.noise is None else [self.describe(channel)]),
+                *(fault.says for fault in self.faults),
+            ],
         }
 
     def list_faults(self, channel: str) -> list[str]:
@@ -56,7 +59,7 @@ class ChannelNoise:
     def describe(self, channel: str) -> str:
         """Say how large the noise is and how that is known."""
         if self.noise is None:
-            return f"{channel}: time stamps"
+            return ""
         if not self.noise.is_known:
             return (
                 f"{channel}: noise unknown: the data do not tell it from the signal; state it with "
@@ -75,7 +78,7 @@ def describe_channels(
     faults = [*mended]
     for channel, noise in noises.items():
         faults += _find_faults(records, channel, noise)
-    named = [*noises, *(["t_s"] if any(f.channel == "t_s" for f in faults) else [])]
+    named = dict.fromkeys([*noises, *(fault.channel for fault in faults)])
     return {
         name: ChannelNoise(noises.get(name), tuple(f for f in faults if f.channel == name))
         for name in named

@@ -19,7 +19,7 @@ from pamctl.diagnose.measured.noise.time_stamps import cut_even_stretches, find_
 from pamctl.diagnose.measured.record import CHANNELS, Array, Record
 
 FaultKind = Literal[
-    "jitter", "outliers", "dropouts", "hum", "filtered", "grows_with_motion", "wanders"
+    "jitter", "outliers", "dropouts", "hum", "filtered", "grows_with_motion", "wanders", "unused"
 ]
 
 

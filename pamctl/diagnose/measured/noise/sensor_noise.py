@@ -114,8 +114,7 @@ def estimate_channel_noise(records: Sequence[Record], channel: str) -> Noise:
     if stated:
         pooled = float(np.sqrt(np.mean(np.square(stated))))
         noise = Noise(_subtract_rounding(pooled, step), (), 0.0, step, source="stated")
-        noise = noise if rested is None else _take_colour(noise, rested)
-        return replace(noise, walk=walk)
+        return noise if rested is None else _take_colour(noise, rested)
     span = max(float(np.ptp(r[channel])) for r in records)
     if rested is not None and rested.total > QUIETEST * span:
         noise = _refine_white(rested, records, channel)

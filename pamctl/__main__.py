@@ -69,10 +69,12 @@ def _never_raise_in_print() -> _Stream | None:
         if old.fileno() != number:
             continue
         replaced[name] = _Stream(number, "wb", closefd=False)
+        # The terminal may lack a character: that is no reason to end a verb.
+        errors = "replace" if old.errors == "strict" else old.errors
         new = io.TextIOWrapper(
             io.BufferedWriter(replaced[name]),
             old.encoding,
-            old.errors,
+            errors,
             line_buffering=old.line_buffering or name == "stderr",
         )
         setattr(sys, name, new)
@@ -99,9 +101,9 @@ def _import_verb() -> Callable[[], None]:
     may_interrupt = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if may_interrupt:
         signal.signal(signal.SIGINT, _leave_at_once)
-    from pamctl.cli.app import build_app, find_verb
+    from pamctl.cli.app import build_asked
 
-    app = build_app(find_verb(sys.argv[1:]))
+    app = build_asked(sys.argv[1:])
     if may_interrupt:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     return app

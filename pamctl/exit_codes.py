@@ -27,6 +27,8 @@ class ExitCode(IntEnum):
     """Device, driver, daemon or required scheduling is not available."""
     BAD_CONFIG = 78
     """Bad configuration."""
+    SIGHUP = 129
+    """Stopped by SIGHUP: its terminal was closed."""
     SIGINT = 130
     """Stopped by SIGINT (Ctrl-C)."""
     SIGTERM = 143

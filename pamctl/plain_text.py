@@ -59,6 +59,22 @@ def clean_document(value: Any) -> Any:
     return value
 
 
+def escape_name(name: str) -> str:
+    r"""Return a file's name as one line of valid text, such as `caf\xe9.mcap`.
+
+    A name is bytes to the file system: they may be no UTF-8, and hold a line break.
+    """
+    return name if name.isprintable() else "".join(map(_escape_character, name))
+
+
+def _escape_character(character: str) -> str:
+    if character.isprintable() or category(character) == "Zs" or character in _JOINERS:
+        return character
+    if "\udc80" <= character <= "\udcff":  # a byte that the file system's encoding lacks
+        return f"\\x{ord(character) - 0xDC00:02x}"
+    return character.encode("unicode_escape").decode()
+
+
 class PlainStream:
     """Standard output or error that passes no control characters on, but a first return."""
 

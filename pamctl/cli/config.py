@@ -8,8 +8,8 @@ from typing import Annotated, NamedTuple
 
 import typer
 
+from pamctl.cli.backend_option import BackendOption
 from pamctl.cli.options import (
-    BackendOption,
     ControllerFromOption,
     ControllerOption,
     DurationOption,
@@ -25,12 +25,12 @@ from pamctl.cli.options import (
 from pamctl.cli.output import print_json
 from pamctl.cli.settings_from_options import resolve_options
 from pamctl.exit_codes import ExitCode
+from pamctl.settings.config_files import config_dir
 from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import (
     SECTIONS,
     build_config_schema,
     check_config_file,
-    config_dir,
     settings_to_json,
     settings_to_yaml,
     shorten_path,

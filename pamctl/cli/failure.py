@@ -17,6 +17,7 @@ import typer
 from typer.core import TyperGroup
 
 from pamctl.cli.examples import EXAMPLES, write_epilog
+from pamctl.cli.plain_values import read_without_pydantic
 from pamctl.cli.waiting import SLOW_VERBS, tell_while_silent
 from pamctl.exit_codes import ExitCode
 from pamctl.plain_text import PlainStream, clean_lines
@@ -53,6 +54,7 @@ class Verbs(TyperGroup):
         _hide_flag_types(self)
         _add_epilogs(self, ())
         _print_plainly(self)
+        read_without_pydantic(self)
 
     def main(self, args: Sequence[str] | None = None, *rest: Any, **extra: Any) -> Any:
         """Run the verb that the arguments name; report its failure."""

@@ -10,24 +10,14 @@ from typing import Annotated, Any
 
 import typer
 
-from hal.backend import find_backends
 from pamctl.cli.failure import Failed
 from pamctl.exit_codes import ExitCode
-from pamctl.settings.resolve import DEFAULT_NAMES
+from pamctl.settings.config_files import DEFAULT_NAMES
 
 NO_CHANGES = "no changes"
 
 # --- what to run ------------------------------------------------------------------------------
 
-BackendOption = Annotated[
-    str | None,
-    typer.Option(
-        "--backend",
-        metavar="|".join(find_backends().found),
-        help="Backend to drive",
-        show_default="that of --rig, sim",
-    ),
-]
 ControllerOption = Annotated[
     str | None,
     typer.Option(

@@ -10,14 +10,12 @@ import typer
 
 from hal.backend import find_backends, hint_at_missing
 from pamctl.log.changed_gains import CHANGES, describe_changes
+from pamctl.settings.config_files import DEFAULT_NAMES, find_config_file, list_shipped
 from pamctl.settings.envelope import find_excesses
 from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import (
-    DEFAULT_NAMES,
     SECTIONS,
     RunSettings,
-    find_config_file,
-    list_shipped,
     read_section_file,
     resolve,
     settings_to_data,

@@ -76,8 +76,8 @@ def tell_while_silent(doing: str | None) -> Iterator[Callable[[], None]]:
 
 
 def _tell_compiling() -> str:
-    compiled = sys.modules.get("pamctl.compiled")  # most verbs do without
-    is_first = compiled is not None and compiled.progress.compiles_first
+    build = sys.modules.get("pamctl.kernel.build")  # most verbs do without
+    is_first = build is not None and build.progress.builds
     return " (the first time after an update the model is compiled)" if is_first else ""
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import importlib.util
 import subprocess
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 
+from hal.child import child_command
 from pamctl.exit_codes import ExitCode
 
 
@@ -35,7 +35,7 @@ def serve_live_view(port: int | None, origins: Sequence[str], *source: str) -> I
     if port is None:
         yield
         return
-    command = [sys.executable, "-m", "pamctl.live.live_main", str(port), *source, *origins]
+    command = child_command("pamctl.live.live_main", port, *source, *origins)
     # Its own process group gets no Ctrl-C. It leaves when its standard input ends, with this
     # process.
     viewer = subprocess.Popen(command, stdin=subprocess.PIPE, process_group=0)

@@ -9,6 +9,7 @@ from pathlib import Path
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log.annotate.annotation import SWEEP, Annotation
 from pamctl.log.naming import bare_name, make_dated_path
+from pamctl.processes.front import restore_signals
 from pamctl.processes.run_once import run_once
 from pamctl.report.progress_line import ProgressLine
 from pamctl.settings.resolve import RunSettings, settings_to_data
@@ -60,14 +61,15 @@ class OwnRunner:
         settings = self._points[run.number]
         settings = settings.model_copy(update={"seed": settings.seed + run.repeat})
         what = f"{bare_name(self._names['controller'])}-{bare_name(self._names['experiment'])}"
-        done = run_once(
-            settings,
-            self._names,
-            make_dated_path(self._folder, what),
-            self._progress(),
-            _serve_nothing,
-            quiet=True,
-            said=said,
-            records={SWEEP: record},
-        )
+        with restore_signals():
+            done = run_once(
+                settings,
+                self._names,
+                make_dated_path(self._folder, what),
+                self._progress(),
+                _serve_nothing,
+                quiet=True,
+                said=said,
+                records={SWEEP: record},
+            )
         return Ending(ExitCode(done.code), done.reason or done.note)

@@ -17,7 +17,7 @@ from pamctl.runs.run_index import RunIndex
 from pamctl.runs.run_row import RunRow
 from pamctl.sweep.sweep_plan import SweepError, SweepRun
 
-_INTERRUPTED = (ExitCode.SIGINT, ExitCode.SIGTERM)
+_INTERRUPTED = (ExitCode.SIGINT, ExitCode.SIGTERM, ExitCode.SIGHUP)
 
 Tell = Callable[[str], object]
 """Called with one line before each run, and after one that did not end well."""

@@ -23,13 +23,14 @@ from pamctl.diagnose.experiments import (
     write_command,
 )
 from pamctl.plant.catalogue import CATALOGUE
-from pamctl.settings.resolve import SECTIONS, find_config_file
+from pamctl.settings.config_files import find_config_file
+from pamctl.settings.resolve import SECTIONS
 
 COMMAND = re.compile(r"`pamctl ([^`]*)`|next: pamctl ([^`;#\n]*)")
 SHIPPED = {f"--{section}": section for section in SECTIONS} | {"--start": "controller"}
 
 
-NAMED_ALONE = ("diagnose", "compare", "tune", "health", "plant new")
+NAMED_ALONE = ("diagnose", "compare", "tune", "health", "plant new", "start")
 """What a text may name without its arguments: `pamctl compare` works on it."""
 
 

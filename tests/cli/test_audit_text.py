@@ -23,10 +23,13 @@ def test_an_audit_fits_into_100_columns(verbose: bool) -> None:
         Inseparable(pair, ("chirp", "")[number % 2], "w")
         for number, pair in enumerate(combinations(NAMES, 2))
     )
-    found = Audit(tuple(NAMES), SPOTS, pairs)
+    unasked = tuple((name, "no candidate of the search, " * 5) for name in NAMES)
+    found = Audit(tuple(NAMES), SPOTS, pairs, unasked)
     lines = format_audit(found, lambda name: f"pamctl run --experiment {name}", verbose=verbose)
     assert max(map(len, lines)) <= 100
     assert ("leaves the null" in "\n".join(lines)) == verbose
+    assert ("no candidate of the search" in "\n".join(lines)) == verbose
+    assert "does not ask" in "\n".join(lines)
     assert "pamctl run --experiment slow-ramps" in "\n".join(lines)
 
 

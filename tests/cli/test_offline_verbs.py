@@ -21,7 +21,8 @@ from pamctl.cli.app import app
 from pamctl.exit_codes import ExitCode
 from pamctl.processes.run_here import run_here
 from pamctl.processes.run_once import make_run_meta
-from pamctl.settings.resolve import DEFAULT_NAMES, resolve
+from pamctl.settings.config_files import DEFAULT_NAMES
+from pamctl.settings.resolve import resolve
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "qsmc.mcap"
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import signal
 import subprocess
 import sys
+import termios
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -87,7 +90,7 @@ def children(front: subprocess.Popen[str]) -> dict[str, int]:
     raise AssertionError("the front did not start its processes")
 
 
-def await_ticks(front: subprocess.Popen[str], ticks: int) -> None:
+def await_ticks(front: subprocess.Popen[Any], ticks: int) -> None:
     await_tick(front.pid, lambda newest: newest["tick"] >= ticks)
 
 
@@ -398,3 +401,51 @@ def test_the_mode_require_fails_if_real_time_scheduling_is_refused(tmp_path: Pat
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 69
     assert "fifo: " in done.stderr
+
+
+def test_a_closed_terminal_stops_a_run_smoothly_with_129(tmp_path: Path) -> None:
+    ours, its = os.openpty()
+    front = subprocess.Popen(
+        [PAMCTL, "run", "--log", "run.mcap", *ON_OUR_DEVICE],
+        cwd=tmp_path,
+        stdin=its,
+        stdout=its,
+        stderr=its,
+        start_new_session=True,
+        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+    )
+    os.close(its)
+    try:
+        await_ticks(front, 200)
+        os.close(ours)
+        front.wait(PATIENCE_S)
+    finally:
+        front.kill()
+        front.wait()
+    assert front.returncode == 129
+    log = read(tmp_path / "run.mcap")
+    assert log["phase"][-1] == Phase.STOPPING
+    assert outcome(log)["code"] == 129
+
+
+def test_fifty_ctrl_c_leave_the_summary_whole(tmp_path: Path) -> None:
+    with running(tmp_path) as front:
+        await_ticks(front, 200)
+        for _ in range(50):
+            front.send_signal(signal.SIGINT)
+            time.sleep(0.02)
+        told, said = front.communicate(timeout=PATIENCE_S)
+    assert front.returncode == 130
+    assert "log: " in told
+    assert "Traceback" not in said
+    assert outcome(read(tmp_path / "run.mcap"))["code"] == 130
+
+
+@pytest.mark.parametrize("most", [12, 16, 20])
+def test_a_limit_of_open_files_that_is_too_low_is_one_line(tmp_path: Path, most: int) -> None:
+    command = f"ulimit -n {most} && exec {sys.executable} -m pamctl run --log {tmp_path}/run.mcap"
+    done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 69
+    assert done.stderr.count("\n") == 1
+    assert f"may open only {most} files" in done.stderr
+    assert not (tmp_path / "run.mcap").exists()

@@ -48,7 +48,7 @@ def test_every_slow_verb_is_one_of_the_program() -> None:
 
 def test_a_verb_whose_code_is_new_says_that_it_is_compiled() -> None:
     code = SLOW.replace(
-        "def doze", "import pamctl.compiled as c\nc.progress.compiles_first = True\ndef doze"
+        "def doze", "import pamctl.kernel.build as b\nb.progress.builds = True\ndef doze"
     )
     ours, its = pty.openpty()
     subprocess.run([sys.executable, "-c", code], stdout=its, stderr=its, timeout=60, check=True)

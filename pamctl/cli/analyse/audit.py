@@ -11,7 +11,8 @@ import typer
 from pamctl.cli.options import JsonOption, PlantOption
 from pamctl.cli.output import print_json
 from pamctl.cli.settings_from_options import find_argument_file
-from pamctl.settings.resolve import DEFAULT_NAMES, find_config_file, read_section_file, resolve
+from pamctl.settings.config_files import DEFAULT_NAMES, find_config_file
+from pamctl.settings.resolve import read_section_file, resolve
 
 if TYPE_CHECKING:
     from pamctl.diagnose import Record

@@ -30,7 +30,9 @@ def format_audit(found: Audit, advise: Advise, *, verbose: bool) -> list[str]:
             "cannot tell apart, at that size:",
             *_format_matrix(found.inseparable, advise),
         ]
-    if not verbose and found.blind_spots:
+    if found.unasked:
+        lines += ["", *_format_unasked(found.unasked, verbose=verbose)]
+    if not verbose and (found.blind_spots or found.unasked):
         lines += ["", "--verbose says why."]
     return lines
 
@@ -50,6 +52,19 @@ def _format_blind_spots(found: Audit, advise: Advise, *, verbose: bool) -> Itera
             shown = ", ".join(s.name for s in found.blind_spots if s.experiment == experiment)
             text = f"add: {advise(experiment)}  # for {shown}"
             yield from textwrap.wrap(text, _WIDTH, initial_indent="  ", subsequent_indent="      ")
+
+
+def _format_unasked(unasked: Sequence[tuple[str, str]], *, verbose: bool) -> Iterator[str]:
+    if not verbose:
+        text = f"does not ask {len(unasked)} effects: {', '.join(name for name, _ in unasked)}"
+        yield from textwrap.wrap(text, _WIDTH, subsequent_indent="  ")
+        return
+    yield "does not ask:"
+    width = max(len(name) for name, _ in unasked) + 2
+    for name, why in unasked:
+        yield from textwrap.wrap(
+            f"  {name:<{width}}{why}", _WIDTH, subsequent_indent=" " * (width + 2)
+        )
 
 
 def _format_matrix(pairs: Sequence[Inseparable], advise: Advise) -> Iterator[str]:

@@ -23,7 +23,8 @@ from pamctl.cli.options import (
 from pamctl.cli.output import print_result
 from pamctl.exit_codes import ExitCode
 from pamctl.new_file import NewFileError, require_empty_folder
-from pamctl.settings.resolve import DEFAULT_NAMES, find_config_file, read_section_file
+from pamctl.settings.config_files import DEFAULT_NAMES, find_config_file
+from pamctl.settings.resolve import read_section_file
 
 
 def diagnose(

@@ -11,7 +11,8 @@ import typer
 from pamctl.cli.options import JsonOption, PlantOption
 from pamctl.cli.output import print_result
 from pamctl.new_file import NewFileError, require_empty_folder, write_files
-from pamctl.settings.resolve import DEFAULT_NAMES, find_config_file, read_section_file
+from pamctl.settings.config_files import DEFAULT_NAMES, find_config_file
+from pamctl.settings.resolve import read_section_file
 
 
 def health(

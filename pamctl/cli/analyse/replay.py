@@ -113,7 +113,7 @@ def _compare_with_log(
         print_json(make_replay_document(found, tolerance))
     else:
         typer.echo(format_replay(found))
-    return ExitCode.OK if found.is_equal and found.is_whole else ExitCode.CHECK_FAILED
+    return ExitCode.OK if found.is_equal else ExitCode.CHECK_FAILED
 
 
 def _choose_tolerances(name: str | None) -> Tolerances:

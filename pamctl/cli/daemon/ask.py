@@ -11,10 +11,6 @@ import typer
 
 from pamctl.cli.options import require_linux, seconds_option
 from pamctl.cli.output import print_json
-from pamctl.cli.settings_from_options import find_argument_file
-from pamctl.settings.resolve import read_section_file, settings_to_data
-from pamctl.settings.table_file import read_tables
-from pamctl.settings.yaml12 import dump_yaml
 
 
 def ramp_option() -> Any:
@@ -37,6 +33,10 @@ def ask(socket: Path | None, method: str, params: Mapping[str, object] | None = 
 
 def read_section(section: str, name: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
     """Read and check a file here, where its lines can be named; raise `ConfigError`."""
+    from pamctl.cli.settings_from_options import find_argument_file
+    from pamctl.settings.resolve import read_section_file, settings_to_data
+    from pamctl.settings.table_file import read_tables
+
     path = find_argument_file(section, name)
     return settings_to_data(read_section_file(section, path, overrides, read_tables))
 
@@ -54,4 +54,6 @@ def print_gains(gains: Mapping[str, Any], *, as_json: bool) -> None:
     if as_json:
         print_json(gains)
     else:
+        from pamctl.settings.yaml12 import dump_yaml
+
         typer.echo(dump_yaml(gains).rstrip())

@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
+from pamctl.cli.backend_option import BackendOption
 from pamctl.cli.options import (
     DEFAULT_LIVE_PORT,
-    BackendOption,
     ControllerOption,
     LiveOption,
     LiveOriginOption,

@@ -11,7 +11,6 @@ from pamctl.cli.options import JsonOption
 from pamctl.cli.output import print_json
 from pamctl.exit_codes import ExitCode
 from pamctl.settings.problems import ConfigError
-from pamctl.settings.resolve import from_resolved
 
 if TYPE_CHECKING:
     from pamctl.log.check.check_log import LogCheckReport
@@ -51,6 +50,8 @@ def _make_report(report: LogCheckReport) -> dict[str, Any]:
 
 def _find_config_problems(text: str) -> list[str]:
     """Return why this version cannot use the configuration in a log; empty if it can."""
+    from pamctl.settings.resolve import from_resolved
+
     try:
         from_resolved(text, "config.json")
     except ConfigError as error:

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pamctl.cli.backend_option import BackendOption
 from pamctl.cli.failure import Failed
-from pamctl.cli.options import BackendOption, JsonOption, RigOption, SetOption, require_linux
+from pamctl.cli.options import JsonOption, RigOption, SetOption, require_linux
 from pamctl.cli.output import print_result
 from pamctl.cli.settings_from_options import resolve_options
 from pamctl.exit_codes import ExitCode

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pamctl.cli.options import BackendOption, JsonOption, RigOption, SetOption, require_linux
+from pamctl.cli.backend_option import BackendOption
+from pamctl.cli.options import JsonOption, RigOption, SetOption, require_linux
 from pamctl.cli.output import print_json
 from pamctl.cli.settings_from_options import resolve_options
 from pamctl.commissioning.doctor.findings import (

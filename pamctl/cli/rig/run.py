@@ -9,10 +9,10 @@ from typing import Annotated
 
 import typer
 
+from pamctl.cli.backend_option import BackendOption
 from pamctl.cli.failure import print_error
 from pamctl.cli.options import (
     DEFAULT_LIVE_PORT,
-    BackendOption,
     ControllerFromOption,
     ControllerOption,
     DurationOption,
@@ -105,6 +105,7 @@ def run(
         require_linux()
     from pamctl.control.experiment import plan_experiment
     from pamctl.live.live_view import require_foxglove, serve_live_view
+    from pamctl.processes.front import ignore_signals, restore_signals
     from pamctl.processes.run_once import run_once
     from pamctl.report.progress_line import ProgressLine
 
@@ -114,15 +115,18 @@ def run(
     length_s = plan_experiment(settings.experiment).duration_s
     length_s = min(length_s, settings.duration_s or length_s)
     progress = ProgressLine(quiet=quiet or as_json, length_s=length_s)
-    done = run_once(settings, names, log, progress, view, quiet=quiet, said=said)
-    if done.note:
-        print(f"warning: {done.note}", file=sys.stderr)
-    if as_json:
-        print_json(done.document)
-    elif done.text:
-        typer.echo(done.text)
-    if done.code in (ExitCode.SIGINT, ExitCode.SIGTERM):
-        print(done.reason, file=sys.stderr)
-    elif done.reason:
-        print_error(done.reason)
+    with restore_signals():
+        done = run_once(settings, names, log, progress, view, quiet=quiet, said=said)
+        if done.note:
+            print(f"warning: {done.note}", file=sys.stderr)
+        if as_json:
+            print_json(done.document)
+        elif done.text:
+            typer.echo(done.text)
+        if done.code in (ExitCode.SIGINT, ExitCode.SIGTERM, ExitCode.SIGHUP):
+            print(done.reason, file=sys.stderr)
+            ignore_signals()
+            raise typer.Exit(done.code)
+        if done.reason:
+            print_error(done.reason)
     raise typer.Exit(done.code)

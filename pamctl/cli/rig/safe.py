@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import typer
 
-from hal.rig import RigError
+from pamctl.cli.backend_option import BackendOption
 from pamctl.cli.failure import Failed
-from pamctl.cli.options import BackendOption, JsonOption, RigOption, SetOption, require_linux
+from pamctl.cli.options import JsonOption, RigOption, SetOption, require_linux
 from pamctl.cli.output import print_json
 from pamctl.cli.settings_from_options import resolve_options
 from pamctl.exit_codes import ExitCode
@@ -30,7 +30,7 @@ def safe(
     device, volts = device_of(settings), settings.rig.safe_volts
     failure = _make_safe(settings)
     if failure is not None:
-        reason = f"NOT safe, {device}: {volts:g} V could not be driven: {failure}"
+        reason = f"NOT SAFE, {device}: {volts:g} V could not be driven: {failure}"
         raise Failed(ExitCode.UNAVAILABLE, reason, device=device, safe_volts=volts)
     if as_json:
         print_json({"exit_code": 0, "device": device, "safe_volts": volts, "reason": ""})
@@ -40,12 +40,14 @@ def safe(
         typer.echo(f"{device}: {volts:g} V on the output (u = {u_v:g} V): safe")
 
 
-def _make_safe(settings: RunSettings) -> RigError | None:
+def _make_safe(settings: RunSettings) -> Exception | None:
     from pamctl.processes.backends import build_clock, build_rig, require_backend
     from pamctl.processes.guardian import drive_safe
 
     try:
         require_backend(settings)
-    except RigError as error:
+        rig = build_rig(settings, build_clock(settings, may_spin=False)).rig
+        return drive_safe(rig, _PATIENCE_S)
+    # Whatever it is, the valve may be open: the line must say so.
+    except Exception as error:
         return error
-    return drive_safe(build_rig(settings, build_clock(settings, may_spin=False)).rig, _PATIENCE_S)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +13,7 @@ from pamctl.cli.options import JsonOption
 from pamctl.cli.output import PAGE_BEGIN, print_json
 from pamctl.cli.runs.annotate import note_logs, tag_logs, untag_logs
 from pamctl.new_file import require_place, write_files
+from pamctl.plain_text import escape_name
 
 runs_app = typer.Typer(
     invoke_without_command=True, help="Find runs again by law, date, error, tag or setting."
@@ -163,6 +165,7 @@ def list_runs(
         index.refresh(_show_progress, rebuild=rebuild)
         with_gains = bool(as_csv or as_json or page)
         rows, total = select_runs(index, wanted, with_gains=with_gains), index.count()
+    rows = [replace(row, path=escape_name(row.path)) for row in rows]
     from pamctl.runs.runs_text import format_csv, format_runs, list_documents
 
     if page is not None:

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from pamctl.cli.backend_option import BackendOption
 from pamctl.cli.failure import print_error
 from pamctl.cli.options import (
-    BackendOption,
     ControllerFromOption,
     ControllerOption,
     DurationOption,
@@ -36,7 +36,7 @@ from pamctl.cli.settings_from_options import resolve_options
 from pamctl.log.annotate.annotation import make_annotation
 from pamctl.log.naming import file_safe_name
 from pamctl.new_file import require_folder, write_files
-from pamctl.settings.resolve import DEFAULT_NAMES
+from pamctl.settings.config_files import DEFAULT_NAMES
 from pamctl.sweep.sweep_plan import parse_sweep, require_end
 
 if TYPE_CHECKING:

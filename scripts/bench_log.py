@@ -22,7 +22,7 @@ from pamctl.log.reader import read
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import TICK_TOPIC
 from pamctl.recording.recorder import await_recorder, spawn_recorder
-from pamctl.recording.ring import Ring, RingFull
+from pamctl.recording.ring import PLAIN_TICK, Ring, RingFull, TickRow, make_rows
 from pamctl.signals import TICK_STAGES, TickRecord
 
 
@@ -42,6 +42,16 @@ def make_up_ticks(count: int) -> list[TickRecord]:
     ]
 
 
+def pack_ticks(ticks: list[TickRecord]) -> list[bytearray]:
+    """Return ticks as rows of the ring, as a kernel leaves them."""
+    rows = make_rows(False, 1)
+    packed = []
+    for tick in ticks:
+        rows[0] = TickRow(PLAIN_TICK, tick.timing.tick, tick.raw.encoder_t_ns, tick)
+        packed.append(bytearray(rows.buffer))
+    return packed
+
+
 def _stage_types() -> list[Any]:
     return list(TICK_STAGES.values())
 
@@ -51,9 +61,9 @@ def put_cost(directory: Path, ticks: list[TickRecord]) -> dict[str, float]:
     clock = time.perf_counter_ns
     costs, empty = [], []
     with Ring.create(directory / "put.ring", RunMeta("unused.mcap"), len(ticks)) as ring:
-        for tick in ticks:
+        for row in pack_ticks(ticks):
             before = clock()
-            ring.put_tick(tick)
+            ring.put_row(row)
             costs.append(clock() - before)
             before = clock()
             empty.append(clock() - before)
@@ -74,8 +84,8 @@ def record(directory: Path, ticks: list[TickRecord], log: Path) -> dict[str, flo
     ):
         await_recorder(ring, rec)
         began = time.perf_counter()
-        for tick in ticks:
-            put_when_there_is_room(ring, tick)
+        for row in pack_ticks(ticks):
+            put_when_there_is_room(ring, row)
         ring.loop_done = 1
         rec.wait()
         took = time.perf_counter() - began
@@ -83,10 +93,10 @@ def record(directory: Path, ticks: list[TickRecord], log: Path) -> dict[str, flo
     return {"ticks_per_s": len(ticks) / took, "bytes_per_tick": log.stat().st_size / len(ticks)}
 
 
-def put_when_there_is_room(ring: Ring, tick: TickRecord) -> None:
+def put_when_there_is_room(ring: Ring, row: bytearray) -> None:
     while True:
         try:
-            return ring.put_tick(tick)
+            return ring.put_row(row)
         except RingFull:
             time.sleep(2e-4)
 

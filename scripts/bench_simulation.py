@@ -35,9 +35,9 @@ from scipy.integrate import odeint, solve_ivp
 
 from hal.rig import RawSample
 from hal.sim.sim_rig import sensed_counts, sensed_pressure_v, sensor_chain
-from pamctl.compiled import compile_kernel
 from pamctl.control.experiment import build_segments
 from pamctl.control.law import Memory, respond
+from pamctl.kernel.calls import machine, prepare
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.paper.friction import axial_forces
 from pamctl.plant.paper.muscle import force_area_m2, volume_m3
@@ -75,12 +75,11 @@ def run_plant(
     commands_v: NDArray[np.float64],
     longest_step_s: float,
     positions_m: NDArray[np.float64],
-) -> PlantState:
+) -> None:
     """Kernel: hold each command for a tick."""
     for i in range(len(commands_v)):
         state = advance_plant(p, state, commands_v[i], 1e-3, longest_step_s)
         positions_m[i] = state.position_m
-    return state
 
 
 def run_plant_plain(commands_v: Sequence[float], steps: int) -> list[float]:
@@ -93,7 +92,7 @@ def run_plant_plain(commands_v: Sequence[float], steps: int) -> list[float]:
 
 def run_plant_compiled(commands_v: NDArray[np.float64], steps: int) -> NDArray[np.float64]:
     positions_m = np.empty_like(commands_v)
-    compile_kernel(run_plant)(P, vented_state(P), commands_v, TICK_S / steps, positions_m)
+    machine(run_plant)(P, vented_state(P), commands_v, TICK_S / steps, positions_m)
     return positions_m
 
 
@@ -152,13 +151,40 @@ def rates(t: float, y: Any, command_v: float, slip_m_per_s: float) -> tuple[floa
     )
 
 
+def fill_rates(
+    y: NDArray[np.float64], command_v: float, slip_m_per_s: float, found: NDArray[np.float64]
+) -> None:
+    """Kernel: fill what `rates` returns."""
+    found[0], found[1], found[2] = rates(0.0, y, command_v, slip_m_per_s)
+
+
+class CompiledRates:
+    """`rates` in machine code, for one command after the other."""
+
+    def __init__(self, slip_m_per_s: float) -> None:
+        self._y, self._found = np.zeros(3), np.zeros(3)
+        given = {
+            "y": self._y, "command_v": 0.0, "slip_m_per_s": slip_m_per_s, "found": self._found,
+        }  # fmt: skip
+        self.call = prepare(fill_rates, given)
+
+    def __call__(self, t: float, y: Any, *given: float) -> NDArray[np.float64]:
+        """Return what `rates` does; the command is that of `call`."""
+        self._y[:] = y
+        self.call.run()
+        return self._found
+
+
 def run_lsoda(how: Lsoda, commands_v: Sequence[float]) -> list[float]:
-    right_hand_side = compile_kernel(rates) if how.compiled_rates else rates
+    compiled = CompiledRates(how.slip_m_per_s) if how.compiled_rates else None
+    right_hand_side = compiled or rates
     atol = [how.rtol * scale for scale in (1e-3, 1e-1, 1e5)]
     state: Any = [0.0, 0.0, P.paper.atmospheric_pressure_pa]
     positions_m = []
     for command_v in commands_v:
         given = (command_v, how.slip_m_per_s)
+        if compiled is not None:
+            compiled.call.put("command_v", command_v)
         if how.in_c:
             ends = (0.0, TICK_S)
             state = odeint(

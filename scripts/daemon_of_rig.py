@@ -17,7 +17,7 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 PATIENT = (
-    "rig.limits.pressure_model_pa=1e9", "rig.limits.sample_age_s=60",
+    "rig.limits.pressure_model_pa=2e6", "rig.limits.sample_age_s=60",
     "rig.limits.missed_ticks=1e6", "rig.loop.heartbeat_ms=5000", "rig.loop.starved_ms=20000",
     "rig.homing.timeout_s=60",
 )  # fmt: skip

@@ -26,6 +26,7 @@ from pamctl.cli.app import app
 from pamctl.log import schema as log_schema
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.effects.places import PLACES
+from pamctl.plant.flat import parameters_of
 
 ROOT = Path(__file__).resolve().parents[1]
 REFERENCE = ROOT / "pamctl" / "manual" / "reference"
@@ -433,7 +434,8 @@ def write_effects() -> str:
             kinds = " or ".join(f"`{actuator}`" for actuator in effect.actuators)
             words.append(f"Looked for in plants with the actuator {kinds} only.")
         if effect.unidentifiable:
-            words.append(f"No experiment can tell its size: {_plain(effect.unidentifiable)}.")
+            why = _plain(effect.unidentifiable(parameters_of({}).paper))
+            words.append(f"Its size is not fitted: with the paper's numbers {why}.")
         parts.append(" ".join(words) + "\n")
         parts.append(f"If the model lacks it: {_plain(effect.signature)}.\n")
         parts += [

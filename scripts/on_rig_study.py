@@ -82,7 +82,7 @@ def build(request):
 BACKEND = replace(SIM, name="hidden", description="A rig of the tests.", build=build)
 '''
 WARM_UP = "from hidden_backend import LatePlant; LatePlant().wake()"
-"""Compiles the rig's equations into the cache, from which the loop loads them."""
+"""Builds the rig's equations into the cache, from which the loop loads them."""
 STARVED = ("starved", "did not start", "no CPU", "sample at least", "overrun", "missed")
 """Words of an ending that speak of the PC, not of the rig."""
 
@@ -118,7 +118,6 @@ def _examine_once(rig: str, runs: int, then: str) -> Outcome:
         environment = {
             **os.environ,
             "PYTHONPATH": os.pathsep.join(map(str, (ROOT, folder, ROOT / "tests"))),
-            "NUMBA_CACHE_DIR": str(Path(tempfile.gettempdir()) / "on-rig-study-numba"),
             "HIDDEN_EFFECTS": json.dumps({name: float(size)}),
             "HIDDEN_SEED": str(crc32(rig.encode()) % 1000),
         }

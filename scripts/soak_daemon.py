@@ -274,7 +274,8 @@ def judge_logs(folder: Path) -> tuple[int, int, list[str]]:
         ticks += len(log)
         replayed = replay_log(log) if len(log) else None
         if replayed is not None and not replayed.is_equal:
-            wrong.append(f"{path.name}: replay differs: {replayed.differences[:1]}")
+            left_out = (replayed.skipped, replayed.unasked)
+            wrong.append(f"{path.name}: replay differs: {replayed.differences[:1]}, {left_out}")
     return len(logs), ticks, wrong
 
 

@@ -67,7 +67,8 @@ class LimitSettings(Configured):
 
     command_v: Annotated[float, Field(gt=0, le=10, description="valve command, either side")] = 5.0
     slew_v_per_s: Annotated[
-        float, Field(gt=0, description="of laws; open-loop steps and safe writes are exempt")
+        float,
+        Field(gt=0, le=1e6, description="of laws; open-loop steps and safe writes are exempt"),
     ] = 10_000.0
     pressure_pa: Annotated[float, Field(gt=0, le=2e6, description="absolute")] = 500e3
     stroke_low_mm: Annotated[float, Field(ge=-100, le=0)] = -2.0
@@ -75,24 +76,25 @@ class LimitSettings(Configured):
     sensor_low_v: Annotated[float, Field(ge=-10, le=10)] = 0.1
     sensor_high_v: Annotated[float, Field(ge=-10, le=10)] = 4.8
     speed_mm_per_s: Annotated[
-        float, Field(gt=0, description="a faster motion is an error of the encoder")
+        float, Field(gt=0, le=1e5, description="a faster motion is an error of the encoder")
     ] = 2000.0
-    tracking_error_mm: Annotated[float, Field(gt=0)] = 4.0
-    sample_age_s: Annotated[float, Field(gt=0, description="between samples")] = 0.05
-    missed_ticks: Annotated[float, Field(gt=0, description="the most within about a second")] = (
-        100.0
-    )
+    tracking_error_mm: Annotated[float, Field(gt=0, le=1000)] = 4.0
+    sample_age_s: Annotated[float, Field(gt=0, le=60, description="between samples")] = 0.05
+    missed_ticks: Annotated[
+        float, Field(gt=0, le=1e6, description="the most within about a second")
+    ] = 100.0
     pressure_model_pa: Annotated[
-        float, Field(gt=0, description="measured against the model driven by the command")
+        float, Field(gt=0, le=2e6, description="measured against the model driven by the command")
     ] = 80e3
     pressure_model_memory_s: Annotated[
-        float, Field(gt=0, description="how fast the model forgets a difference")
+        float, Field(ge=0.01, le=10, description="how fast the model forgets a difference")
     ] = 0.1
     pressure_model_step_s: Annotated[
-        float, Field(gt=0, description="a longer tick is cut into such steps of the model")
+        float, Field(ge=1e-4, le=1, description="a longer tick is cut into such steps of the model")
     ] = 2e-3
     patience_s: Annotated[
-        float, Field(ge=0, description="how long a sensor, error or model limit may be broken")
+        float,
+        Field(ge=0, le=1, description="how long a sensor, error or model limit may be broken"),
     ] = 0.02
 
     @model_validator(mode="after")

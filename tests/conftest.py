@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import importlib
 import os
 import shutil
@@ -21,7 +20,6 @@ settings.load_profile("patient")
 # find ours. Set before pamctl is imported; every process that a test starts inherits it.
 _OURS = Path("/dev/shm", f"pamctl-tests-{os.getpid()}")
 os.environ["PAMCTL_SHARED_MEMORY"] = str(_OURS)
-os.environ["PAMCTL_NO_BUILD"] = "1"  # no compiler may run behind another test's back
 
 from pamctl.realtime.scheduling import keep_single_threaded  # noqa: E402
 
@@ -82,21 +80,6 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
             return "tests/on_rig" if file.startswith("tests/on_rig/") else file
 
     return FileScheduling(config, log) if config.getoption("dist") == "loadfile" else None
-
-
-@pytest.fixture(scope="session")
-def closed_loops(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Compile the closed loop of each law once a run of the tests, whichever worker asks first."""
-    from support.machine_code import READY, compile_kernels
-
-    if os.environ.get(READY):
-        return
-    folder = tmp_path_factory.getbasetemp()
-    folder = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
-    with (folder / "closed-loops.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not (folder / "closed-loops").exists():
-            compile_kernels(folder / "closed-loops")
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:

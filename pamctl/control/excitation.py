@@ -18,8 +18,8 @@ from hal.configured import Configured
 
 Volts = Annotated[float, Field(ge=-5, le=5, description="V; positive fills")]
 Amplitude = Annotated[float, Field(gt=0, le=5, description="V")]
-Seconds = Annotated[float, Field(gt=0, le=86_400)]
-Hertz = Annotated[float, Field(gt=0, le=250)]
+Seconds = Annotated[float, Field(ge=1e-6, le=86_400)]
+Hertz = Annotated[float, Field(ge=1e-5, le=250)]
 
 SAMPLE_S = 1e-3
 """Waves are sampled at this interval: one tick of the usual loop."""

@@ -21,12 +21,12 @@ from pamctl.control.references.shape import SpeedChange
 from pamctl.control.references.sketch import Sketch
 from pamctl.control.references.waves import MOST_TONES, Sweep, Tone, Tones, scale_to_peak
 
-Seconds = Annotated[float, Field(gt=0, le=86_400)]
-Hertz = Annotated[float, Field(gt=0, le=250)]
+Seconds = Annotated[float, Field(ge=1e-6, le=86_400)]
+Hertz = Annotated[float, Field(ge=1e-5, le=250)]
 Count = Annotated[int, Field(ge=1, le=100_000)]
 Level = Annotated[float, Field(ge=-1000, le=1000)]
-Size = Annotated[float, Field(gt=0, le=1000)]
-Jerk = Annotated[float, Field(gt=0, le=1e12, description="the highest jerk of a step or corner")]
+Size = Annotated[float, Field(ge=1e-6, le=1000)]
+Jerk = Annotated[float, Field(ge=1e-6, le=1e12, description="the highest jerk of a step or corner")]
 Seed = Annotated[int, Field(ge=0)]
 Trigger = Annotated[
     str | None,
@@ -36,6 +36,8 @@ Fade = Annotated[
     Seconds | None, Field(description="time to grow and to decay; one period if absent")
 ]
 
+SHORTEST_S = 5e-10
+"""A course takes shorter times for none."""
 MOST_ROWS = 8000
 """A table travels with the settings, into the log and to the daemon."""
 
@@ -326,7 +328,7 @@ class RampsForm(Form):
     """At constant speed from level to level, with corners of a given highest jerk."""
 
     levels_u: Annotated[tuple[Level, ...], Field(min_length=2, max_length=1000)]
-    speed_u_per_s: Annotated[float, Field(gt=0, le=1e5)]
+    speed_u_per_s: Annotated[float, Field(ge=1e-6, le=1e5)]
     jerk_u_per_s3: Jerk
     hold_s: Annotated[float, Field(ge=0, le=86_400, description="at each level")] = 1.0
     cycles: Count = 1
@@ -341,7 +343,7 @@ class RampsForm(Form):
             sketch.trigger(self.trigger, 0.0, 1)
             for here, there in pairwise(levels):
                 self._draw_ramp(sketch, here, there)
-                if self.hold_s:
+                if self.hold_s > SHORTEST_S:
                     sketch.hold(self.hold_s)
 
         sketch.repeat(self.cycles, draw_cycle)

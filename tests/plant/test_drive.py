@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -95,7 +96,9 @@ def test_the_compiled_drives_are_their_plain_twins_to_the_bit(
     coupled = drive_coupled(p, SMALL, dt_s)
     pressure = drive_pressure(p, SMALL, coupled.position_m, dt_s)
     mechanics = drive_mechanics(p, coupled.pressure_pa, dt_s)
-    monkeypatch.setattr(drive, "machine", lambda kernel: kernel)
+    monkeypatch.setattr(
+        drive, "machine", lambda kernel: SimpleNamespace(fill_until_it_fails=kernel)
+    )
     for plain, compiled in (
         (drive_coupled(p, SMALL, dt_s), coupled),
         (drive_pressure(p, SMALL, coupled.position_m, dt_s), pressure),

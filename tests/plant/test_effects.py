@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -115,7 +116,9 @@ def assert_twins_agree(p: PlantParameters, monkeypatch: pytest.MonkeyPatch) -> N
     pressure = drive_pressure(p, some_v, compiled.position_m, TICK_S)
     mechanics = drive_mechanics(p, compiled.pressure_pa, TICK_S)
     assert np.isfinite(np.array(compiled)).all()
-    monkeypatch.setattr(drive, "machine", lambda kernel: kernel)
+    monkeypatch.setattr(
+        drive, "machine", lambda kernel: SimpleNamespace(fill_until_it_fails=kernel)
+    )
     for plain, twin in (
         (drive_coupled(p, some_v, TICK_S), compiled),
         (drive_pressure(p, some_v, compiled.position_m, TICK_S), pressure),

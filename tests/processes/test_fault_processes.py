@@ -131,8 +131,8 @@ if "pamctl.processes.loop_main" in sys.orig_argv:
 def test_an_exception_in_the_law_ends_with_1_and_its_name(own: Card, tmp_path: Path) -> None:
     (tmp_path / "sitecustomize.py").write_text(BUG)
     path = os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH")]))
-    # Without a cache there is no machine code, which would run in the place of the wrong law.
-    changed = {"PYTHONPATH": path, "XDG_CACHE_HOME": str(tmp_path / "no cache")}
+    # The wrong law is no kernel.
+    changed = {"PYTHONPATH": path, "PAMCTL_PLAIN_PYTHON": "1"}
     process = start(own, *AT_ONCE, **changed)
     assert "ZeroDivisionError" in assert_left_in_order(own, process, code=1)
     log = log_of(own)

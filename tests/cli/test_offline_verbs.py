@@ -138,7 +138,7 @@ def test_info_of_a_damaged_log_exits_with_3_and_names_the_fix(log, options):
 
 
 def test_the_command_line_starts_without_imports_that_only_some_verbs_need():
-    heavy = "numpy scipy numba matplotlib pyarrow nidaqmx asyncio"
+    heavy = "numpy scipy matplotlib pyarrow nidaqmx asyncio"
     count = f"print(set('{heavy}'.split()) & set(sys.modules))"
     script = f"import sys; from pamctl.cli.app import app; {count}"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
@@ -165,7 +165,7 @@ for module, beginnings in hidden.items():
 system = sys.argv[1]
 if system != "elsewhere":
     # Packages know by their own means where they are; ours must ask for what it uses.
-    import numba, numpy, scipy.io, scipy.optimize, scipy.signal, pydantic, typer, rich.console
+    import numpy, scipy.io, scipy.optimize, scipy.signal, pydantic, typer, rich.console
     import mcap.writer, google.protobuf.message_factory, yaml, zstandard, openpyxl
     import multiprocessing.connection, concurrent.futures.process
     sys.platform = system

@@ -223,7 +223,7 @@ def test_a_run_is_arrays_units_tables_and_pictures(
 
 def test_importing_pamctl_loads_nothing_and_the_room_stays_a_room() -> None:
     program = (
-        "import sys, pamctl; heavy = {'numpy', 'pydantic', 'numba', 'scipy', 'pamctl.session'}\n"
+        "import sys, pamctl; heavy = {'numpy', 'pydantic', 'scipy', 'pamctl.session'}\n"
         "assert not heavy & {*sys.modules}, heavy & {*sys.modules}\n"
         "import pamctl.simulate.merit as merit\n"
         "assert merit.STEADY_S and callable(pamctl.simulate) and pamctl.aio.connect\n"

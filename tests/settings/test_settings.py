@@ -478,7 +478,7 @@ def test_a_file_with_the_heading_of_its_section_is_refused_with_the_fix() -> Non
 
 
 def test_settings_load_without_the_heavy_packages() -> None:
-    heavy = ["numpy", "scipy", "numba", "matplotlib", "mcap", "nidaqmx"]
+    heavy = ["numpy", "scipy", "matplotlib", "mcap", "nidaqmx"]
     code = f"import sys, pamctl.settings.resolve; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -181,10 +181,6 @@ class Block(Generic[T]):
         """Return the value in the buffer; its arrays are those of the template."""
         return self._build(self.struct.unpack_from(buffer, self._offset))
 
-    def read_numbers(self, buffer: Any) -> tuple[float, ...]:
-        """Return the numbers of a value without arrays, in their order."""
-        return self.struct.unpack_from(buffer, self._offset)
-
     def find_part(self, path: str) -> Block[Any]:
         """Return the place of a part of the value, such as `safety.valve_v`; '' is the whole."""
         template: Any = self.template

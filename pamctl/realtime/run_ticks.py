@@ -113,12 +113,12 @@ def start_loop(state: TickState, first_t_ns: int, last_t_ns: int) -> LoopState:
     )
 
 
-def make_timing(loop: LoopState, wake: Wake, raw: RawSample) -> Timing:
-    """Return the time of the tick that follows."""
+def make_timing(first_t_ns: int, last_t_ns: int, wake: Wake, raw: RawSample) -> Timing:
+    """Return the time of a tick, after the first and the last encoder sample before it."""
     return Timing(
         wake.tick,
-        (raw.encoder_t_ns - loop.first_t_ns) * 1e-9,
-        (raw.encoder_t_ns - loop.raw.encoder_t_ns) * 1e-9,
+        (raw.encoder_t_ns - first_t_ns) * 1e-9,
+        (raw.encoder_t_ns - last_t_ns) * 1e-9,
         (wake.now_ns - wake.deadline_ns) * 1e-9,
         wake.missed,
     )
@@ -169,7 +169,8 @@ def take_sample(
     rig: OpenRig, inner: Sensed, outer: Nothing, loop: LoopState, k: int
 ) -> tuple[Sensed, Timing, RawSample]:
     """Kernel: take the sample that was read."""
-    return inner, make_timing(loop, inner.wake, inner.raw), inner.raw
+    timing = make_timing(loop.first_t_ns, loop.raw.encoder_t_ns, inner.wake, inner.raw)
+    return inner, timing, inner.raw
 
 
 @act.register
@@ -231,7 +232,8 @@ def sample_simulated(
         now_ns,
         now_ns,
     )
-    return caught_up, make_timing(loop, Wake(inner.tick, now_ns, now_ns, 0), raw), raw
+    wake = Wake(inner.tick, now_ns, now_ns, 0)
+    return caught_up, make_timing(loop.first_t_ns, loop.raw.encoder_t_ns, wake, raw), raw
 
 
 def catch_up(

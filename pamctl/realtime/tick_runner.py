@@ -98,6 +98,8 @@ class TickRunner:
         call = self.call = prepare(run_ticks, arguments, UPDATES)
         self._ticks_done = call.reader("n", "")
         self._get_output_v = call.reader("loop", "output_v")
+        self._get_first_t_ns = call.reader("loop", "first_t_ns")
+        self._get_raw = call.reader("loop", "raw")
         self._get_timing = call.reader("loop", "timing")
         self._get_decision = call.reader("loop", "decision")
 
@@ -117,7 +119,8 @@ class TickRunner:
     @property
     def raw(self) -> RawSample:
         """The sample of the last tick."""
-        return self.loop.raw
+        raw: RawSample = self._get_raw()
+        return raw
 
     @property
     def timing(self) -> Timing:
@@ -189,7 +192,7 @@ class TickRunner:
 
     def time(self, wake: Wake, raw: RawSample) -> Timing:
         """Return the time of a tick that has not run yet."""
-        return make_timing(self.loop, wake, raw)
+        return make_timing(self._get_first_t_ns(), self.raw.encoder_t_ns, wake, raw)
 
     def run(self, setup: TickSetup, wake: Wake, raw: RawSample, reference: Reference) -> None:
         """Run a tick. A set-up of other types, as of another law, is for plain Python from here."""

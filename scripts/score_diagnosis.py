@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import re
 import signal
 import sys
 import traceback
@@ -119,7 +120,7 @@ def run_task(task: Task) -> dict[str, Any]:
 def _as_plain(said: Said) -> dict[str, Any]:
     return asdict(said) | {
         "names": sorted(said.names), "sets": [sorted(group) for group in said.sets],
-        "places": sorted(said.places),
+        "places": sorted(said.places), "noise": sorted(said.noise),
     }  # fmt: skip
 
 
@@ -129,7 +130,8 @@ def said_of(result: Mapping[str, Any]) -> Said:
     return Said(
         frozenset(s["names"]), tuple(map(frozenset, s["sets"])),
         frozenset((p, k) for p, k in s["places"]),
-        {name: tuple(n) for name, n in s["numbers"].items()}, s["refusal"],
+        {name: tuple(n) for name, n in s["numbers"].items()}, frozenset(s.get("noise", ())),
+        s["refusal"], s.get("admits", False),
     )  # fmt: skip
 
 
@@ -190,7 +192,7 @@ def main() -> None:
     parser.add_argument("--seeds", default="1")
     parser.add_argument("--cases", choices=LISTS, default="short", help="which list")
     parser.add_argument("--core", default="today")
-    parser.add_argument("--only", default="", help="only cases whose name contains this")
+    parser.add_argument("--only", default="", help="only cases whose name has this pattern")
     parser.add_argument("--change", default="", help=f"of {', '.join(CHANGES)}; NAME:VALUE")
     parser.add_argument("--results", type=Path, default=Path("logs/score.jsonl"))
     parser.add_argument("--cpu-limit-s", type=float, default=300.0, help="for a case")
@@ -198,7 +200,7 @@ def main() -> None:
     parser.add_argument("--list", action="store_true", help="print the cases and stop")
     given = parser.parse_args()
     cases = [c for seed in map(int, given.seeds.split(",")) for c in LISTS[given.cases](seed)
-             if given.only in c.key]  # fmt: skip
+             if re.search(given.only, c.key)]  # fmt: skip
     if given.list:
         print("\n".join(case.key for case in cases))
         return

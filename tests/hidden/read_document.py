@@ -35,7 +35,10 @@ def read_document(document: Mapping[str, Any]) -> Said:
         place = TERM_PLACES.get(term["location"], "force")
         kind = TERM_KINDS.get(term["operator"], "time" if term["driver"] == "time" else "curve")
         places.add((place, kind))
-    return Said(frozenset(names - frozenset().union(*sets)), sets, frozenset(places), numbers)
+    return Said(
+        frozenset(names - frozenset().union(*sets)), sets, frozenset(places), numbers,
+        admits=document["verdict"] == "none_known",
+    )  # fmt: skip
 
 
 def _call(finding: Mapping[str, Any]) -> str:

@@ -134,6 +134,7 @@ BOW = Cause("bow", frozenset({("pressure_sensor", "curve")}), "none")
         (Said(frozenset({"chamber_leak"})), "right at name"),
         (Said(frozenset({"chamber_leak", "stribeck"})), "wrong name"),
         (Said(sets=(frozenset({"chamber_leak", "dead_volume"}),)), "low"),
+        (Said(admits=True), "admitted"),
         (Said(places=frozenset({("chamber", "curve")})), "low"),
         (Said(places=frozenset({("encoder", "memory")})), "wrong place"),
         (Said(frozenset({"chamber_leak", "bow.pressure_pa"})), "right at name"),
@@ -147,11 +148,20 @@ def test_what_is_said_is_marked_at_the_rung_it_reaches(said: Said, verdict: str)
     assert mark([LEAK, BOW], said)[0] == verdict
 
 
-def test_where_nothing_must_be_said_silence_and_a_true_place_are_right() -> None:
+def test_a_set_reaches_what_its_members_have_in_common() -> None:
+    sensor = named_cause("pressure_sensor_gain", "set")
+    lag = named_cause("command_delay", "name", "skew.valve_v")
+    across = Said(sets=(frozenset({"pressure_sensor_gain", "valve_asymmetry"}),))
+    same = Said(sets=(frozenset({"command_delay", "skew.valve_v"}),))
+    late = Said(sets=(frozenset({"command_delay", "valve_spool"}),))
+    assert mark([sensor], across)[0] == "right at set"
+    assert mark([lag], same)[0] == "right at name"
+    assert mark([named_cause("command_delay", "kind")], late)[0] == "right at kind"
+
+
+def test_where_nothing_must_be_said_silence_and_a_true_word_are_right() -> None:
     assert mark([BOW], Said())[0] == "silent"
-    assert (
-        mark([BOW], Said(places=frozenset({("pressure_sensor", "curve")})))[0] == "right at place"
-    )
+    assert mark([BOW], Said(places=frozenset({("pressure_sensor", "curve")})))[0] == "right at kind"
     assert mark([], Said(frozenset({"creep"})))[0] == "wrong name"
 
 
@@ -159,7 +169,8 @@ def test_a_rung_falls_with_what_is_beside_the_effect() -> None:
     assert carried_rung("creep", 3, "short") == "name"
     assert carried_rung("command_delay", 1, "short") == "kind", "a spool imitates it"
     assert carried_rung("dead_volume", 1, "short") == "none", "nobody can see it"
-    assert carried_rung("encoder_scale", 3, "short", beside=0.4) != "name"
+    assert carried_rung("encoder_scale", 3, "short") == "name"
+    assert carried_rung("encoder_scale", 3, "short", beside=0.4) == "set"
 
 
 def test_a_list_has_24_cases_and_consecutive_seeds_go_round_the_catalogue() -> None:

@@ -1,10 +1,12 @@
 """Score a diagnosis on 24 rigs that share no code with it, and put cores side by side.
 
-    python scripts/score_diagnosis.py [--seeds 1,2] [--core today | MODULE:FUNCTION] [--jobs 2]
-        [--only TEXT] [--change cut:2,half_rate,guess:0.5,units] [--results FILE] [--list]
+    python scripts/score_diagnosis.py [--cases short|nulls|hostile] [--seeds 1,2] [--only PATTERN]
+        [--core today | MODULE:FUNCTION] [--change cut:2,half_rate,guess:0.5,units] [--jobs 2]
+        [--results FILE] [--list]
 
-A seed draws a list: singles in turn over the catalogue, pairs, halves of the smallest size, nulls,
-hostile, dirty and uncatalogued rigs, and two measured seals. A core is one function,
+A seed draws the short list: singles in turn over the catalogue, pairs, halves of the smallest size,
+nulls, hostile, dirty and uncatalogued rigs, and two measured seals. The other lists are whole
+suites: their table has only what is not right. A core is one function,
 `diagnose_case(records, plant) -> Said` (`tests/hidden/rungs.py`), with records as (to fit, to judge
 by) and the plant file's content. Results are appended to a JSONL file; what is stored is not run
 again, and the table shows every core in the file. With `--change` the same records come in other
@@ -39,6 +41,9 @@ from hidden.read_document import read_document  # noqa: E402
 from hidden.rungs import Said, mark  # noqa: E402
 from hidden.score_list import LISTS, Handed, ScoredCase  # noqa: E402
 from resumable_study import read_stored, run_resumable  # noqa: E402
+
+LONGEST = 100
+"""Cases of which every one has a row."""
 
 Core = Callable[[Handed, Mapping[str, Any]], Said]
 
@@ -141,9 +146,12 @@ def format_scores(results: Sequence[Mapping[str, Any]]) -> str:
     rows = ["| case | truth (rung) |" + "".join(f" {core} | s |" for core in cores),
             "|---|---|" + "---|---|" * len(cores)]  # fmt: skip
     by_case: dict[str, dict[str, Mapping[str, Any]]] = {}
+    groups = list(dict.fromkeys(r["group"] for r in results))
     for r in results:
         by_case.setdefault(r["case"], {})[r["core"]] = r
     for case, by_core in by_case.items():
+        if len(by_case) > LONGEST and all(map(_is_right, by_core.values())):
+            continue
         asked = next((r["asked"] for r in by_core.values() if r.get("asked")), [])
         cells = [f"| {case} | {', '.join(asked) or 'nothing'} |"]
         for core in cores:
@@ -154,13 +162,19 @@ def format_scores(results: Sequence[Mapping[str, Any]]) -> str:
         mine = [r for r in results if r["core"] == core]
         seconds = sorted(r["cpu_s"] for r in mine if "cpu_s" in r)
         counts = Counter(r.get("verdict", "CRASH") for r in mine)
-        good = sum(n for word, n in counts.items() if word.startswith(("right", "silent")))
+        good = {g: [_is_right(r) for r in mine if r["group"] == g] for g in groups}
+        shares = ", ".join(f"{g} {sum(right)}/{len(right)}" for g, right in good.items())
         middle = seconds[len(seconds) // 2] if seconds else 0.0
         rows.append(
-            f"\n{core}: {good} of {len(mine)} right; {dict(counts)}; processor seconds "
+            f"\n{core}: {sum(map(_is_right, mine))} of {len(mine)} right ({shares}); "
+            f"{dict(counts)}; processor seconds "
             f"{sum(seconds):.0f} in all, median {middle}, worst {max(seconds, default=0)}"
         )
     return "\n".join(rows)
+
+
+def _is_right(result: Mapping[str, Any]) -> bool:
+    return str(result.get("verdict", "")).startswith(("right", "silent"))
 
 
 def _cell(result: Mapping[str, Any] | None) -> str:

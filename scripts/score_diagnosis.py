@@ -5,8 +5,9 @@
         [--results FILE] [--list]
 
 A seed draws the short list: singles in turn over the catalogue, pairs, halves of the smallest size,
-nulls, hostile, dirty and uncatalogued rigs, and two measured seals. The other lists are whole
-suites: their table has only what is not right. A core is one function,
+nulls, hostile, dirty and uncatalogued rigs, and two measured seals (below the folder that
+PAMCTL_MEASURED_DATA names). The other lists are whole suites: their table has only what is not
+right. A core is one function,
 `diagnose_case(records, plant) -> Said` (`tests/hidden/rungs.py`), with records as (to fit, to judge
 by) and the plant file's content. Results are appended to a JSONL file; what is stored is not run
 again, and the table shows every core in the file. With `--change` the same records come in other

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -255,11 +256,16 @@ def _seal_causes() -> list[Cause]:
 
 def _from_bench(name: str) -> Made:
     """Import the files as a user does; each part is records."""
-    from measured_set import read_set, write_pieces
+    from measured_set import VARIABLE, SetRefused, read_set, write_pieces
 
     from pamctl.diagnose import record_of
 
-    measured = read_set(ROOT / "tests/real_data" / name, Path("/work/shared/data"))
+    stated = os.environ.get(VARIABLE)
+    measured = read_set(ROOT / "tests/real_data" / name, Path(stated) if stated else None)
+    if measured.missing:
+        raise SetRefused(
+            f"{name}: no {', '.join(measured.missing)}; state the folder by {VARIABLE}"
+        )
     with tempfile.TemporaryDirectory() as folder:
         parts = {
             part: [record_of(import_file(path, measured.folder / "map.yaml")) for path in paths]

@@ -237,7 +237,7 @@ def _parse_here(path: Path, kind: _Format, hints: TextHints) -> MeasuredTable | 
         package = kind.package or error.name
         return (
             f"cannot read {path}: {kind.name} files need the package {package}; install it with "
-            f"{sys.executable} -m pip install {package}"
+            f"python -m pip install {package}"
         )
     except OSError as error:
         return f"cannot read {path}: {error.strerror or error}"

@@ -95,8 +95,8 @@ class DecimalMark:
         if len(self._ambiguous) > 1 or (self._ambiguous and self._whole):
             cell = next(iter(self._ambiguous.values()))
             raise ValueError(
-                f"{cell} may be thousands or a fraction, and no other number tells: say "
-                "`decimal: '.'` or `decimal: ','` in the map"
+                f"{cell} may be thousands or a fraction, and no other number tells: say decimal in "
+                "the map"
             )
         return next(iter(self._ambiguous), ".")
 
@@ -138,7 +138,7 @@ class ClockColumn:
         self._dates = array("q")
         self._seconds = array("d")
         self._is_minutes = False
-        self._first = ""
+        self.first = ""
 
     def take(self, cell: str | float) -> bool:
         """Take a time; return False where it is none, or of another form than the others."""
@@ -158,7 +158,7 @@ class ClockColumn:
         if part.get("short") and (part["s"] or form):
             return False
         if self.form is None:
-            self.form, self._first = shape, text
+            self.form, self.first = shape, text
         date = _read_date(form, part[form]) if form else 0
         if shape != self.form or date is None:
             return False
@@ -208,7 +208,7 @@ class ClockColumn:
         form = self.form or ("", "")
         if form == ("", "two", False, False) and not self._is_minutes:
             raise ValueError(
-                f"{self._first!r} may be hours and minutes, or minutes and seconds; write the "
+                f"{self.first!r} may be hours and minutes, or minutes and seconds; write the "
                 "seconds too"
             )
         dated = self if form[0] else dates
@@ -257,8 +257,7 @@ def _count_days(clock: ClockColumn, order: str) -> Floats:
         found = smooth if len(smooth) == 1 else list(possible.values())
         if not found or any(not np.array_equal(found[0], days, equal_nan=True) for days in found):
             raise ValueError(
-                f"{clock._first!r} does not tell day from month: say `date_order: d/m/y` or "
-                "`date_order: m/d/y` in the map, at `time`"
+                f"{clock.first!r} does not tell day from month: say date_order in the map"
             )
         return found[0]
     days = _make_days(year, one, other)

@@ -56,9 +56,6 @@ class TimeMap(Configured):
     rate_hz: Annotated[
         float | None, Field(gt=0, description="of the rows, if the file has no time column")
     ] = None
-    date_order: Annotated[
-        Literal["d/m/y", "m/d/y"] | None, Field(description="of dates such as 5/4/2026")
-    ] = None
 
     @model_validator(mode="after")
     def _check_one_source(self) -> TimeMap:
@@ -147,6 +144,9 @@ class ImportMap(Configured):
         None
     )
     decimal: Annotated[Literal[".", ","] | None, Field(description="the mark of fractions")] = None
+    date_order: Annotated[
+        Literal["d/m/y", "m/d/y"] | None, Field(description="of dates such as 5/4/2026")
+    ] = None
     missing: Annotated[
         tuple[str, ...], Field(description="cells that mean a missing value, beside the usual ones")
     ] = ()
@@ -156,8 +156,9 @@ class ImportMap(Configured):
 
     def hints(self) -> TextHints:
         """Return what the map says of a text's form."""
-        order = self.time.date_order or ""
-        return TextHints(self.encoding or "", self.decimal or "", self.missing, order)
+        return TextHints(
+            self.encoding or "", self.decimal or "", self.missing, self.date_order or ""
+        )
 
     def readings(self) -> list[ColumnReading]:
         """Return how to read each column; time comes first if there is a time column."""

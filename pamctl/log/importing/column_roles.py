@@ -195,7 +195,8 @@ def choose_by_header(table: MeasuredTable) -> ChosenColumns:
         if meaning is None:
             chosen.left_out[number] = _say_why(column)
         else:
-            kind = sure if meaning.is_sure and meaning.unit else asked
+            is_clear = meaning.is_sure and meaning.unit and not column.is_text
+            kind = sure if is_clear else asked
             kind.setdefault(meaning.quantity, []).append((number, column, meaning))
     doubts = []
     for quantity in UNITS:
@@ -247,8 +248,6 @@ def _settle(chosen: ChosenColumns, column: TableColumn, meaning: HeaderMeaning) 
     reading = ColumnReading(
         meaning.quantity, column.name, meaning.unit, gauge=bool(meaning.is_gauge)
     )
-    if column.is_text:
-        raise ImportRefused(f"{column.name} holds words, no numbers; {meaning.quantity} is needed")
     if meaning.quantity == "pressure_pa" and meaning.is_gauge is None:
         lowest_pa = _find_lowest(reading, column)
         if lowest_pa < NEVER_ABSOLUTE_PA:
@@ -274,6 +273,8 @@ def _find_lowest(reading: ColumnReading, column: TableColumn) -> float:
 
 def _ask(quantity: str, column: TableColumn, meaning: HeaderMeaning) -> str:
     name = _quote(column.name)
+    if column.is_text:
+        return f"{name} may be {quantity}, but holds {column.says or 'words'}"
     if meaning.unit:
         return f"{name} may be {quantity}, or something else"
     if not meaning.said_unit:
@@ -312,14 +313,19 @@ def _refuse(
         if quantity in given:
             lines.append(write_map_line(table, given[quantity]))
             continue
-        for index, (_, column, meaning) in enumerate(candidates.get(quantity, ())):
+        usable = [one for one in candidates.get(quantity, ()) if not one[1].is_text]
+        for index, (_, column, meaning) in enumerate(usable):
             lines.append(_propose(table, quantity, column, meaning, is_first=not index))
-        if quantity == TIME and quantity not in candidates:
+        if quantity == TIME and not usable:
             lines.append(_propose_time(table, table.columns))
     doubts += table.notes
-    return "\n".join(
-        ["; ".join(doubts) + "; say which with --map FILE, such as:", *(f"  {x}" for x in lines)]
-    )
+    lines += [table.mend] if table.mend else []
+    return show_map("; ".join(doubts) + "; say which with --map FILE, such as:", "\n".join(lines))
+
+
+def show_map(doubt: str, text: str) -> str:
+    """Return a refusal with the text of a map below it."""
+    return "\n".join([doubt, *(f"  {line}" for line in text.splitlines())])
 
 
 def write_map_line(table: MeasuredTable, reading: ColumnReading, remark: str = "") -> str:

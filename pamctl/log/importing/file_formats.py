@@ -94,6 +94,10 @@ class _Unpacked(io.RawIOBase):
     def readable(self) -> bool:
         return True
 
+    def close(self) -> None:
+        self._stream.close()
+        super().close()
+
     def readinto(self, buffer: Any) -> int:
         try:
             part = self._stream.read(len(buffer))

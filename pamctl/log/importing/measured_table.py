@@ -35,9 +35,9 @@ class TableColumn:
     says: str = ""
     """What a reader of the report must know, such as which cells are missing."""
     bad_cell: str = ""
-    """Line and text of the first cell that is no number; such a column cannot be used."""
-    t_s: Floats | None = None
-    """Times of the samples, where the file keeps them with the column, as for a waveform."""
+    """The first cell that is no number, with its line; such a column cannot be used."""
+    mend: str = ""
+    """The line of a map that may mend that."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,10 @@ class MeasuredTable:
     """What the user must know of the file, such as that its end is missing."""
     remarks: Sequence[str] = field(default=())
     """What may be wrong with it, but most often is not."""
+    doubt: str = ""
+    """What is not clear of the whole file; such a table cannot be used."""
+    mend: str = ""
+    """The line of a map that may mend that."""
 
     def find(self, wanted: str | int) -> TableColumn:
         """Return a column by its name, its number from 1, or `name(2,:)` for a row of a matrix.

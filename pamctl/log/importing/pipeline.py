@@ -15,6 +15,7 @@ from pamctl.log.importing.column_map import ImportMap
 from pamctl.log.importing.column_roles import (
     ChosenColumns,
     choose_by_header,
+    show_map,
     understand_column,
     write_map_line,
 )
@@ -80,6 +81,12 @@ def import_log(
     chosen = _choose_by_map(table, import_map) if import_map else choose_by_header(table)
     for warning in chosen.warnings:
         findings.warning("gauge", warning)
+    doubts = [(table.doubt, table.mend), *((c.bad_cell, c.mend) for c in chosen.columns)]
+    if doubts := [(doubt, mend) for doubt, mend in doubts if doubt]:
+        shown = _write_map(table, chosen.readings, import_map)
+        shown = "\n".join([shown, *dict.fromkeys(mend for _, mend in doubts if mend)])
+        text = "; ".join(doubt for doubt, _ in doubts)
+        raise ImportRefused(show_map(f"{text}; with --map FILE, such as:", shown))
     kept = _select_lines(table, import_map)
     rows = table.rows[kept]
     t_s, quantities = _convert_to_si(chosen, rows, kept)
@@ -160,11 +167,6 @@ def _convert_to_si(
         raise ImportRefused(f"the columns differ in length: {listed}")
     found: dict[str, Floats] = {}
     for reading, column in zip(chosen.readings, chosen.columns, strict=True):
-        if column.bad_cell:
-            raise ImportRefused(
-                f"{column.bad_cell}, but must be a {'time' if column.unit == 's' else 'number'}; "
-                "if that means a missing value, say so with `missing: [CELL]` in the map"
-            )
         raw = column.values[kept]
         with np.errstate(over="ignore"):
             values = reading.to_si(raw)
@@ -220,7 +222,7 @@ def _describe_columns(table: MeasuredTable, chosen: ChosenColumns) -> tuple[Impo
         read_as = roles.get(id(column), "")
         why = "" if read_as else chosen.left_out.get(number, "")
         if column.bad_cell:
-            why += f"; {column.bad_cell.split(': ', 1)[-1]}"
+            why += "; not all its cells are numbers"
         found.append(
             describe_column(number, column.name, column.values, read_as=read_as, left_out=why)
         )
@@ -245,7 +247,14 @@ def _write_map(
         given = import_map.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
         if import_map.time.rate_hz:
             lines.insert(0, f"time: {{rate_hz: {import_map.time.rate_hz!r}}}")
-        for key in ("atmospheric_pressure_pa", "encoding", "decimal", "missing", "lines"):
+        for key in (
+            "atmospheric_pressure_pa",
+            "encoding",
+            "decimal",
+            "date_order",
+            "missing",
+            "lines",
+        ):
             if key in given:
                 lines.append(f"{key}: {to_json(given[key]).decode()}")
     return "\n".join(lines)

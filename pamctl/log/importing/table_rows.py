@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pamctl.json_text import to_json
 from pamctl.log.importing.cell_texts import (
     MISSING,
     OTHER,
@@ -164,15 +165,20 @@ class TableBuilder:
         self._mark = DecimalMark(hints.decimal)
         self._parts: list[Floats] = []
         self._lines: list[Ints] = []
-        self._bad: dict[int, list[str]] = {}
+        self._bad: dict[int, tuple[str, str]] = {}
+        self._words: dict[int, str] = {}
         self._odd: list[tuple[int, str]] = []
         self._comments: list[int] = []
         self._rows = 0
         self._remarks: list[str] = []
+        self._doubt = ""
 
     def look_for_mark(self, rows: Iterable[Row], fewest: int = 0) -> None:
         """Show cells to the decimal mark's decision, at least those of the first rows."""
         for count, row in enumerate(rows):
+            for at, kind in enumerate(self._layout.kinds):
+                if kind == "w" and at < len(row.cells) and not count:
+                    self._words[at] = f"{row.cells[at]!r} in line {row.number}"
             if count >= fewest and self._mark.is_proved:
                 return
             for at in self._plain:
@@ -183,7 +189,8 @@ class TableBuilder:
         try:
             return self._mark.settle()
         except ValueError as error:
-            raise ImportRefused(f"{self._path}: {error}") from None
+            self._doubt = f"{self._path}: {error}"
+            return "."
 
     def take_numbers(self, block: TextBlock) -> bool:
         """Take a block of plain numbers, and of times beside them; return False for any other."""
@@ -299,9 +306,14 @@ class TableBuilder:
         return value
 
     def _complain(self, row: Row, at: int) -> None:
-        name = self._layout.names[at]
-        self._bad.setdefault(at, []).append(
-            f"{self._path}:{row.number}: {name} is {row.cells[at]!r}"
+        if at in self._bad:
+            return
+        name, cell = self._layout.names[at], str(row.cells[at]).strip()
+        must = f"a time as {self._clocks[at].first!r}" if at in self._clocks else "a number"
+        self._bad[at] = (
+            f"{self._path}:{row.number}: {name} is {cell!r}, but must be {must}; if that means a "
+            "missing value, say so in the map",
+            f"missing: [{to_json(cell).decode()}]",
         )
 
     def finish(self, form: str, notes: Sequence[str] = ()) -> MeasuredTable:
@@ -318,25 +330,27 @@ class TableBuilder:
         columns = []
         dates = [c for c in self._clocks.values() if c.form is not None and c.form[1] == "date"]
         for at, (name, unit, kind) in enumerate(zip(*self._layout[:3], strict=True)):
-            bad = self._bad.get(at, [""])[0]
             if at in self._clocks:
-                columns.append(self._finish_clock(at, name, dates, bad))
+                columns.append(self._finish_clock(at, name, dates))
                 continue
             if kind == "w":
-                columns.append(TableColumn(name, np.zeros(0), unit, is_text=True))
+                says = f"words, no numbers: {self._words.get(at, '')}"
+                columns.append(TableColumn(name, np.zeros(0), unit, is_text=True, says=says))
                 continue
             index = self._plain.index(at)
             values = np.concatenate([part[:, index] for part in self._parts] or [np.zeros(0)])
             values[np.isin(values, self._sentinels)] = np.nan
-            columns.append(TableColumn(name, values, unit, bad_cell=bad))
+            bad, mend = self._bad.get(at, ("", ""))
+            columns.append(TableColumn(name, values, unit, bad_cell=bad, mend=mend))
         decimal = "decimal comma" if self._decimal() == "," else "decimal point"
         form = f"{form}, {decimal}"
-        return MeasuredTable(columns, lines.astype(np.int64), form, notes, self._remarks)
+        mend = "decimal: '.'  # or ','" if self._doubt else ""
+        rows = lines.astype(np.int64)
+        return MeasuredTable(columns, rows, form, notes, self._remarks, self._doubt, mend)
 
-    def _finish_clock(
-        self, at: int, name: str, dates: Sequence[ClockColumn], bad: str
-    ) -> TableColumn:
+    def _finish_clock(self, at: int, name: str, dates: Sequence[ClockColumn]) -> TableColumn:
         clock = self._clocks[at]
+        bad, mend = self._bad.get(at, ("", ""))
         beside = None
         if len(dates) == 1 and clock.form and not clock.form[0] and dates[0].changes:
             beside = dates[0]
@@ -346,5 +360,7 @@ class TableBuilder:
             values = clock.finish(self._hints.date_order, beside)
         except ValueError as error:
             bad = bad or f"{self._path}: {name}: {error}"
+            mend = "date_order: d/m/y  # or m/d/y" if "day from month" in bad else ""
             values = np.full(len(clock), np.nan)
-        return TableColumn(name, values, "s", bad_cell=bad, says="times of day, in seconds")
+        says = "times of day, in seconds"
+        return TableColumn(name, values, "s", bad_cell=bad, mend=mend, says=says)

@@ -308,7 +308,7 @@ def test_a_line_in_the_middle_that_is_no_row_is_refused_with_its_number(tmp_path
 def test_a_line_below_the_table_is_left_out_and_told(tmp_path):
     done = Outcome(write(tmp_path, table() + "End of data\n"))
     require_good(done)
-    assert "line 62 is left out" in done.said["warning", "incomplete"]
+    assert "line 62 is left out" in done.said["warning", "file"]
 
 
 # What changes inside a file.

@@ -381,7 +381,7 @@ def test_what_labview_wrote_before_it_ended_early_is_kept_with_a_warning(tmp_pat
         writer.write_segment([ChannelObject("Log", "Position", POSITION_MM, properties)])
     path.write_bytes(path.read_bytes()[:-800])
     done = Outcome(path)
-    assert "the file is damaged" in done.said["warning", "incomplete"]
+    assert "the file is damaged" in done.said["warning", "file"]
     np.testing.assert_allclose(done.signals.position_m, POSITION_MM[:200] * 1e-3)
 
 

@@ -104,7 +104,8 @@ class DecimalMark:
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _DATE = (
     r"(?:(?P<iso>\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{8}(?=T))|(?P<dots>\d{1,2}\.\d{1,2}\.\d{4})"
-    r"|(?P<slashes>\d{1,2}/\d{1,2}/\d{2}(?:\d\d)?)|(?P<words>\d{1,2}[- ][A-Za-z]{3}[- ]\d{4}))"
+    r"|(?P<slashes>\d{1,2}/\d{1,2}/\d{2}(?:\d\d)?)"
+    r"|(?P<words>\d{1,2}[- ][A-Za-z]{3}[- ]\d{4}|[A-Za-z]{3} \d{1,2},? \d{4}))"
 )
 _CLOCK = re.compile(
     rf"(?:{_DATE}(?:T|[\s,]+))?(?:(?P<days>\d+)\s*d(?:ays?)?,?\s+)?"
@@ -113,6 +114,9 @@ _CLOCK = re.compile(
 )
 _COMPACT = re.compile(r"(\d{8})T(\d\d)(\d\d)(\d\d(?:[.,]\d+)?)(Z|[+-]\d\d:?\d\d)?")
 _ONLY_DATE = re.compile(_DATE)
+_DIGITS = re.compile(r"\d+")
+_DATE_PARTS = {"iso": (0, 1, 2), "dots": (2, 1, 0), "slashes": (2, 0, 1)}
+"""Where year, month and day stand; of `slashes` the order of the last two is not known."""
 DAY_S = 86400.0
 
 
@@ -178,6 +182,50 @@ class ClockColumn:
         """Forget all times but the first ones."""
         del self._dates[count:], self._seconds[count:]
 
+    def take_many(self, cells: list[str]) -> bool:
+        """Take times; return False, with some of them taken, where one is none of this form."""
+        return self._take_alike(cells) or all(map(self.take, cells))
+
+    def _take_alike(self, cells: list[str]) -> bool:
+        """Take times that differ from the first in their digits alone; False for any other."""
+        match = _CLOCK.fullmatch(cells[0])
+        form = next((n for n in ("iso", "dots", "slashes") if match and match[n]), "")
+        if match is None or not match["s"] or match["days"] or match["words"] or match["half"]:
+            return False
+        parts = [match.span(name) for name in ("h", "m", "s", "f" if match["f"] else "ms")]
+        begin = match.start(form) if form else 0
+        parts += [
+            (begin + d.start(), begin + d.end())
+            for d in _DIGITS.finditer(match[form] if form else "")
+        ]
+        width = len(cells[0])
+        table = np.array(cells, f"U{width + 1}").view(np.uint32).reshape(len(cells), -1)
+        digits = table.astype(np.int64) - ord("0")
+        free = [at for begin, end in parts for at in range(max(begin, 0), end)]
+        fixed = np.setdiff1d(np.arange(width + 1), free)  # the marks between, the zone, the end
+        alike = (table[:, fixed] == table[0, fixed]).all()
+        if len(parts) not in (4, 7) or not alike or (digits[:, free] // 10 != 0).any():
+            return False
+        h, m, s, f, *date = (
+            digits[:, a:b] @ 10 ** np.arange(b - a - 1, -1, -1) if b > a else 0 * digits[:, 0]
+            for a, b in parts
+        )
+        coded = 0 * h
+        if date:
+            year, month, day = (date[at] for at in _DATE_PARTS[form])
+            coded = (year + 2000 * (year < 100)) * 10000 + month * 100 + day
+            most = 31 if form == "slashes" else 12
+            if (month > most).any() or (day > 31).any() or (month * day == 0).any():
+                return False
+        if (m > 59).any() or (s > 59).any() or not self.take(cells[0]):
+            return False
+        seconds = h * 3600.0 + m * 60.0 + s + f / 10.0 ** (parts[3][1] - parts[3][0])
+        zone_s = round(self._seconds.pop() - seconds[0])
+        self._dates.pop()
+        self._dates.frombytes(coded.astype(np.int64).tobytes())
+        self._seconds.frombytes((seconds + zone_s).tobytes())
+        return True
+
     def skip(self) -> None:
         """Take a missing time."""
         self._dates.append(-1)
@@ -225,6 +273,8 @@ def _read_date(form: str, text: str | None) -> int | None:
         str(text)[:4], str(text)[4:6], str(text)[6:]
     ]  # fmt: skip
     if form == "words":
+        if not parts[0].isdecimal():
+            parts[:2] = [parts[1].strip(","), parts[0]]
         if parts[1].lower() not in _MONTHS:
             return None
         parts[1] = str(_MONTHS.index(parts[1].lower()) + 1)
@@ -240,6 +290,8 @@ def _read_date(form: str, text: str | None) -> int | None:
 def _count_days(clock: ClockColumn, order: str) -> Floats:
     """Return the days since the first one, shape (n,)."""
     dates = np.frombuffer(clock._dates, np.int64)
+    if len(dates) and (dates == dates[0]).all():
+        return np.zeros(len(dates))
     year, one, other = dates // 10000, dates // 100 % 100, dates % 100
     if clock.form is not None and clock.form[0] == "slashes":
         orders: dict[str, Callable[[], Floats | None]] = {

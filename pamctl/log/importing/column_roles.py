@@ -58,19 +58,19 @@ class ChosenColumns(NamedTuple):
 
 
 _NAMES: Mapping[str, frozenset[str]] = {
-    TIME: frozenset({"time", "t", "timestamp", "zeit", "temps", "tiempo"}),
+    TIME: frozenset({"time", "t", "timestamp", "zeit", "messzeit", "temps", "tiempo"}),
     "valve_v": frozenset({"valve", "command", "cmd", "control", "u", "ventil", "stellgroesse"}),
     "pressure_pa": frozenset({"pressure", "p", "druck", "pression", "presion"}),
     "position_m": frozenset(
         {"position", "pos", "displacement", "disp", "contraction", "stroke", "x", "weg", "hub",
-         "kontraktion", "auslenkung", "deplacement"}
+         "encoder", "enc", "kontraktion", "auslenkung", "deplacement"}
     ),
     "force_n": frozenset({"force", "f", "kraft"}),
 }  # fmt: skip
 """Words for a quantity, in the languages of many labs."""
 _BESIDE = frozenset({
     "muscle", "muskel", "pam", "actuator", "measured", "meas", "gemessen", "actual", "act", "ist",
-    "sensor", "encoder", "channel", "ch", "ai", "ao", "signal", "value", "wert", "applied",
+    "sensor", "channel", "ch", "ai", "ao", "signal", "value", "wert", "applied",
     "elapsed", "relative", "rel", "absolute", "abs", "absolut", "gauge", "internal", "inner",
     "voltage", "spannung", "since", "start", "cell", "load", "axial", "linear", "number", "no",
 })  # fmt: skip
@@ -102,6 +102,11 @@ _SPELLINGS = {
     "inches": "in", '"': "in", "newton": "N", "newtons": "N", "pascal": "Pa", "torr": "Torr",
     "mm hg": "mmHg", "in hg": "inHg", "kp/cm2": "kgf/cm2", "kg/cm2": "kgf/cm2", "kp": "kgf",
 }  # fmt: skip
+_CLOCK_FORM = re.compile(r"[\[(][dhmsyf:.,/ -]+[\])]", re.I)
+"""As in `Time [hh:mm:ss]`: no unit, but the form of the cells."""
+_LETTERS = str.maketrans(
+    {"\xe4": "ae", "\xf6": "oe", "\xfc": "ue", "\xdf": "ss", "\xe9": "e", "\xf3": "o"}
+)
 _SENSE = re.compile(
     r"(\S+?|mm hg|in hg)[\s_(]*"
     r"(?:(g|gauge|gage|rel\.?|relative?|\N{LATIN SMALL LETTER U WITH DIAERESIS})"
@@ -152,7 +157,7 @@ def understand_header(name: str, unit: str = "") -> HeaderMeaning | None:
 
 def _split_unit(name: str, unit: str) -> tuple[str, str, _Unit | None]:
     if unit:
-        return name, unit, read_unit(unit)
+        return _CLOCK_FORM.sub("", name), unit, read_unit(unit)
     for form in _FORMS:
         match = form.fullmatch(name.strip())
         if match is not None and (found := read_unit(match[2])) is not None:
@@ -164,7 +169,7 @@ def _split_unit(name: str, unit: str) -> tuple[str, str, _Unit | None]:
 def _split_words(label: str) -> set[str]:
     """Return the words of a label in small letters; numbers count for nothing."""
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", label)
-    return {word for word in re.findall(r"[^\W\d_]+", spaced.lower()) if word}
+    return set(re.findall(r"[^\W\d_]+", spaced.lower().translate(_LETTERS)))
 
 
 def _tell_gauge(found: _Unit | None, words: set[str]) -> bool | None:
@@ -319,6 +324,9 @@ def _refuse(
         if quantity == TIME and not usable:
             lines.append(_propose_time(table, table.columns))
     doubts += table.notes
+    known = {id(column) for part in candidates.values() for _, column, _ in part}
+    others = [c.name for c in table.columns if id(c) not in known and not c.is_text]
+    lines += [f"# other columns: {', '.join(map(_quote, others[:20]))}"] if others else []
     lines += [table.mend] if table.mend else []
     return show_map("; ".join(doubts) + "; say which with --map FILE, such as:", "\n".join(lines))
 
@@ -356,7 +364,7 @@ def _propose(
     unit = meaning.unit or next(iter(UNITS[quantity]))
     reading = ColumnReading(quantity, str(name), unit, gauge=bool(gauge))
     remark = ""
-    if quantity == "pressure_pa" and gauge is None:
+    if quantity == "pressure_pa" and gauge is None and meaning.unit:
         is_low = _find_lowest(reading, column) < NEVER_ABSOLUTE_PA
         reading = ColumnReading(quantity, str(name), unit, gauge=is_low)
         remark = f"or gauge: {str(not is_low).lower()}; the file does not say"
@@ -374,9 +382,10 @@ def _propose_time(table: MeasuredTable, columns: Sequence[TableColumn]) -> str:
         if len(step) and bool((step > 0.0).all()):
             period = float(np.median(step))
             unit = "s" if period < 0.5 else "ms" if period < 1e3 else "us" if period < 1e6 else "ns"
-            reading = ColumnReading(TIME, column.name, unit)
-            return write_map_line(table, reading, f"a row every {period:g}: is it in {unit}?")
-    return "time: {rate_hz: 1000}  # no column always rises: rows per second"
+            reading = ColumnReading(TIME, column.name, column.unit or unit)
+            remark = "" if column.unit else f"a row every {period:g}: is it in {unit}?"
+            return write_map_line(table, reading, remark)
+    return "# time: {rate_hz: 1000}  # no column always rises: write the rows per second"
 
 
 def _is_repeated(table: MeasuredTable, name: str) -> bool:

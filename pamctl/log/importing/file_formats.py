@@ -71,6 +71,9 @@ _CLOSED = {
     b"ARROW1": ("Feather", "save it as Parquet or CSV"),
     b"%PDF": ("PDF", "it holds no measurement; ask for the numbers as CSV"),
     b"|CF,": ("imc FAMOS", "export it as CSV or MAT"),
+    b'{"': ("JSON", "save it as CSV"),
+    b"[{": ("JSON", "save it as CSV"),
+    b"<": ("XML or HTML", "save it as CSV"),
     b"7z\xbc\xaf'\x1c": ("7-Zip", "unpack it first"),
     b"Rar!": ("RAR", "unpack it first"),
 }  # fmt: skip

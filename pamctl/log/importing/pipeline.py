@@ -75,7 +75,7 @@ def import_log(
     table = read_table(source, import_map.hints() if import_map else TextHints())
     findings = LogFindings()
     for note in table.notes:
-        findings.warning("incomplete", note)
+        findings.warning("file", note)
     for remark in table.remarks:
         findings.note("last-line", remark)
     chosen = _choose_by_map(table, import_map) if import_map else choose_by_header(table)

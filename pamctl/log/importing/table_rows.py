@@ -72,6 +72,8 @@ class TableLayout(NamedTuple):
     """Of each column, as `tell_kind` says."""
     first: int
     """Index of the first row of numbers."""
+    odd_names: str = ""
+    """What stands above the numbers but does not fit to them."""
 
 
 def find_layout(rows: Sequence[Row]) -> TableLayout | None:
@@ -99,7 +101,12 @@ def find_layout(rows: Sequence[Row]) -> TableLayout | None:
         above = after and after[0].number in near and _has_no_number(after[0].cells)
         if flags[at] and (not above or at + 1 == len(plain)):
             names, units = _find_names(rows[:first], width)
-            return TableLayout(names, units, kinds, first)
+            above = [row for row in rows[:first] if not row.is_comment][-1:]
+            odd = ""
+            if above and names[0] == "1" and len(above[0].cells) > 1:
+                count = _filled_width(above[0].cells)
+                odd = f"line {above[0].number} has {count} cells, but the rows below have {width}"
+            return TableLayout(names, units, kinds, first, odd)
     return None
 
 
@@ -197,16 +204,19 @@ class TableBuilder:
         text = "\n".join(block.lines)
         delimiter = None if self._delimiter == " " else self._delimiter
         marks = {".", ","} - {self._delimiter}
-        if '"' in text or block.is_cut or self._delimiter == WIDE_GAP:
+        if block.is_cut or self._delimiter == WIDE_GAP:
             return False
+        if '"' in text:
+            text = self._unquote(text, len(block.lines))
+            if not text:
+                return False
         if not self._mark.is_proved and any(mark in text for mark in marks):
             return False
         decimal = self._decimal()
         if OTHER[decimal] in text and OTHER[decimal] != self._delimiter:
             return False
-        lines = block.lines
-        if decimal == ",":
-            lines = text.replace(",", ".").split("\n")
+        text = text.replace(",", ".") if decimal == "," else text
+        lines = text.split("\n")
         load = partial(np.loadtxt, delimiter=delimiter, comments=None, ndmin=2)
         try:
             if len(self._plain) == self._width:
@@ -222,7 +232,7 @@ class TableBuilder:
                     return False
                 for at, clock in self._clocks.items():
                     begun = len(clock)
-                    if not all(clock.take(row[at]) for row in cells):
+                    if not clock.take_many([row[at] for row in cells]):
                         for one in self._clocks.values():
                             one.forget(begun)
                         return False
@@ -230,6 +240,13 @@ class TableBuilder:
             return False
         self._add(table, np.arange(block.first, block.first + len(lines)))
         return True
+
+    def _unquote(self, text: str, lines: int) -> str:
+        """Return lines whose cells are all quoted without the quotes; nothing for any other."""
+        apart = text.count(f'"{self._delimiter}"')
+        is_whole = apart == text.count(self._delimiter) == lines * (self._width - 1)
+        is_whole = is_whole and text.count('"') == 2 * lines * self._width
+        return text.replace('"', "") if is_whole else ""
 
     def take_rows(self, rows: Iterable[Row], *, is_cut: bool = False) -> None:
         """Take rows cell by cell. `is_cut`: nothing ends the last one, which may be cut off."""
@@ -320,7 +337,8 @@ class TableBuilder:
         """Return the table; raise ImportRefused where too much below it is no part of it."""
         if len(self._odd) > _MOST_LEFT_OUT:
             self._refuse_odd()
-        notes = [*notes, *(f"line {number} is left out: {why}" for number, why in self._odd)]
+        notes = [*notes, *([self._layout.odd_names] if self._layout.odd_names else [])]
+        notes += [f"line {number} is left out: {why}" for number, why in self._odd]
         if self._comments:
             notes.append(
                 f"{len(self._comments)} comment lines are left out, the first is line "

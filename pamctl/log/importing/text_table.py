@@ -28,7 +28,7 @@ from pamctl.log.importing.table_rows import (
 
 _LONGEST_LINE = 100_000
 """Characters; the parser of cells takes no longer ones."""
-_BLOCK = 1 << 22
+_BLOCK = 1 << 20
 _DELIMITERS = {"\t": "tab", ";": "semicolon", "|": "|", ",": "comma", WIDE_GAP: WIDE_GAP,
                " ": "spaces"}  # fmt: skip
 _COMMENT = re.compile(r"\s*(?:#+|%+|//+|!)\s*")
@@ -56,8 +56,11 @@ def read_text(path: Path, hints: TextHints, open_file: Callable[[], BinaryIO]) -
         builder.look_for_mark(_split_rows(begun[0], delimiter), HEAD_ROWS)
         for block in chain(begun, blocks):
             if not builder.take_numbers(block):
-                rows = _split_rows(block, delimiter)
-                builder.take_rows(rows, is_cut=block.is_cut)
+                try:
+                    builder.take_rows(_split_rows(block, delimiter), is_cut=block.is_cut)
+                except csv.Error as error:
+                    detail = f"in the lines from {block.first} on: {error}"
+                    raise ImportRefused(f"{path} has a cell that is none, {detail}") from None
         plain = "utf-8" if encoding == "utf-8-sig" else encoding
         form = f"text in {plain}, {_DELIMITERS[delimiter]} between cells"
         return builder.finish(form, notes)
@@ -71,21 +74,26 @@ def _find_encoding(
     encoding = stated or next((name for bom, name in _BOMS if begin.startswith(bom)), "")
     if not encoding and len(begin) > 3 and begin[0] and begin[1::2] == b"\0\0":
         encoding = "utf-16-le"
-    try:
-        with TextIOWrapper(open_file(), encoding or "utf-8") as text:
-            while text.read(_BLOCK):
-                pass
-    except LookupError:
-        raise ImportRefused(f"there is no encoding {stated!r}; try utf-8 or cp1252") from None
-    except UnicodeError as error:
-        if encoding:
-            fix = "give the right one as `encoding: NAME` in the map"
-            raise ImportRefused(f"{path} is no text in {encoding} ({error}); {fix}") from None
-        return "cp1252", [
+    if encoding in ("", "utf-8"):
+        with open_file() as file:
+            if all(part.isascii() for part in iter(lambda: file.read(_BLOCK), b"")):
+                return "utf-8", []
+    for name in (encoding,) if encoding else ("utf-8", "cp1252"):
+        try:
+            with TextIOWrapper(open_file(), name) as text:
+                while text.read(_BLOCK):
+                    pass
+        except LookupError:
+            raise ImportRefused(f"there is no encoding {name!r}; try utf-8 or cp1252") from None
+        except UnicodeError:
+            continue
+        told = (
             "the text is not UTF-8; it is read as Windows-1252 (Western Europe), which concerns "
             "names and units, not numbers; if they look wrong, say `encoding: NAME` in the map"
-        ]
-    return encoding or "utf-8", []
+        )
+        return name, [told] if name == "cp1252" and not encoding else []
+    tried = encoding or "UTF-8 or Windows-1252"
+    raise ImportRefused(f"{path} is no text in {tried}; say `encoding: NAME` in the map")
 
 
 def _split_blocks(path: Path, file: TextIO) -> Iterator[TextBlock]:
@@ -95,7 +103,8 @@ def _split_blocks(path: Path, file: TextIO) -> Iterator[TextBlock]:
         text = rest + text
         whole, end, rest = text.rpartition("\n")
         lines = whole.split("\n") if end else []
-        longest = max(map(len, (*lines, rest)))
+        is_wide = len(text) > 1000 * len(lines)  # else no line can be that long but a few
+        longest = max(map(len, (*lines, rest))) if is_wide else 0
         if longest > _LONGEST_LINE:
             at = number + next(n for n, x in enumerate((*lines, rest)) if len(x) == longest)
             detail = f"the line is longer than {_LONGEST_LINE} characters"

@@ -22,8 +22,8 @@ _BARS = (
 _PLOT_WIDTH = 32
 _PIECES = 100
 """Parts of the record in which a column rests or not."""
-_STILL = 0.02
-"""A column that moves by less than this share of its span rests."""
+_STILL = 0.002
+"""A column whose mean moves by less than this share of its span from part to part rests."""
 
 
 @dataclass(frozen=True)
@@ -53,12 +53,8 @@ def describe_column(
     good = values[np.isfinite(values)]
     plot, rests = "", None
     if read_as and len(good) and not read_as.startswith(TIME):
-        pieces = [
-            p[np.isfinite(p)]
-            for p in np.array_split(values, max(min(_PIECES, len(values) // 10), 1))
-        ]
-        spans = [float(np.ptp(piece)) for piece in pieces if len(piece)]
-        rests = float(np.mean(np.array(spans) <= _STILL * float(np.ptp(good))))
+        moves = np.abs(np.diff(_average(values, max(min(_PIECES, len(values) // 10), 1))))
+        rests = float(np.mean(moves <= _STILL * np.ptp(good))) if len(moves) else None
         plot = draw_course(values, _PLOT_WIDTH)
     low, high = (float(good.min()), float(good.max())) if len(good) else (None, None)
     missing = len(values) - len(good)
@@ -67,14 +63,19 @@ def describe_column(
 
 def draw_course(values: Floats, width: int) -> str:
     """Return the course of values of shape (n,) in so many characters; a space where none are."""
-    pieces = [p[np.isfinite(p)] for p in np.array_split(values, min(width, len(values)))]
-    heights = np.array([piece.mean() if len(piece) else np.nan for piece in pieces])
+    heights = _average(values, min(width, len(values)))
     low, span = np.nanmin(heights), np.nanmax(heights) - np.nanmin(heights)
     levels = np.nan_to_num((heights - low) / (span or 1.0) * (len(_BARS) - 1) + 0.5)
     return "".join(
         " " if np.isnan(height) else _BARS[int(level)]
         for height, level in zip(heights, levels, strict=True)
     )
+
+
+def _average(values: Floats, count: int) -> Floats:
+    """Return the means of so many pieces, shape (count,); NaN for one without values."""
+    pieces = [piece[np.isfinite(piece)] for piece in np.array_split(values, count)]
+    return np.array([piece.mean() if len(piece) else np.nan for piece in pieces])
 
 
 def format_page(

@@ -112,6 +112,7 @@ class RecordProblem(NamedTuple):
         return f"{self.column} {self.text}: row{'s'[is_one:]} {', '.join(shown)}{rest}{when}"
 
 
+@np.errstate(over="ignore", invalid="ignore")  # numbers of any size may be in a file
 def find_record_problems(
     t_s: Floats, columns: Sequence[RecordColumn], time_name: str = "t_s"
 ) -> list[RecordProblem]:

@@ -506,3 +506,13 @@ def test_three_frozen_seconds_are_told(tmp_path):
     columns = (t_s, np.sin(3 * t_s), bar, 9.0 + np.sin(t_s))
     done = Outcome(write(tmp_path, table(columns=columns)))
     assert "rows 2002 to 5001 (2 to 4.999 s)" in done.said["warning", "frozen"]
+
+
+def test_an_atmosphere_that_is_not_the_shipped_plants_is_told(tmp_path):
+    text = (
+        "time: {column: 1}\npressure: {column: 3, unit: bar, gauge: true}\n"
+        "position: {column: 4, unit: mm}\natmospheric_pressure_pa: 95000\n"
+    )
+    done = Outcome(write(tmp_path, table()), "--map", str(write(tmp_path, text, "map.yaml")))
+    assert "atmospheric_pressure_pa: 95000" in done.said["warning", "atmosphere"]
+    np.testing.assert_allclose(done.signals.pressure_pa, BAR * 1e5 + 95000.0)

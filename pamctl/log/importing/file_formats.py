@@ -182,7 +182,7 @@ def _look_into_zip(source: Path) -> tuple[_Format | None, tuple[str, str] | None
     try:
         with zipfile.ZipFile(source) as archive:
             names = archive.namelist()
-    except zipfile.BadZipFile as error:
+    except (zipfile.BadZipFile, NotImplementedError, ValueError) as error:
         return None, ("a damaged ZIP file", f"save it again ({error})")
     if any(name.startswith("xl/") for name in names):
         return _EXCEL, None

@@ -24,7 +24,7 @@ from pamctl.log.importing.import_page import ImportedColumn, describe_column
 from pamctl.log.importing.imported_log import write_imported
 from pamctl.log.importing.measured_table import Floats, ImportRefused, Ints, MeasuredTable
 from pamctl.log.importing.plausibility import judge_clock, judge_record, judge_units
-from pamctl.log.importing.quantities import TIME, ColumnReading, TextHints
+from pamctl.log.importing.quantities import ATMOSPHERIC_PRESSURE_PA, TIME, ColumnReading, TextHints
 from pamctl.log.record_problems import GAP_PERIODS, nominal_period_s
 from pamctl.new_file import require_place
 from pamctl.plain_text import escape_name
@@ -87,6 +87,7 @@ def import_log(
         shown = "\n".join([shown, *dict.fromkeys(mend for _, mend in doubts if mend)])
         text = "; ".join(doubt for doubt, _ in doubts)
         raise ImportRefused(show_map(f"{text}; with --map FILE, such as:", shown))
+    _note_atmosphere(chosen.readings, findings)
     kept = _select_lines(table, import_map)
     rows = table.rows[kept]
     t_s, quantities = _convert_to_si(chosen, rows, kept)
@@ -168,7 +169,7 @@ def _convert_to_si(
     found: dict[str, Floats] = {}
     for reading, column in zip(chosen.readings, chosen.columns, strict=True):
         raw = column.values[kept]
-        with np.errstate(over="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):
             values = reading.to_si(raw)
         lost = np.flatnonzero(np.isfinite(raw) & ~np.isfinite(values))
         if len(lost):
@@ -198,6 +199,19 @@ def _judge_own_time(table: MeasuredTable, kept: slice, rows: Ints, findings: Log
             if finding.kind != "jitter":
                 findings.warning(finding.kind, f"rate_hz is used, but {finding.message}")
         return
+
+
+def _note_atmosphere(readings: Sequence[ColumnReading], findings: LogFindings) -> None:
+    """Say that the map's atmosphere is not that of a rig or a plant that states none."""
+    for reading in readings:
+        air_pa = reading.atmospheric_pressure_pa
+        if reading.gauge and air_pa != ATMOSPHERIC_PRESSURE_PA:
+            findings.warning(
+                "atmosphere",
+                f"{reading.quantity} counts from {air_pa:.6g} Pa, as the map says; the shipped "
+                f"plant has {ATMOSPHERIC_PRESSURE_PA:.6g} Pa: give the plant file "
+                f"atmospheric_pressure_pa: {air_pa:.6g}",
+            )
 
 
 def _name_of(chosen: ChosenColumns, quantity: str) -> str:

@@ -99,7 +99,9 @@ def judge_sign(quantities: Mapping[str, Floats], findings: LogFindings) -> None:
     good = np.isfinite(pressure) & np.isfinite(position)
     if np.count_nonzero(good) < 2 or min(np.ptp(pressure[good]), np.ptp(position[good])) == 0.0:
         return
-    if np.corrcoef(pressure[good], position[good])[0, 1] < -0.5:
+    with np.errstate(over="ignore", invalid="ignore"):
+        together = np.corrcoef(pressure[good], position[good])[0, 1]
+    if together < -0.5:
         findings.warning(
             "sign",
             "position_m falls as pressure_pa rises; contraction must be positive: if the column "

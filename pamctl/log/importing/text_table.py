@@ -40,30 +40,33 @@ def read_text(path: Path, hints: TextHints, open_file: Callable[[], BinaryIO]) -
     """Read a file of text; raise ImportRefused with the line and the cell that has no reading."""
     encoding, notes = _find_encoding(path, hints.encoding, open_file)
     with TextIOWrapper(open_file(), encoding) as file:
-        blocks = _split_blocks(path, file)
-        begun = list(islice(blocks, 2))  # the second one may be the last line of a short file
-        first = begun[0] if begun else TextBlock(1, [])
-        head = TextBlock(1, [line for block in begun for line in block.lines][: 2 * HEAD_ROWS])
-        delimiter, layout = _choose_delimiter(path, head)
-        builder = TableBuilder(path, layout, hints, delimiter)
-        skipped = next(
-            (row.number for row in list(_split_rows(head, delimiter))[layout.first :]), 1
-        )
-        if skipped <= first.first + len(first.lines) - 1:
-            begun[0] = TextBlock(skipped, first.lines[skipped - 1 :], first.is_cut)
-        else:
-            del begun[0]
-        builder.look_for_mark(_split_rows(begun[0], delimiter), HEAD_ROWS)
-        for block in chain(begun, blocks):
-            if not builder.take_numbers(block):
-                try:
-                    builder.take_rows(_split_rows(block, delimiter), is_cut=block.is_cut)
-                except csv.Error as error:
-                    detail = f"in the lines from {block.first} on: {error}"
-                    raise ImportRefused(f"{path} has a cell that is none, {detail}") from None
-        plain = "utf-8" if encoding == "utf-8-sig" else encoding
-        form = f"text in {plain}, {_DELIMITERS[delimiter]} between cells"
-        return builder.finish(form, notes)
+        try:
+            delimiter, table = _read_blocks(path, _split_blocks(path, file), hints)
+        except csv.Error as error:
+            raise ImportRefused(f"{path} has a cell that has no end: {error}") from None
+    plain = "utf-8" if encoding == "utf-8-sig" else encoding
+    form = f"text in {plain}, {_DELIMITERS[delimiter]} between cells"
+    return table.finish(form, notes)
+
+
+def _read_blocks(
+    path: Path, blocks: Iterator[TextBlock], hints: TextHints
+) -> tuple[str, TableBuilder]:
+    begun = list(islice(blocks, 2))  # the second one may be the last line of a short file
+    first = begun[0] if begun else TextBlock(1, [])
+    head = TextBlock(1, [line for block in begun for line in block.lines][: 2 * HEAD_ROWS])
+    delimiter, layout = _choose_delimiter(path, head)
+    builder = TableBuilder(path, layout, hints, delimiter)
+    skipped = next((row.number for row in list(_split_rows(head, delimiter))[layout.first :]), 1)
+    if skipped <= len(first.lines):
+        begun[0] = TextBlock(skipped, first.lines[skipped - 1 :], first.is_cut)
+    else:
+        del begun[0]
+    builder.look_for_mark(_split_rows(begun[0], delimiter), HEAD_ROWS)
+    for block in chain(begun, blocks):
+        if not builder.take_numbers(block):
+            builder.take_rows(_split_rows(block, delimiter), is_cut=block.is_cut)
+    return delimiter, builder
 
 
 def _find_encoding(

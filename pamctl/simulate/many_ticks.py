@@ -16,7 +16,7 @@ from pamctl.realtime.clock import Clock, VirtualClock
 from pamctl.realtime.loop import RowsJournal
 from pamctl.realtime.run_ticks import (
     NOWHERE,
-    CourseGuide,
+    Guide,
     SimulatedOutput,
     SimulatedState,
     VirtualRig,
@@ -56,7 +56,7 @@ class SimulatedTicks:
                 "rig": self._describe_rig(table),
                 "inner": SimulatedState(0, 0, plant.state, plant.on_way),
                 "outer": SimulatedOutput(0.0, 0.0),
-                "guide": CourseGuide(NOWHERE, table),
+                "guide": Guide(NOWHERE, table, False),
                 "rows": self._rows,
                 "n": 0,
             },

@@ -208,7 +208,7 @@ def replay_golden(source: Any) -> int:
     """Run a log's ticks on its raw samples and references; return how many were compared."""
     log, seen, after = source.log, 0, None
     inputs = source.inputs(0, len(source))
-    columns = [column.tolist() for column in inputs]
+    columns = [column.tolist() for column in inputs.values()]
     for begin, end in source.cut_stretches(source.find_begin()):
         state = source.state_at(begin, after)
         if state is None:

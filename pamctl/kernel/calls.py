@@ -326,7 +326,7 @@ def _list_used(kernel: Any) -> tuple[set[Any], dict[str, Any]]:
 def write_source(kernel: Kernel, frame: Any, updates: tuple[str, ...] = ()) -> str:
     """Return the C source of a library: the kernel, and the function `run` that calls it."""
     from pamctl.kernel.c_source import NONE, CSource, c_name, write_call
-    from pamctl.kernel.translate import NotInC
+    from pamctl.kernel.expressions import NotInC
 
     source = CSource()
     its = source.type_of(frame)

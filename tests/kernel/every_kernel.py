@@ -45,8 +45,8 @@ from pamctl.kernel.c_source import (
     c_name,
 )
 from pamctl.kernel.calls import make_frame
+from pamctl.kernel.expressions import NotInC
 from pamctl.kernel.layout import NotKernelData
-from pamctl.kernel.translate import NotInC
 from pamctl.plant.catalogue import CATALOGUE, WITH_TERMS
 from pamctl.plant.correction_tables import Correction, CorrectionTable
 from pamctl.plant.delayed_command import advance_delayed_plant

@@ -21,7 +21,7 @@ from hal.rig import RawSample
 from pamctl.control.law import answer
 from pamctl.exit_codes import Ending
 from pamctl.kernel.calls import NativeCall, PlainCall
-from pamctl.kernel.translate import NotInC
+from pamctl.kernel.expressions import NotInC
 from pamctl.log.reader import read
 from pamctl.realtime.clock import Wake
 from pamctl.realtime.cued_helm import CuedHelm

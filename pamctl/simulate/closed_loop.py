@@ -36,6 +36,7 @@ from pamctl.realtime.tick_runner import UPDATES
 from pamctl.recording.ring import TickRow, make_rows
 from pamctl.recording.rows import row_dtype
 from pamctl.signals import Reference, list_tick_fields
+from pamctl.simulate.many_ticks import draw_deviates
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -89,8 +90,7 @@ def tabulate_references(
 
 def draw_sensor_noise(ticks: int, seed: int) -> Floats:
     """Draw the same noise as a simulated rig with this seed."""
-    gauss = random.Random(seed).gauss
-    return np.array([gauss(0.0, 1.0) for _ in range(ticks)])
+    return np.array(draw_deviates(random.Random(seed), ticks))
 
 
 def simulate(

@@ -76,13 +76,6 @@ def diagnose(
             show_default="none",
         ),
     ] = None,
-    correction: Annotated[
-        bool,
-        typer.Option(
-            "--correction",
-            help="Add to the model what no effect explains, as a table without a name",
-        ),
-    ] = False,
     noise: Annotated[
         list[str] | None,
         typer.Option(
@@ -209,7 +202,6 @@ def diagnose(
             held,
             start,
             without=without or (),
-            correction=correction,
             accept=accepted,
             noise=stated,
             executor=executor,
@@ -228,7 +220,7 @@ def diagnose(
 
 
 _FOR_RIG = ("experiment", "runs", "minutes", "then", "motion", "dry_run", "yes", "socket")
-_FOR_LOGS = ("holdout", "without", "accept", "correction", "noise", "interactive")
+_FOR_LOGS = ("holdout", "without", "accept", "noise", "interactive")
 
 
 def _require_one_kind(context: typer.Context, logs: Sequence[Path], *, on_rig: bool) -> None:

@@ -106,7 +106,7 @@ def search_gains(
         Member("twice the noise", found.plant, 2.0 * noise_v),
     )
     trial = MotionTrial("short", old, motion)
-    search = GainsSearch(str(old["law"]), Jury((), 1.0, members), 0, dict(old), trial=trial)
+    search = GainsSearch(str(old["law"]), Jury((), members), 0, dict(old), trial=trial)
     elite: list[dict[str, Any]] = []
     for _ in range(GENERATIONS):
         kept = {key: old[key] for key in KEPT_KEYS if key in old}

@@ -113,24 +113,6 @@ def diagnose(
         float,
         typer.Option("--minutes", metavar="M", min=0.3, max=120.0, help="Most time on the rig"),
     ] = 5.0,
-    then: Annotated[
-        str | None,
-        typer.Option(
-            "--then",
-            metavar="tune",
-            help="After the decision: retune, and track before and after on the rig",
-            show_default="nothing",
-        ),
-    ] = None,
-    motion: Annotated[
-        str | None,
-        typer.Option(
-            "--motion",
-            metavar="NAME|FILE",
-            help="Experiment in closed loop that --then tune should track better",
-            show_default="one cycle of tracking-2",
-        ),
-    ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print the plan on the rig and stop")
     ] = False,
@@ -149,8 +131,6 @@ def diagnose(
     logs = logs or []
     require_one_place(cluster, jobs)
     _require_one_kind(context, logs, on_rig=on_rig)
-    if then not in (None, "tune"):
-        raise typer.BadParameter(f"'{then}' is not known; give tune", param_hint="--then")
     if out is not None:
         require_empty_folder(out)
     elif not dry_run:
@@ -169,8 +149,6 @@ def diagnose(
             runs,
             minutes,
             socket,
-            then=then,
-            motion=motion,
             dry_run=dry_run,
             yes=yes,
         )
@@ -219,7 +197,7 @@ def diagnose(
     raise typer.Exit(ExitCode.BAD_DATA if diagnosis.reason else ExitCode.OK)
 
 
-_FOR_RIG = ("experiment", "runs", "minutes", "then", "motion", "dry_run", "yes", "socket")
+_FOR_RIG = ("experiment", "runs", "minutes", "dry_run", "yes", "socket")
 _FOR_LOGS = ("holdout", "without", "accept", "noise", "interactive")
 
 

@@ -72,7 +72,7 @@ EXAMPLES: Mapping[str, Sequence[str]] = {
     "runs note": ("pamctl runs note 'after the new seal' run-1.mcap",),
     "plant new": (
         "pamctl plant new --out plant.yaml",
-        "pamctl plant new --actuator muscle --value rest_length_m='200 mm' --yes --out plant.yaml",
+        "pamctl plant new --actuator muscle --value rest_length_m='200 mm' --out plant.yaml",
     ),
     "plant export": ("pamctl plant export paper muscle.fmu",),
     "config check": ("pamctl config check rig.yaml",),

@@ -6,8 +6,8 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -49,9 +49,6 @@ from pamctl.settings.resolve import RunSettings, resolve, settings_to_json, sett
 from pamctl.signals import list_tick_fields
 from pamctl.simulate.many_ticks import find_many_ticks
 
-LiveView = Callable[..., AbstractContextManager[None]]
-"""Serves live values inside a `with` block; `live_view("--ring", path)` names their source."""
-
 
 class FinishedRun(NamedTuple):
     """A run whose log is on disk."""
@@ -73,7 +70,6 @@ def run_once(
     names: dict[str, str],
     log: Path | None,
     progress: ProgressLine,
-    live_view: LiveView,
     *,
     quiet: bool,
     said: Annotation = NOTHING_SAID,
@@ -102,7 +98,6 @@ def run_once(
         finish_orphans(SHARED_MEMORY, quiet=quiet)
         with (
             Ring.create(new_ring_path(), meta, settings.rig.loop.ring_rows) as ring,
-            live_view("--ring", str(ring.path)),
             # Without a clock there is no moment to mark.
             open_mark_desk(path, wanted=not settings.fast) as desk,
             nullcontext("") if settings.fast else keep_awake() as risk,

@@ -248,9 +248,7 @@ class SimulatedRig(SteeredRig):
     def _change_gains(self, changes: list[str], ramp_s: float) -> dict[str, Any]:
         return self._tune(change_gains(self._settings, changes), ramp_s)
 
-    def _load_gains(
-        self, data: dict[str, Any], name: str, ramp_s: float, _: float | None
-    ) -> dict[str, Any]:
+    def _load_gains(self, data: dict[str, Any], name: str, ramp_s: float) -> dict[str, Any]:
         gains = self._tune(load_controller(self._settings, data, name), ramp_s)
         self._names["controller"] = name
         return gains

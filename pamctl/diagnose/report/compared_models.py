@@ -68,8 +68,6 @@ def list_model_stages(diagnosis: Diagnosis) -> list[ModelStage]:
     if model.effects:
         label = f"with {spell_names(*model.names)}"
         stages.append(ModelStage("extended", label, assemble_plant(model), 0))
-    if diagnosis.correction is not None and diagnosis.correction.blocks:
-        stages.append(ModelStage("corrected", "with an unnamed correction", diagnosis.plant, 2))
     return stages
 
 

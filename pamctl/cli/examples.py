@@ -66,7 +66,7 @@ EXAMPLES: Mapping[str, Sequence[str]] = {
     ),
     "log cut": ("pamctl log cut run.mcap --out part.mcap --from-s 5 --to-s 15",),
     "log import": ("pamctl log import measured.csv measured.mcap --map columns.yaml",),
-    "runs": ("pamctl runs", "pamctl runs --law qsmc --rms-um '<20' --since monday"),
+    "runs": ("pamctl runs", "pamctl runs --where law=qsmc --where 'rms_um<20' --last 5"),
     "runs tag": ("pamctl runs tag good run-1.mcap run-2.mcap",),
     "runs untag": ("pamctl runs untag good run-1.mcap",),
     "runs note": ("pamctl runs note 'after the new seal' run-1.mcap",),

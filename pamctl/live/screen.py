@@ -13,7 +13,7 @@ from rich.text import Text
 
 from pamctl.live.braille import DOTS_ACROSS, Extremes, draw_dots, find_bounds
 from pamctl.live.history import History
-from pamctl.log.changed_gains import spell_controller
+from pamctl.log.moments import spell_controller
 from pamctl.signals import Phase, find_followed_m
 
 COLUMNS = (

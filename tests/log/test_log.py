@@ -37,10 +37,10 @@ from support.runs import pack_row
 
 from pamctl.json_text import from_json, to_json
 from pamctl.log import LogError, info, read
-from pamctl.log.check.check_log import check_log
+from pamctl.log.check import check_log
 from pamctl.log.framing import map_log_file, walk_records
 from pamctl.log.importing.imported_log import write_imported
-from pamctl.log.repair.recover import recover_file
+from pamctl.log.recover import recover_file
 from pamctl.log.schema import SCHEMA_VERSION, TICK_TOPIC, tick_descriptor, unit_of_column
 from pamctl.new_file import NewFileError
 from pamctl.recording.ring import Ring
@@ -514,6 +514,6 @@ def test_recovery_of_a_whole_log_changes_nothing_that_can_be_read(log_path, tmp_
 def test_reading_and_recovering_need_nothing_that_only_linux_has():
     import sys
 
-    code = "import sys, pamctl.log.reader, pamctl.log.repair.recover; print(*sys.modules)"
+    code = "import sys, pamctl.log.reader, pamctl.log.recover; print(*sys.modules)"
     loaded = subprocess.check_output([sys.executable, "-c", code], text=True).split()
     assert "pamctl.recording.ring" not in loaded

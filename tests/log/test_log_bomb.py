@@ -16,8 +16,7 @@ from mcap.writer import MCAP0_MAGIC
 from support.small_log import CHUNK_TICKS, CHUNKS, write_small
 
 from pamctl.log import read
-from pamctl.log.container import encode_record
-from pamctl.log.framing import FRAME, map_log_file, read_chunk_content, walk_records
+from pamctl.log.framing import FRAME, encode_record, map_log_file, read_chunk_content, walk_records
 
 HIDDEN_BYTES = 1 << 29
 COSTS_MB = 300

@@ -18,7 +18,7 @@ from pamctl.cli.options import (
     TagOption,
     seconds_option,
 )
-from pamctl.log.annotate.annotation import make_annotation
+from pamctl.log.annotation import make_annotation
 from pamctl.log.naming import file_safe_name
 
 

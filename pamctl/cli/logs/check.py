@@ -13,7 +13,7 @@ from pamctl.exit_codes import ExitCode
 from pamctl.settings.problems import ConfigError
 
 if TYPE_CHECKING:
-    from pamctl.log.check.check_log import LogCheckReport
+    from pamctl.log.check import LogCheckReport
 
 
 def check_logs(
@@ -34,7 +34,7 @@ def check_logs(
 
 def _check_log(path: Path) -> tuple[ExitCode, dict[str, Any]]:
     from pamctl.log import LogError
-    from pamctl.log.check.check_log import check_log
+    from pamctl.log.check import check_log
 
     try:
         report = check_log(path, _find_config_problems)

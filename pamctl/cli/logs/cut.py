@@ -12,7 +12,7 @@ from pamctl.cli.options import JsonOption, seconds_option
 from pamctl.cli.output import print_json
 
 if TYPE_CHECKING:
-    from pamctl.log.cutting.cut_log import CutLog
+    from pamctl.log.cut import CutLog
 
 _WHOLE = "the whole log"
 
@@ -64,7 +64,7 @@ def cut_file(
             "say what to cut: --from-s, --to-s, --from-row, --to-row or --at-gaps",
             param_hint="--out",
         )
-    from pamctl.log.cutting.cut_log import cut_log
+    from pamctl.log.cut import cut_log
 
     done = cut_log(
         source,

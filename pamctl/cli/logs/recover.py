@@ -13,7 +13,7 @@ from pamctl.cli.output import print_json
 from pamctl.exit_codes import ExitCode
 
 if TYPE_CHECKING:
-    from pamctl.log.repair.recover import Recovery
+    from pamctl.log.recover import Recovery
 
 
 def recover_log(
@@ -22,7 +22,7 @@ def recover_log(
     as_json: JsonOption = False,
 ) -> None:
     """Save all that is whole of a damaged log into a new file; exits with 3 if anything is lost."""
-    from pamctl.log.repair.recover import recover_file
+    from pamctl.log.recover import recover_file
 
     recovery = recover_file(source, destination)
     if as_json:

@@ -12,8 +12,8 @@ import numpy as np
 import pamctl.log
 from pamctl.diagnose.measured.record import Record
 from pamctl.exit_codes import ExitCode
-from pamctl.log.annotate.moments import Moment, list_moments
 from pamctl.log.framing import map_log_file
+from pamctl.log.moments import Moment, list_moments
 from pamctl.signals import Phase
 
 

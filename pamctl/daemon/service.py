@@ -42,7 +42,7 @@ from pamctl.daemon.shelf import Shelf
 from pamctl.exit_codes import EMERGENCY_STOP, Ending
 from pamctl.log.annotation import NOTHING_SAID, Annotation, annotate_meta
 from pamctl.log.moments import CHANGES, describe_changes
-from pamctl.log.naming import bare_name
+from pamctl.log.run_meta import bare_name
 from pamctl.plain_text import clean_text
 from pamctl.plant.model import PlantSettings
 from pamctl.processes.keep_awake import SleepInhibitor

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.exit_codes import ExitCode
-from pamctl.log.naming import flight_record_path, make_dated_path
+from pamctl.log.run_meta import flight_record_path, make_dated_path
 
 _DAEMON_PREFIX = "daemon"
 _BYTES_PER_TICK = 300

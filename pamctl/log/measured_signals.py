@@ -166,6 +166,26 @@ def find_signal_problems(columns: Mapping[str, NDArray[Any]]) -> list[RecordProb
     return [problem for problem in found if problem.kind not in ("gap", "jitter")]
 
 
+def judge_ticks(log: Log) -> list[str]:
+    """Return what is doubtful in the ticks of a log, each with its rows and seconds.
+
+    Raise LogError where nothing right can be computed from them.
+    """
+    see = f"`pamctl log check {log.path}` lists all that is wrong"
+    phase = log.columns.get("phase", np.empty(0, np.int64))
+    unknown = find_unknown_phase(phase)
+    if unknown is not None:
+        row = int((np.asarray(phase) == unknown).argmax())
+        what = f"from row {row} on, {describe_unknown_phase(unknown)}"
+        raise LogError(f"{log.path} cannot be used: {what}; {see}")
+    problems = find_signal_problems(log.columns)
+    for problem in problems:
+        if problem.is_fatal:
+            fix = f"cut a sound part out with `pamctl log cut {log.path} --out PART.mcap`"
+            raise LogError(f"{log.path} cannot be used: {problem.describe()}; {see}; {fix}")
+    return [problem.describe() for problem in problems if problem.kind != "constant"]
+
+
 def find_unknown_phase(phase: NDArray[Any]) -> int | None:
     """Return the first phase that no loop has; None if there is none."""
     known = np.isin(phase, [NO_PHASE, *Phase])

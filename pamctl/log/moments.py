@@ -9,7 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pamctl.log.naming import flight_record_path
+from pamctl.log.run_meta import flight_record_path
 from pamctl.new_file import write_files
 
 if TYPE_CHECKING:

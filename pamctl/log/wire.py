@@ -228,7 +228,7 @@ class TickBatch(NamedTuple):
     """Columns by name, each of shape (n,); they are views, to be copied by who keeps them."""
 
 
-_BATCH_TICKS = 4096
+_BATCH_TICKS = 2048
 """Ticks that are decoded together: a chunk of 250 costs as many calls of numpy."""
 
 

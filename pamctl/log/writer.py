@@ -342,10 +342,8 @@ class LogWriter:
         for part in parts:
             if isinstance(part, FileRecord):
                 self.learn(part)
-            elif part.channel not in self._described | inside:
-                self._put(self._index.schemas.get(self._learnt[part.channel].schema_id, b""))
-                self._put(self._index.channels[part.channel])
-                self._described.add(part.channel)
+            elif part.channel not in inside:
+                self._put_description(part.channel)
         size = chunk.uncompressed_size if chunk.compression else len(chunk.data)
         self._put_chunk(chunk.compression, chunk.data, chunk.uncompressed_crc, size, parts)
         self._stream.flush()
@@ -378,10 +376,19 @@ class LogWriter:
     def finish(self) -> None:
         """Write the last chunk, the summary and the footer."""
         self.end_chunk()
+        for channel in self._index.channels:  # those without messages
+            self._put_description(channel)
         self._put(encode_record(DataEnd(self._crc)))
         groups = self._index.groups().items()
         self._put(encode_summary(self._at, ((kind, b"".join(group)) for kind, group in groups)))
         self._stream.flush()
+
+    def _put_description(self, channel: int) -> None:
+        """Describe a channel in no chunk, unless a reader of the file so far knows it."""
+        if channel not in self._described:
+            self._described.add(channel)
+            self._put(self._index.schemas.get(self._learnt[channel].schema_id, b""))
+            self._put(self._index.channels[channel])
 
     def _put_indexed(self, record: McapRecord) -> None:
         made = make_record(record, self._at)

@@ -20,8 +20,7 @@ from pamctl.control.law_registry import describe_law, law_of
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.kernel import build
 from pamctl.log.annotation import NOTHING_SAID, Annotation, annotate_meta
-from pamctl.log.naming import bare_name
-from pamctl.log.run_meta import RunMeta
+from pamctl.log.run_meta import RunMeta, bare_name
 from pamctl.plain_text import escape_name
 from pamctl.processes.backends import (
     SHARED_MEMORY,

@@ -17,8 +17,8 @@ import numpy as np
 from pamctl.exit_codes import EMERGENCY_STOP, ExitCode
 from pamctl.log.annotation import ANNOTATION, SWEEP, Annotation
 from pamctl.log.framing import LogError
-from pamctl.log.naming import bare_name
 from pamctl.log.reader import Scan
+from pamctl.log.run_meta import bare_name
 from pamctl.log.schema import EVENT_TOPIC, TICK_TOPIC
 from pamctl.plain_text import clean_text, escape_name
 from pamctl.safety import explain_verdicts

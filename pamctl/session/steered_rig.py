@@ -128,7 +128,7 @@ class SteeredRig(ABC):
         before again as soon as nothing has run for that long, unless gains are loaded or changed
         meanwhile: also if this process is killed.
         """
-        from pamctl.log.naming import file_safe_name
+        from pamctl.log.run_meta import file_safe_name
 
         with translate_errors():
             if isinstance(controller, Mapping):
@@ -230,7 +230,7 @@ class SteeredRig(ABC):
 
     def _read(self, experiment: AskedExperiment, name: str | None) -> tuple[dict[str, Any], str]:
         """Return the checked keys of an experiment, and its name."""
-        from pamctl.log.naming import file_safe_name
+        from pamctl.log.run_meta import file_safe_name
 
         if isinstance(experiment, str | Path):
             with translate_errors():

@@ -19,7 +19,7 @@ from pamctl.cli.options import (
     seconds_option,
 )
 from pamctl.log.annotation import make_annotation
-from pamctl.log.naming import file_safe_name
+from pamctl.log.run_meta import file_safe_name
 
 
 def start(

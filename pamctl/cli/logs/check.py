@@ -10,6 +10,7 @@ import typer
 from pamctl.cli.options import JsonOption
 from pamctl.cli.output import print_json
 from pamctl.exit_codes import ExitCode
+from pamctl.plain_text import escape_name
 from pamctl.settings.problems import ConfigError
 
 if TYPE_CHECKING:
@@ -60,10 +61,25 @@ def _find_config_problems(text: str) -> list[str]:
 
 
 def _format_report(report: dict[str, Any]) -> list[str]:
+    name = escape_name(report["path"])
     if "reason" in report:
-        return [f"{report['path']}: no log", f"  error    {report['reason']}"]
+        return [f"{name}: no log", f"  error    {report['reason']}"]
     verdict = f"{'ok' if report['ok'] else 'not ok'}, {report['ticks']} ticks"
+    kinds = {f["kind"] for f in report["findings"] if f["severity"] == "error"}
+    fixes = dict.fromkeys(fix for kind, fix in _FIXES.items() if kind in kinds)
     return [
-        f"{report['path']}: {verdict}",
+        f"{name}: {verdict}",
         *(f"  {f['severity']:<9}{f['kind']:<12}{f['message']}" for f in report["findings"]),
+        *(f"  way on   {fix.format(name)}" for fix in fixes),
     ]
+
+
+_RECOVER = "save all that is whole: pamctl log recover {} NEW.mcap"
+_CUT = "cut a sound part out: pamctl log cut {} --out PART.mcap --from-s ... --to-s ..."
+_FIXES = {
+    **dict.fromkeys(("damage", "index", "summary", "chunk", "order"), _RECOVER),
+    **dict.fromkeys(("backwards", "duplicated", "phase", "empty", "missing"), _CUT),
+    "schema": "export the ticks for other tools: pamctl log export {} NEW.csv",
+    "config": "replay it with the version that wrote it, which pamctl log info {} names",
+}
+"""What to do about errors, by their kind."""

@@ -11,6 +11,7 @@ import typer
 from pamctl.cli.options import JsonOption
 from pamctl.cli.output import print_json
 from pamctl.exit_codes import ExitCode
+from pamctl.plain_text import escape_name
 
 if TYPE_CHECKING:
     from pamctl.log.recover import Recovery
@@ -34,7 +35,7 @@ def recover_log(
 
 def _format_recovery(recovery: Recovery) -> list[str]:
     saved = ", ".join(f"{count} of {topic}" for topic, count in recovery.messages.items())
-    lines = [f"{recovery.destination}: saved {saved}"]
+    lines = [f"{escape_name(recovery.destination)}: saved {saved}"]
     lines += [f"  damage   {what}" for what in recovery.damage]
     if not recovery.lossless:
         lines.append(f"  lost     {recovery.bytes_lost} bytes that nothing could be made of")

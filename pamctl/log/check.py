@@ -69,7 +69,7 @@ from pamctl.log.wire import (
 from pamctl.log.writer import INDEX_ENTRY, FileIndex
 from pamctl.signals import TICK_FIELDS
 
-MOST_OF_A_KIND = 20
+MOST_OF_A_KIND = 5
 """Findings of one kind that are listed one by one; the rest is only counted."""
 CLOCK_TOLERANCE_S = 1e-6
 """Two clocks of one log differ by rounding: nanoseconds, and doubles over hours."""
@@ -466,6 +466,7 @@ class _TickCheck:
             ),
         )
 
+    @np.errstate(invalid="ignore")  # a time may be infinite
     def _check_times(self, ticks: Mapping[str, NDArray[Any]]) -> None:
         tick, dt_s, missed = ticks["tick"], ticks["dt_s"][1:], ticks["missed"][1:]
         step = np.diff(ticks["t_s"])
@@ -497,7 +498,7 @@ class _TickCheck:
             self._findings.error("sequence", detail)
         phase = batch.columns.get("phase", np.empty(0, np.int64))
         unknown = find_unknown_phase(phase)
-        if unknown is not None:
+        if unknown is not None and "phase" not in self._findings.kinds:
             at = int(tick[(phase == unknown).argmax()])
             self._findings.error("phase", f"from tick {at} on, {describe_unknown_phase(unknown)}")
 
@@ -526,8 +527,6 @@ class _SignalCheck:
 
     def _judge(self) -> None:
         """Judge the ticks that were taken; the last one begins the next piece, too."""
-        if not self._parts:
-            return
         piece = {n: np.concatenate([part[n] for part in self._parts]) for n in self._parts[0]}
         for problem in find_signal_problems(piece):
             moved = tuple((a + self._first_row, b + self._first_row) for a, b in problem.stretches)
@@ -539,6 +538,8 @@ class _SignalCheck:
 
     def find_problems(self) -> list[RecordProblem]:
         """Return the problems of all ticks, each kind of a column once."""
+        if not self._rows:
+            return find_signal_problems({"t_s": np.empty(0)})
         if self._rows - self._first_row > 1 or not self._pieces:
             self._judge()
         return [
@@ -568,8 +569,9 @@ def _check_schema(scan: Scan, findings: LogFindings) -> None:
     if label != "protobuf":
         detail = f"the schema of {TICK_TOPIC} is protobuf, but is labelled {label!r}"
         findings.error("schema", f"{detail}: other tools will not read the ticks")
+    written = channel.metadata.get("schema_version", "")
+    version = int(written) if written.isdecimal() else 0
     try:
-        version = int(channel.metadata.get("schema_version", 0))
         stated = dict(from_json(channel.metadata.get("units", "{}")))
     except (ValueError, TypeError) as error:
         findings.error("units", f"the metadata of {TICK_TOPIC} makes no sense: {error}")
@@ -583,7 +585,7 @@ def _check_schema(scan: Scan, findings: LogFindings) -> None:
                 "units", f"{name} is stated in {stated.get(name)}, but its name says {unit}"
             )
     if version < 1:
-        detail = f"the schema version of {TICK_TOPIC} is {version}; versions begin with 1"
+        detail = f"the schema version of {TICK_TOPIC} is {written!r}; versions begin with 1"
         findings.error("version", detail)
     if version > SCHEMA_VERSION:
         findings.warning("version", f"schema {version} is newer than this pamctl's")

@@ -21,7 +21,7 @@ from pamctl.json_text import from_json, to_json
 from pamctl.log.framing import LogError, map_log_file
 from pamctl.log.reader import Log, read_some
 from pamctl.log.recover import LogCopy
-from pamctl.log.schema import CUT, GAINS_TOPIC, KEYFRAME_TOPIC, TICK_TOPIC
+from pamctl.log.schema import CUT, GAINS_TOPIC, JSON_SCHEMAS, KEYFRAME_TOPIC, TICK_TOPIC
 from pamctl.log.writer import LogWriter
 from pamctl.new_file import create_new_file, require_place
 from pamctl.plain_text import escape_name
@@ -186,7 +186,9 @@ class _PieceCopy(LogCopy):
 
     def __init__(self, log: Log, part: slice) -> None:
         super().__init__(log.path)
+        self.verified = True  # the log was just read
         self._rows = part
+        self._times_ns = log.time_ns[part.start], log.time_ns[part.stop - 1]
         self._row = 0
         ticks = log["tick"][part]
         self._first, self._last = int(ticks[0]), int(ticks[-1])
@@ -197,6 +199,9 @@ class _PieceCopy(LogCopy):
         if topic == TICK_TOPIC:
             begin, self._row = self._row, self._row + len(messages)
             return messages[max(self._rows.start - begin, 0) : max(self._rows.stop - begin, 0)]
+        if topic not in JSON_SCHEMAS:  # another program's
+            first_ns, last_ns = self._times_ns
+            return messages[(messages["log_time"] >= first_ns) & (messages["log_time"] <= last_ns)]
         keep = [self._belongs(topic, from_json(body.tobytes())) for body in messages["body"]]
         kept: NDArray[Any] = messages[np.array(keep, dtype=bool)]
         return kept

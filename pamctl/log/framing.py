@@ -332,34 +332,32 @@ def _find_next_chunk(file: memoryview, at: int) -> FileRecord | None:
 
 def read_summary(file: memoryview) -> list[FileRecord]:
     """Return the records of the summary; none without a valid checksum."""
-    footer = _find_verified_footer(file)
-    if footer is None:
-        return []
-    start = Footer.read(footer.stream()).summary_start
-    return list(records_in(file[: footer.start], start))
+    with suppress(Damage):
+        footer, stored = _find_footer(file)
+        with translate_parse_errors(footer):
+            if stored.summary_start and stored.summary_crc:
+                verify_checksum(file, footer)
+                return list(records_in(file[: footer.start], stored.summary_start))
+    return []
 
 
 def is_data_verified(file: memoryview) -> bool:
     """Tell whether the end of the file holds a valid checksum of all its data."""
-    footer = _find_verified_footer(file)
-    if footer is None:
-        return False
     with suppress(Damage):
-        end = record_at(file, Footer.read(footer.stream()).summary_start - _DATA_END_BYTES)
+        footer, stored = _find_footer(file)
+        behind = stored.summary_start or footer.start
+        end = record_at(file, max(0, behind - _DATA_END_BYTES))
         with translate_parse_errors(end):
             verify_checksum(file, end)
-            stored = DataEnd.read(end.stream()).data_section_crc
-            return end.opcode == Opcode.DATA_END and stored != 0
+            crc = DataEnd.read(end.stream()).data_section_crc
+            return end.opcode == Opcode.DATA_END and crc != 0
     return False
 
 
-def _find_verified_footer(file: memoryview) -> FileRecord | None:
-    """Return the footer if it and its summary are undamaged."""
-    with suppress(Damage):
-        footer = record_at(file, max(0, len(file) - len(MAGIC) - _FOOTER_BYTES))
-        with translate_parse_errors(footer):
-            stored = Footer.read(footer.stream())
-            if footer.opcode == Opcode.FOOTER and stored.summary_start and stored.summary_crc:
-                verify_checksum(file, footer)
-                return footer
-    return None
+def _find_footer(file: memoryview) -> tuple[FileRecord, Footer]:
+    """Return the footer; raise Damage if there is none."""
+    footer = record_at(file, max(0, len(file) - len(MAGIC) - _FOOTER_BYTES))
+    if footer.opcode != Opcode.FOOTER:
+        raise Damage(footer.start, "there is no footer")
+    with translate_parse_errors(footer):
+        return footer, Footer.read(footer.stream())

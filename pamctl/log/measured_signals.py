@@ -162,14 +162,16 @@ def find_signal_problems(columns: Mapping[str, NDArray[Any]]) -> list[RecordProb
         for name in IMPORTED_QUANTITIES
         if name in columns
     ]
-    found = find_record_problems(columns["t_s"], measured)
+    with np.errstate(invalid="ignore"):  # a time may be infinite
+        found = find_record_problems(columns["t_s"], measured)
     return [problem for problem in found if problem.kind not in ("gap", "jitter")]
 
 
-def judge_ticks(log: Log) -> list[str]:
+def judge_ticks(log: Log, *, may_lack: bool = False) -> list[str]:
     """Return what is doubtful in the ticks of a log, each with its rows and seconds.
 
-    Raise LogError where nothing right can be computed from them.
+    Raise LogError where nothing right can be computed from them. `may_lack`: a column may hold no
+    number, as a page leaves it out.
     """
     see = f"`pamctl log check {log.path}` lists all that is wrong"
     phase = log.columns.get("phase", np.empty(0, np.int64))
@@ -180,9 +182,10 @@ def judge_ticks(log: Log) -> list[str]:
         raise LogError(f"{log.path} cannot be used: {what}; {see}")
     problems = find_signal_problems(log.columns)
     for problem in problems:
-        if problem.is_fatal:
-            fix = f"cut a sound part out with `pamctl log cut {log.path} --out PART.mcap`"
-            raise LogError(f"{log.path} cannot be used: {problem.describe()}; {see}; {fix}")
+        if problem.is_fatal and not (may_lack and problem.kind == "empty"):
+            fix = f"; cut a sound part out with `pamctl log cut {log.path} --out PART.mcap`"
+            way_on = see + (fix if problem.share < 1.0 else "")
+            raise LogError(f"{log.path} cannot be used: {problem.describe()}; {way_on}")
     return [problem.describe() for problem in problems if problem.kind != "constant"]
 
 

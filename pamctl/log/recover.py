@@ -112,8 +112,8 @@ class LogCopy:
         """Raise LogError if there is no such file. None: there is nothing to copy."""
         self._file = map_log_file(path) if path else memoryview(b"")
         self._unpacker = Unpacker(path or Path(), self._file)
-        self._verified = is_data_verified(self._file)
-        """Whether a checksum of the whole file shows that its data are undamaged."""
+        self.verified = is_data_verified(self._file)
+        """Whether the data are known to be undamaged, by a checksum of the whole file."""
         self._metadata: dict[str, None] = {}
         self._has_looked_ahead = False
         self.saved: Counter[str] = Counter()
@@ -135,7 +135,7 @@ class LogCopy:
     @property
     def unverified(self) -> tuple[str, ...]:
         """Names of copied metadata that no checksum covers."""
-        return () if self._verified else tuple(self._metadata)
+        return () if self.verified else tuple(self._metadata)
 
     def write(self, writer: LogWriter) -> None:
         """Write what is undamaged; nothing else must have been written before."""
@@ -163,7 +163,7 @@ class LogCopy:
     def _try_copy(self, writer: LogWriter, record: FileRecord) -> None:
         try:
             with translate_parse_errors(record):
-                if not (self._verified and record.opcode == Opcode.DATA_END):  # verified before
+                if not (self.verified and record.opcode == Opcode.DATA_END):  # verified before
                     verify_checksum(self._file, record)
                 if self.cut:  # what follows the data is computed again
                     self._copy(writer, record)
@@ -214,7 +214,7 @@ class LogCopy:
 
     def _refuse_unchecked(self, record: FileRecord, checked: bool) -> None:
         """Raise Damage for parts without a checksum: a block of zeros would look like that."""
-        if not (checked or self._verified):
+        if not (checked or self.verified):
             raise Damage(record.start, "it has no checksum: damage would not be noticed")
 
     def _choose(

@@ -76,9 +76,11 @@ def _format_report(report: dict[str, Any]) -> list[str]:
 
 _RECOVER = "save all that is whole: pamctl log recover {} NEW.mcap"
 _CUT = "cut a sound part out: pamctl log cut {} --out PART.mcap --from-s ... --to-s ..."
+_ANEW = "make a log of what was measured anew: pamctl log export {} T.csv, then log import"
 _FIXES = {
     **dict.fromkeys(("damage", "index", "summary", "chunk", "order"), _RECOVER),
     **dict.fromkeys(("backwards", "duplicated", "phase", "empty", "missing"), _CUT),
+    **dict.fromkeys(("tick-order", "clock", "gap", "sequence", "reversed", "columns"), _ANEW),
     "schema": "export the ticks for other tools: pamctl log export {} NEW.csv",
     "config": "replay it with the version that wrote it, which pamctl log info {} names",
 }

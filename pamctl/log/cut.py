@@ -201,9 +201,12 @@ class _PieceCopy(LogCopy):
             return messages[max(self._rows.start - begin, 0) : max(self._rows.stop - begin, 0)]
         if topic not in JSON_SCHEMAS:  # another program's
             first_ns, last_ns = self._times_ns
-            return messages[(messages["log_time"] >= first_ns) & (messages["log_time"] <= last_ns)]
-        keep = [self._belongs(topic, from_json(body.tobytes())) for body in messages["body"]]
-        kept: NDArray[Any] = messages[np.array(keep, dtype=bool)]
+            times_ns = messages["log_time"]
+            keep = (times_ns >= first_ns) & (times_ns <= last_ns)
+        else:
+            bodies = (from_json(body.tobytes()) for body in messages["body"])
+            keep = np.array([self._belongs(topic, body) for body in bodies], dtype=bool)
+        kept: NDArray[Any] = messages[keep]
         return kept
 
     def _belongs(self, topic: str, message: Any) -> bool:

@@ -53,6 +53,7 @@ from pamctl.log.wire import (
     TickDecoder,
     UnknownLayout,
     find_message_run,
+    require_short,
     walk_messages,
 )
 from pamctl.plain_text import clean_document
@@ -290,6 +291,7 @@ class Scan:
                 self.places.append((self.counts[topic], chunk_at))
             self.ticks.add(run.records)
         elif topic in self.values and self.wants(topic):
+            require_short(run)
             self._json_bytes += run.records.nbytes
             if self._json_bytes > MOST_JSON_BYTES + len(self.file):
                 size = f"{self._json_bytes / 1e6:.0f} MB of {topic}"
@@ -433,7 +435,7 @@ class _Tally:
     def take(self, batch: TickBatch) -> None:
         tick, t_s = batch.columns["tick"], batch.columns["t_s"]
         before = tick[0] - 1 if self._last_tick is None else self._last_tick
-        skipped = np.diff(tick, prepend=before) - 1
+        skipped = np.maximum(np.diff(tick, prepend=before) - 1, 0)
         if self.count == 0:
             self.first_t_s = float(t_s[0])
         self.count += len(tick)

@@ -35,7 +35,7 @@ from pamctl.log.framing import (
     verify_checksum,
 )
 from pamctl.log.schema import JSON_SCHEMAS, TICK_TOPIC
-from pamctl.log.wire import MessageRun, find_message_run, walk_messages
+from pamctl.log.wire import MessageRun, find_message_run, require_short, walk_messages
 from pamctl.log.writer import LogWriter
 from pamctl.new_file import create_new_file
 from pamctl.plain_text import escape_name
@@ -231,6 +231,8 @@ class LogCopy:
             if not writer.knows(run.channel):
                 raise Damage(record.start, f"channel {run.channel} was described in a lost part")
             topic = writer.topic(run.channel)
+            if topic in JSON_SCHEMAS:
+                require_short(run)
             kept = self.select_messages(topic, run.records)
             chosen.append((run.channel, kept))
             if len(kept):

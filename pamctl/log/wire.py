@@ -82,6 +82,16 @@ def find_message_run(data: memoryview, first: FileRecord) -> MessageRun:
     return MessageRun(int(records["channel"][0]), first.start, records)
 
 
+LONGEST_JSON_BYTES = 1 << 20
+"""Of an event, gains or a state; parsed, they take many times their bytes."""
+
+
+def require_short(run: MessageRun) -> None:
+    """Raise ValueError for JSON that no run writes."""
+    if run.records.itemsize > LONGEST_JSON_BYTES:
+        raise ValueError(f"a JSON message has {run.records.itemsize / 1e6:.3g} MB")
+
+
 def walk_messages(chunk: memoryview) -> Iterator[FileRecord | MessageRun]:
     """Yield the records of a chunk in order, similar messages together."""
     at = 0

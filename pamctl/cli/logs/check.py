@@ -21,7 +21,7 @@ def check_logs(
     paths: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Logs to check")],
     as_json: JsonOption = False,
 ) -> None:
-    """Check files, checksums, indexes, tick numbers, times, units and configuration.
+    """Check files, checksums, indexes, tick numbers, times, signals, units and configuration.
 
     Exits with 3 if there is an error in any of them, 65 if a file is no log at all.
     """

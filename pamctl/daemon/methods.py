@@ -15,7 +15,7 @@ from pamctl.daemon.protocol import (
     RequestRefusedError,
 )
 from pamctl.daemon.service import Service
-from pamctl.log.annotate.annotation import (
+from pamctl.log.annotation import (
     LONGEST_NAME,
     LONGEST_NOTE,
     MOST_TAGS,

@@ -40,9 +40,9 @@ from pamctl.daemon.requested_settings import (
 from pamctl.daemon.session import DaemonRun, Session, Workshop
 from pamctl.daemon.shelf import Shelf
 from pamctl.exit_codes import EMERGENCY_STOP, Ending
-from pamctl.log.annotate.annotation import NOTHING_SAID, Annotation, annotate_meta
-from pamctl.log.changed_gains import CHANGES, describe_changes
-from pamctl.log.naming import bare_name
+from pamctl.log.annotation import NOTHING_SAID, Annotation, annotate_meta
+from pamctl.log.moments import CHANGES, describe_changes
+from pamctl.log.run_meta import bare_name
 from pamctl.plain_text import clean_text
 from pamctl.plant.model import PlantSettings
 from pamctl.processes.keep_awake import SleepInhibitor

@@ -14,7 +14,7 @@ from pamctl.control.experiment import Experiment, plan_experiment
 from pamctl.diagnose.deciding.drawn_programs import sample_levels
 from pamctl.diagnose.deciding.rig_limits import RigLimits, read_rig_limits
 from pamctl.exit_codes import ExitCode
-from pamctl.log.naming import file_safe_name
+from pamctl.log.run_meta import file_safe_name
 from pamctl.plant.drive import CoupledResponse, drive_coupled
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.session.pamctl_error import PamctlError

@@ -19,9 +19,8 @@ from pamctl.control.filters import warp_cutoff
 from pamctl.control.law_registry import describe_law, law_of
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.kernel import build
-from pamctl.log.annotate.annotation import NOTHING_SAID, Annotation, annotate_meta
-from pamctl.log.naming import bare_name
-from pamctl.log.run_meta import RunMeta
+from pamctl.log.annotation import NOTHING_SAID, Annotation, annotate_meta
+from pamctl.log.run_meta import RunMeta, bare_name
 from pamctl.plain_text import escape_name
 from pamctl.processes.backends import (
     SHARED_MEMORY,
@@ -233,8 +232,8 @@ def _compute_figures(
     figures = summarise_run(log, _find_shipped_experiment(settings, names["experiment"]))
     text = format_run_summary(figures, settings.controller.law)
     if ending.code in (ExitCode.SAFETY_TRIP, ExitCode.OVERRUNS):
-        from pamctl.log.flight import dump_last_seconds
-        from pamctl.log.paging.read_paged import read_paged
+        from pamctl.log.moments import dump_last_seconds
+        from pamctl.log.reader import read_paged
         from pamctl.new_file import NewFileError
 
         try:

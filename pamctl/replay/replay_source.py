@@ -72,7 +72,7 @@ class ReplaySource:
     law_change: str
     """How the law's source differs from the one that made the log; empty if it does not."""
     cut: Mapping[str, str]
-    """Of what the log is a piece (`pamctl.log.cutting`); empty for a whole log."""
+    """Of what the log is a piece (`pamctl.log.cut`); empty for a whole log."""
     losses: frozenset[int]
     """Ticks with a loss before them: the run did not miss those ticks, but the log lost them."""
 

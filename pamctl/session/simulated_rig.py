@@ -21,7 +21,7 @@ from pamctl.daemon.requested_settings import (
 )
 from pamctl.daemon.service import DaemonState
 from pamctl.exit_codes import EMERGENCY_STOP, ExitCode
-from pamctl.log.naming import file_safe_name
+from pamctl.log.run_meta import file_safe_name
 from pamctl.new_file import require_folder
 from pamctl.session.pamctl_error import PamctlError, translate_errors
 from pamctl.session.simulated_loop import SimulatedLoop, is_at_rest_at, is_resting

@@ -125,7 +125,7 @@ class SteeredRig(ABC):
 
         Another law can be loaded only between runs.
         """
-        from pamctl.log.naming import file_safe_name
+        from pamctl.log.run_meta import file_safe_name
 
         with translate_errors():
             if isinstance(controller, Mapping):
@@ -225,7 +225,7 @@ class SteeredRig(ABC):
 
     def _read(self, experiment: AskedExperiment, name: str | None) -> tuple[dict[str, Any], str]:
         """Return the checked keys of an experiment, and its name."""
-        from pamctl.log.naming import file_safe_name
+        from pamctl.log.run_meta import file_safe_name
 
         if isinstance(experiment, str | Path):
             with translate_errors():

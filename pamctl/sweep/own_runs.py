@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.log.annotate.annotation import SWEEP, Annotation
-from pamctl.log.naming import bare_name, make_dated_path
+from pamctl.log.annotation import SWEEP, Annotation
+from pamctl.log.run_meta import bare_name, make_dated_path
 from pamctl.processes.front import restore_signals
 from pamctl.processes.run_once import run_once
 from pamctl.report.progress_line import ProgressLine

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pamctl.control.law_registry import installed_laws
-from pamctl.log.naming import bare_name
+from pamctl.log.run_meta import bare_name
 from pamctl.new_file import require_place
 from pamctl.settings.config_files import find_config_file
 from pamctl.settings.known_effects import build_compensation

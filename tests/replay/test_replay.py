@@ -36,7 +36,7 @@ from pamctl.control.law import answer
 from pamctl.control.trajectory import rest_to_rest
 from pamctl.log import Log, read
 from pamctl.log.importing.imported_log import write_imported
-from pamctl.log.repair.recover import recover_file
+from pamctl.log.recover import recover_file
 from pamctl.log.schema import CUT
 from pamctl.plant.paper import muscle, valve
 from pamctl.realtime import tick
@@ -600,7 +600,7 @@ def test_a_difference_is_code_3_with_tick_stage_field_and_both_values(
     golden: Callable[[str], Log], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     changed = with_config(golden("qsmc"), "controller.eta", 0.5)
-    monkeypatch.setattr("pamctl.log.paging.read_paged.read_paged", lambda path: changed)
+    monkeypatch.setattr("pamctl.log.reader.read_paged", lambda path: changed)
     arguments = ("replay", "x.mcap", "--tolerance", "default-for-other-cpu")
     code, said = pamctl(*arguments, "--json")
     document = json.loads(said)

@@ -15,9 +15,8 @@ from typer.testing import CliRunner
 
 from pamctl.cli.app import app
 from pamctl.log import read
-from pamctl.log.annotate.annotation import make_annotation
-from pamctl.log.annotate.append_metadata import append_metadata, write_annotation
-from pamctl.log.annotate.read_annotation import read_annotation
+from pamctl.log.annotate import append_metadata, read_annotation, write_annotation
+from pamctl.log.annotation import make_annotation
 from pamctl.runs.edit_annotation import edit_annotations
 from pamctl.runs.index_finished import INDEX_NAME, index_quietly
 from pamctl.runs.run_index import RunIndex, RunsError

@@ -169,6 +169,9 @@ def diagnose(
     stated = _parse_noise(noise or [])
     train = [record_of(path) for path in logs]
     held = [record_of(path) for path in holdout or []]
+    for record in (*train, *held):
+        for note in record.notes:
+            typer.echo(f"warning: {record.name}: {note}", err=True)
     if not held:
         how = "the runs are split" if len(train) > 1 else "long stretches of it are held out"
         if len(train) > 1 and any(map(read_forecast, train)):

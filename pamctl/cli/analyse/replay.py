@@ -91,7 +91,7 @@ def replay(
         require_place(csv)
     if from_s is not None and not 0.0 <= from_s < math.inf:
         raise typer.BadParameter("must be seconds, 0 or more", param_hint="--from")
-    from pamctl.log.paging.read_paged import read_paged
+    from pamctl.log.reader import read_paged
     from pamctl.settings.resolve import use_law_file
 
     if controller_from is not None:

@@ -31,7 +31,7 @@ from pamctl.cli.options import (
 from pamctl.cli.output import print_json
 from pamctl.cli.settings_from_options import resolve_options
 from pamctl.exit_codes import ExitCode
-from pamctl.log.annotate.annotation import make_annotation
+from pamctl.log.annotation import make_annotation
 from pamctl.settings.resolve import settings_to_json, settings_to_yaml
 
 

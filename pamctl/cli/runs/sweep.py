@@ -33,8 +33,8 @@ from pamctl.cli.options import (
 from pamctl.cli.output import PAGE_BEGIN, print_json
 from pamctl.cli.runs.runs import LogsOption
 from pamctl.cli.settings_from_options import resolve_options
-from pamctl.log.annotate.annotation import make_annotation
-from pamctl.log.naming import file_safe_name
+from pamctl.log.annotation import make_annotation
+from pamctl.log.run_meta import file_safe_name
 from pamctl.new_file import require_folder, write_files
 from pamctl.settings.config_files import DEFAULT_NAMES
 from pamctl.sweep.sweep_plan import parse_sweep, require_end

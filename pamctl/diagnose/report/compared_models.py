@@ -16,7 +16,7 @@ from pamctl.diagnose.fitting.held_out_rms import simulate_held_out
 from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.report.phrases import spell_names
-from pamctl.log.annotate.moments import Moment
+from pamctl.log.moments import Moment
 from pamctl.plant.model import PlantSettings
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pamctl.log.check.log_problems import LogFindings
+from pamctl.log.check import LogFindings
 from pamctl.log.importing.header_words import HeaderMeaning, understand_header
 from pamctl.log.importing.measured_table import ImportRefused, MeasuredTable
 from pamctl.log.importing.quantities import (

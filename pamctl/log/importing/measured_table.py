@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from pamctl.log.columns import suggest_nearest
 from pamctl.log.framing import LogError
-from pamctl.log.ticks import suggest_nearest
 
 Floats = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.json_text import to_json
-from pamctl.log.check.log_problems import LogFinding, LogFindings, Severity
+from pamctl.log.check import LogFinding, LogFindings, Severity
 from pamctl.log.importing.column_map import ImportMap
 from pamctl.log.importing.csv_table import read_csv
 from pamctl.log.importing.headers import match_headers

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.log.check.log_problems import LogFindings
+from pamctl.log.check import LogFindings
 from pamctl.log.importing.imported_log import nominal_period_s
 from pamctl.log.importing.quantities import TIME
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pamctl.log.annotate.moments import Moment
-from pamctl.log.cutting.pieces import find_longest_step_s, split_at_gaps
+from pamctl.log.cut import find_longest_step_s, split_at_gaps
+from pamctl.log.moments import Moment
 
 Array = NDArray[np.float64]
 

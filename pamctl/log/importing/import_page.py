@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pamctl.log.check.log_problems import LogFinding
+from pamctl.log.check import LogFinding
 from pamctl.log.importing.measured_table import Floats
 from pamctl.log.importing.quantities import TIME
 

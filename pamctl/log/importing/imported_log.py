@@ -13,11 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.log.container import make_message_records
 from pamctl.log.record_problems import nominal_period_s
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import IMPORTED, TICK_TOPIC, imported_fields
-from pamctl.log.wire import TickLayout
+from pamctl.log.wire import TickLayout, make_message_records
 from pamctl.log.writer import LogWriter, begin_log
 from pamctl.new_file import create_new_file
 

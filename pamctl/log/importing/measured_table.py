@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pamctl.log.columns import suggest_nearest
 from pamctl.log.framing import LogError
-from pamctl.log.ticks import suggest_nearest
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

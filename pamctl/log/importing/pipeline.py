@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pamctl.json_text import to_json
-from pamctl.log.check.log_problems import LogFinding, LogFindings, Severity
+from pamctl.log.check import LogFinding, LogFindings, Severity
 from pamctl.log.importing.column_map import ImportMap
 from pamctl.log.importing.column_roles import (
     ChosenColumns,

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pamctl.log.check.log_problems import LogFindings
+from pamctl.log.check import LogFindings
 from pamctl.log.importing.measured_table import Floats, Ints
 from pamctl.log.importing.quantities import UNITS, ColumnReading
 from pamctl.log.record_problems import RecordColumn, find_record_problems, nominal_period_s

@@ -1,4 +1,4 @@
-"""A page of runs: figures of merit against the settings that differ, with the spread of repeats."""
+"""The page of a sweep: figures of merit against the swept settings, with the spread of repeats."""
 
 from __future__ import annotations
 
@@ -9,47 +9,25 @@ from pathlib import Path
 
 import numpy as np
 
-from pamctl.exit_codes import ExitCode
 from pamctl.report.drawing.svg import COLOURS, PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
 from pamctl.runs.run_row import METRICS, RunRow
-from pamctl.runs.varying import SettingValue, find_varying_keys, is_number, read_value
+from pamctl.runs.varying import SettingValue, is_number, read_value
 
-_MOST_KEYS = 6
 _MOST_ROWS = 500
 _LOG_RATIO = 20.0
 """An axis is logarithmic from this ratio of its values on."""
 
 
-class NothingToDraw(Exception):
-    """The runs have no such setting. The message says which differ."""
-
-    exit_code = ExitCode.USAGE
-
-
-def write_runs_page(
-    title: str, folder: Path, rows: Sequence[RunRow], against: Sequence[str] = ()
-) -> Page:
-    """Return the page of these runs; `against` names settings, by default those that differ.
-
-    Raise NothingToDraw if no run has one of them as a number.
-    """
-    page = Page(title, f"{len(rows)} runs of {folder}")
-    varying = find_varying_keys(rows)
-    for key in against:
-        if not any(is_number(read_value(row, key)) for row in rows):
-            known = ", ".join(varying) or "none"
-            raise NothingToDraw(f"no run has a number for {key}; these differ: {known}")
-    keys = list(against) or varying[:_MOST_KEYS]
+def write_sweep_page(name: str, folder: Path, rows: Sequence[RunRow], keys: Sequence[str]) -> Page:
+    """Return the page of a sweep's runs, with a section for each of the swept `keys`."""
+    page = Page(f"Sweep {name}", f"{len(rows)} runs of {folder}")
     for key in keys:
         page.section(key)
-        others = [other for other in varying if other != key] if len(keys) <= 2 else []
+        others = [other for other in keys if other != key] if len(keys) <= 2 else []
         draw_metrics(page, rows, key, others)
     if not keys:
         page.text("No setting that is a number differs between these runs.")
-    elif not against and len(varying) > len(keys):
-        left = ", ".join(varying[_MOST_KEYS:])
-        page.text(f"These settings differ too; draw one with `--against`: {left}.")
     _write_table(page, rows, keys)
     return page
 

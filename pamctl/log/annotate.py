@@ -1,9 +1,9 @@
-"""Add a metadata record to a finished log.
+"""Say something of a finished log, and read what was said: a metadata record behind its data.
 
-Every byte of the data stays: the record goes behind them, and only the end of the file, its
-index, is written anew. The new file is complete before it takes the place of the old one, so
-that a full disk or a power cut leaves the log as it was. The checksum of the data is continued
-from the stored one: damage that was there before is still found.
+Every byte of the data stays: only the end of the file, its index, is written anew. The new file is
+complete before it takes the place of the old one, so that a full disk or a power cut leaves the
+log as it was. The checksum of the data is continued from the stored one: damage that was there
+before is still found.
 
 Why not a file beside the log: it would be left behind when the log is copied or sent.
 """
@@ -16,19 +16,19 @@ import zlib
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO
 
 from mcap.opcode import Opcode
 from mcap.records import DataEnd, Footer, Metadata, MetadataIndex, Statistics
 
-from pamctl.log.annotate.annotation import ANNOTATION, Annotation, date_record
-from pamctl.log.container import encode_record, encode_summary
+from pamctl.log.annotation import ANNOTATION, Annotation, date_record
 from pamctl.log.framing import (
-    FRAME,
     MAGIC,
     Damage,
     FileRecord,
     LogError,
+    encode_record,
+    encode_summary,
     map_log_file,
     records_in,
     translate_parse_errors,
@@ -36,7 +36,27 @@ from pamctl.log.framing import (
 )
 from pamctl.new_file import create_new_file
 
+__all__ = ["LogError", "append_metadata", "read_annotation", "write_annotation"]
+
 _BLOCK_BYTES = 1 << 20
+
+
+def read_annotation(path: Path) -> Annotation:
+    """Return what is said of a run, from its metadata alone; raise LogError if it is no log.
+
+    A log that is not finished says what stands before its end.
+    """
+    values: Mapping[str, str] = {}
+    try:
+        for record in walk_records(map_log_file(path)):
+            if record.opcode == Opcode.METADATA:
+                with translate_parse_errors(record):
+                    metadata = Metadata.read(record.stream())
+                values = metadata.metadata if metadata.name == ANNOTATION else values
+    except Damage as damage:
+        if damage.offset == 0:
+            raise LogError(f"{path} is not a log: {damage}") from damage
+    return Annotation.from_metadata(values)
 
 
 def write_annotation(path: Path, said: Annotation) -> None:
@@ -50,12 +70,12 @@ def write_annotation(path: Path, said: Annotation) -> None:
 def append_metadata(path: Path, name: str, values: Mapping[str, str]) -> None:
     """Add a metadata record to a finished log."""
     path = Path(os.path.realpath(path))
-    end = _make_end(path, Metadata(name=name, metadata=dict(values)))
+    data_bytes, tail = _make_end(path, Metadata(name=name, metadata=dict(values)))
     before = path.stat()
     with create_new_file(path, replaces="") as stream:
         with path.open("rb") as log:
-            _copy_bytes(log, stream, end.data_bytes)
-        stream.write(end.tail)
+            _copy_bytes(log, stream, data_bytes)
+        stream.write(tail)
         shutil.copymode(path, stream.name)
         with suppress(OSError, AttributeError):  # only root can, and Windows has no such owners
             os.chown(stream.name, before.st_uid, before.st_gid)
@@ -65,44 +85,33 @@ def append_metadata(path: Path, name: str, values: Mapping[str, str]) -> None:
         os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
 
 
-class _NewEnd(NamedTuple):
-    data_bytes: int
-    """Bytes of the old file that stay."""
-    tail: bytes
-    """The new record, the end of the data, the index and the footer."""
-
-
-def _make_end(path: Path, metadata: Metadata) -> _NewEnd:
+def _make_end(path: Path, metadata: Metadata) -> tuple[int, bytes]:
+    """Return how many bytes of the file stay, and all that follows them then."""
     try:
         file = map_log_file(path)
         ends = [r for r in walk_records(file) if r.opcode in (Opcode.DATA_END, Opcode.FOOTER)]
         data_end, footer = ends[0], ends[-1]
         with translate_parse_errors(footer):
-            return _replace_end(file, data_end, footer, metadata)
+            added = encode_record(metadata)
+            crc = DataEnd.read(data_end.stream()).data_section_crc
+            data = added + encode_record(DataEnd(zlib.crc32(added, crc) if crc else 0))
+            if not Footer.read(footer.stream()).summary_start:
+                return data_end.start, data + encode_record(Footer(0, 0, 0)) + MAGIC
+            index = MetadataIndex(offset=data_end.start, length=len(added), name=metadata.name)
+            old = records_in(file[: footer.start], data_end.end)
+            summary = _add_to_summary(old, index)
+            start = data_end.start + len(data)
+            return data_end.start, data + encode_summary(start, summary.items())
     except Damage as damage:
         fix = f"save the undamaged part with `pamctl log recover {path} DESTINATION`"
         raise LogError(f"{path} is damaged, or not finished: {damage}; {fix}") from damage
 
 
-def _replace_end(
-    file: memoryview, data_end: FileRecord, footer: FileRecord, metadata: Metadata
-) -> _NewEnd:
-    added = encode_record(metadata)
-    crc = DataEnd.read(data_end.stream()).data_section_crc
-    data = added + encode_record(DataEnd(zlib.crc32(added, crc) if crc else 0))
-    start = data_end.start + len(data)
-    index = MetadataIndex(offset=data_end.start, length=len(added), name=metadata.name)
-    if not Footer.read(footer.stream()).summary_start:
-        return _NewEnd(data_end.start, data + encode_record(Footer(0, 0, 0)) + MAGIC)
-    old = records_in(file[: footer.start], data_end.end)
-    return _NewEnd(data_end.start, data + _make_summary(start, old, index))
-
-
-def _make_summary(start: int, old: Iterable[FileRecord], index: MetadataIndex) -> bytes:
-    """Return the summary with one metadata record more, the footer and the end of the file."""
+def _add_to_summary(old: Iterable[FileRecord], index: MetadataIndex) -> dict[int, bytes]:
+    """Return the records of the summary by kind, with one metadata record more."""
     groups: dict[int, bytes] = {}
     for record in old:
-        data = FRAME.pack(record.opcode, len(record.body)) + record.body
+        data = record.frame()
         if record.opcode == Opcode.STATISTICS:
             statistics = Statistics.read(record.stream())
             statistics.metadata_count += 1
@@ -110,7 +119,7 @@ def _make_summary(start: int, old: Iterable[FileRecord], index: MetadataIndex) -
         if record.opcode != Opcode.SUMMARY_OFFSET:
             groups[record.opcode] = groups.get(record.opcode, b"") + data
     groups[Opcode.METADATA_INDEX] = groups.get(Opcode.METADATA_INDEX, b"") + encode_record(index)
-    return encode_summary(start, groups.items())
+    return groups
 
 
 def _copy_bytes(source: BinaryIO, target: BinaryIO, count: int) -> None:

@@ -1,32 +1,45 @@
-"""Write a piece of a log as a log of its own; its metadata `cut` say of what.
+"""Cut a log: by time, by rows, or at the gaps in its time.
 
-Ticks keep their number, time and bytes. Of the other messages the piece keeps those of its ticks,
-the frozen state right before them, and the gains that were set earlier.
+A piece is a log of its own; its metadata `cut` say of what. Ticks keep their number, time and
+bytes. Of the other messages the piece keeps those of its ticks, the frozen state right before
+them, and the gains that were set earlier.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pamctl.exit_codes import ExitCode
 from pamctl.json_text import from_json, to_json
-from pamctl.log.cutting.pieces import select_rows, split_at_gaps
 from pamctl.log.framing import LogError, map_log_file
-from pamctl.log.reader import Log, NoSuchColumn, read
-from pamctl.log.repair.recover import LogCopy
-from pamctl.log.schema import CUT, GAINS_TOPIC, KEYFRAME_TOPIC, TICK_TOPIC
+from pamctl.log.reader import Log, read_some
+from pamctl.log.recover import LogCopy
+from pamctl.log.schema import CUT, GAINS_TOPIC, JSON_SCHEMAS, KEYFRAME_TOPIC, TICK_TOPIC
 from pamctl.log.writer import LogWriter
 from pamctl.new_file import create_new_file, require_place
 from pamctl.plain_text import escape_name
 
 FEWEST_ROWS = 2
 """A stretch between gaps with fewer rows has no period: it is left out."""
+GAP_PERIODS = 5.0
+"""A longer time between two samples is a gap."""
+HELD_S = 0.05
+"""A command holds over missed ticks of this length: they only make a time step longer."""
+
+Floats = NDArray[np.float64]
+
+
+class NothingToCut(LogError):
+    """The log holds nothing of the piece that was asked for. The message gives the limits."""
+
+    exit_code = ExitCode.USAGE
 
 
 @dataclass(frozen=True)
@@ -53,6 +66,55 @@ class CutLog:
     """Rows that stand alone between two gaps."""
 
 
+def find_longest_step_s(step_s: Floats, *, holds_command: bool) -> float:
+    """Return the longest time between two samples that is not a gap.
+
+    What a command does in a gap is unknown, and so is what a measured force does in it; but a
+    command holds over a few missed ticks.
+    """
+    shortest_gap_s = GAP_PERIODS * float(np.median(step_s))
+    return max(shortest_gap_s, HELD_S) if holds_command else shortest_gap_s
+
+
+def split_at_gaps(t_s: Floats, *, holds_command: bool) -> tuple[slice, ...]:
+    """Return the stretches between gaps, in order; times of shape (n,) without gaps are one."""
+    if len(t_s) < 2:
+        return (slice(0, len(t_s)),)
+    step_s = np.diff(t_s)
+    longest_s = find_longest_step_s(step_s, holds_command=holds_command)
+    starts = (np.flatnonzero(step_s > longest_s) + 1).tolist()
+    return tuple(slice(a, b) for a, b in pairwise([0, *starts, len(t_s)]))
+
+
+def select_rows(
+    name: str,
+    t_s: Floats,
+    *,
+    from_s: float | None = None,
+    to_s: float | None = None,
+    from_row: int | None = None,
+    to_row: int | None = None,
+) -> slice:
+    """Return the rows from `from_s` (included) to `to_s` (excluded), or of these row numbers.
+
+    Rows count from 0. `name` is the log's, for the message. Raise NothingToCut.
+    """
+    start, stop = from_row or 0, len(t_s) if to_row is None else to_row
+    if from_s is not None:
+        start = max(start, int(np.searchsorted(t_s, from_s)))
+    if to_s is not None:
+        stop = min(stop, int(np.searchsorted(t_s, to_s)))
+    stop = min(stop, len(t_s))
+    if stop - start < 1:
+        holds = (
+            f"it has rows 0 to {len(t_s) - 1}, from {t_s[0]:.6g} to {t_s[-1]:.6g} s"
+            if len(t_s)
+            else "it has no rows"
+        )
+        raise NothingToCut(f"nothing of {name} lies in that piece: {holds}")
+    return slice(start, stop)
+
+
 def cut_log(
     source: str | Path,
     destination: str | Path,
@@ -69,7 +131,12 @@ def cut_log(
     read or holds nothing of the piece, NewFileError if a file cannot be written.
     """
     source, destination = Path(source), Path(destination)
-    log = _read_story(source)
+    if source.suffix.lower() in (".csv", ".txt", ".dat", ".mat", ".tsv"):
+        raise LogError(
+            f"{source} is no log: import it first, `pamctl log import {source} "
+            f"{source.with_suffix('.mcap').name}`, then cut that"
+        )
+    log = read_some(source, ("tick", "t_s", "missed", "valve_v"))
     t_s = log["t_s"]
     limits = {"from_s": from_s, "to_s": to_s, "from_row": from_row, "to_row": to_row}
     whole = select_rows(str(source), t_s, **limits)  # type: ignore[arg-type]
@@ -95,18 +162,6 @@ def cut_log(
     )
 
 
-def _read_story(source: Path) -> Log:
-    if source.suffix.lower() in (".csv", ".txt", ".dat", ".mat", ".tsv"):
-        raise LogError(
-            f"{source} is no log: import it first, `pamctl log import {source} "
-            f"{source.with_suffix('.mcap').name}`, then cut that"
-        )
-    try:
-        return read(source, fields=("tick", "t_s", "missed", "valve_v"))
-    except NoSuchColumn:  # measured without a command
-        return read(source, fields=("tick", "t_s", "missed"))
-
-
 def _name_files(destination: Path, count: int) -> list[Path]:
     digits = len(str(count))
     return [
@@ -118,8 +173,8 @@ def _name_files(destination: Path, count: int) -> list[Path]:
 def _write_piece(log: Log, part: slice, destination: Path, checksum: str) -> None:
     with create_new_file(destination) as stream:
         writer = LogWriter(stream)
-        copy = _PieceCopy(writer, log, part)
-        copy.file(map_log_file(log.path))
+        copy = _PieceCopy(log, part)
+        copy.write(writer)
         if copy.damage:
             raise LogError(f"{log.path} cannot be cut: {'; '.join(copy.damage)}")
         writer.metadata(CUT, _describe_cut(log, part, checksum))
@@ -129,9 +184,11 @@ def _write_piece(log: Log, part: slice, destination: Path, checksum: str) -> Non
 class _PieceCopy(LogCopy):
     """Copies the messages of some ticks."""
 
-    def __init__(self, writer: LogWriter, log: Log, part: slice) -> None:
-        super().__init__(writer)
+    def __init__(self, log: Log, part: slice) -> None:
+        super().__init__(log.path)
+        self.verified = True  # the log was just read
         self._rows = part
+        self._times_ns = log.time_ns[part.start], log.time_ns[part.stop - 1]
         self._row = 0
         ticks = log["tick"][part]
         self._first, self._last = int(ticks[0]), int(ticks[-1])
@@ -141,10 +198,15 @@ class _PieceCopy(LogCopy):
         """Return the messages of the piece."""
         if topic == TICK_TOPIC:
             begin, self._row = self._row, self._row + len(messages)
-            there = slice(max(self._rows.start - begin, 0), max(self._rows.stop - begin, 0))
-            return messages[there]
-        keep = [self._belongs(topic, from_json(bytes(body))) for body in messages["body"]]
-        kept: NDArray[Any] = messages[np.array(keep, dtype=bool)]
+            return messages[max(self._rows.start - begin, 0) : max(self._rows.stop - begin, 0)]
+        if topic not in JSON_SCHEMAS:  # another program's
+            first_ns, last_ns = self._times_ns
+            times_ns = messages["log_time"]
+            keep = (times_ns >= first_ns) & (times_ns <= last_ns)
+        else:
+            bodies = (from_json(body.tobytes()) for body in messages["body"])
+            keep = np.array([self._belongs(topic, body) for body in bodies], dtype=bool)
+        kept: NDArray[Any] = messages[keep]
         return kept
 
     def _belongs(self, topic: str, message: Any) -> bool:
@@ -178,7 +240,7 @@ def _find_homing(log: Log, first_tick: int) -> str:
     It is that of the last zeros before the piece.
     """
     zeroed = [e["tick"] for e in log.events if e.get("event") == "zeroed"]
-    before: Sequence[int] = [tick for tick in zeroed if log["tick"][0] < tick <= first_tick]
+    before = [tick for tick in zeroed if log["tick"][0] < tick <= first_tick]
     if not before:
         return str(log.metadata.get(CUT, {}).get("homed_t_s", ""))
     return repr(float(log["t_s"][int(np.searchsorted(log["tick"], before[-1]))]))

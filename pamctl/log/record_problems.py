@@ -160,8 +160,7 @@ def find_sensor_step(values: Floats) -> float:
     The step is the smallest difference between levels, if the others are whole multiples.
     Differences in time would not do: a motion at one speed has equal ones.
     """
-    every = -(-len(values) // MOST_SORTED)
-    steps = np.diff(np.sort(values[::every]))
+    steps = np.diff(np.sort(values))
     steps = steps[steps > 1e-9 * max(float(np.ptp(values)), 1e-30)]
     if not len(steps):
         return 0.0
@@ -260,7 +259,8 @@ class _Sensor:
             self.values = np.where(np.isfinite(filled), filled, column.values[~self.lost][0])
         self.ends = (float(self.values.min()), float(self.values.max()))
         self.span = self.ends[1] - self.ends[0]
-        self.step = find_sensor_step(self.values) if column.step is None else column.step
+        every = -(-len(t_s) // MOST_SORTED)
+        self.step = find_sensor_step(self.values[::every]) if column.step is None else column.step
         self.noise, flips = _measure_noise(self.values)
         uneven = ~(np.abs(np.diff(t_s) - nominal_period_s(t_s)) < JITTER * nominal_period_s(t_s))
         self.is_noisy = (

@@ -21,6 +21,8 @@ from typing import Any
 import numpy as np
 
 from pamctl.log.importing.measured_table import (
+    MOST_NUMBERS,
+    TIME_S,
     Floats,
     ImportRefused,
     MeasuredTable,
@@ -29,9 +31,6 @@ from pamctl.log.importing.measured_table import (
     refuse_bomb,
 )
 from pamctl.log.importing.quantities import TextHints
-
-TIME = "time_s"
-MOST_VALUES = 250_000_000
 
 
 def number_rows(columns: list[TableColumn], form: str, notes: list[str]) -> MeasuredTable:
@@ -69,7 +68,7 @@ def parse_tdms(path: Path, hints: TextHints) -> MeasuredTable:
     with TdmsFile.open(path) as file:
         channels = [channel for group in file.groups() for channel in group.channels()]
         count = sum(len(channel) for channel in channels)
-        if count > MOST_VALUES:
+        if count > MOST_NUMBERS:
             raise ImportRefused(f"{path} is too large: {count} values; cut it into parts")
         refuse_bomb(path, 8 * count)
         names = Counter(channel.name for channel in channels)
@@ -184,7 +183,7 @@ def _add_times(
         listed = ", ".join(f"{name} {len(t)} every {t[1] - t[0]:g} s" for name, t in each[:5])
         notes.append(f"the waveforms differ in start, length or interval ({listed})")
         return [*(TableColumn(f"time of {name}", t_s) for name, t_s in each), *columns]
-    return [*(TableColumn(TIME, t_s) for _, t_s in each), *columns]
+    return [*(TableColumn(TIME_S, t_s) for _, t_s in each), *columns]
 
 
 # LVM.
@@ -205,8 +204,9 @@ def parse_lvm(path: Path, hints: TextHints) -> MeasuredTable:
     if any(unit != units[0] for unit in units):
         raise ImportRefused(f"{path}: a unit changes between segments; save each in a file")
     for part, start_s in zip(parts, starts_s, strict=True):
-        if TIME in part and len(parts) > 1 and part[TIME][0] < parts[0][TIME][-1]:
-            part[TIME] = part[TIME] + (start_s - starts_s[0])  # each counts from its own start
+        if TIME_S in part and len(parts) > 1 and part[TIME_S][0] < parts[0][TIME_S][-1]:
+            # Each segment counts from its own start.
+            part[TIME_S] = part[TIME_S] + (start_s - starts_s[0])
     joined = [(name, np.concatenate([part[name] for part in parts])) for name in parts[0]]
     if not joined or not len(joined[0][1]):
         raise ImportRefused(f"{path} holds no rows of numbers")
@@ -228,7 +228,7 @@ def _read_lvm_segment(path: Path, segment: dict[str, Any]) -> dict[str, Floats]:
             t_s = (
                 values if np.isfinite(values).all() else _count_lvm_time(path, segment, len(table))
             )
-            if not np.array_equal(columns.setdefault(TIME, t_s), t_s):
+            if not np.array_equal(columns.setdefault(TIME_S, t_s), t_s):
                 raise ImportRefused(
                     f"{path}: its channels have different times; save them with one"
                 )
@@ -236,8 +236,8 @@ def _read_lvm_segment(path: Path, segment: dict[str, Any]) -> dict[str, Floats]:
             if name in columns:
                 raise ImportRefused(f"{path} has more than one channel {name}; rename one")
             columns[name] = values
-    if TIME not in columns and is_time:
-        columns = {TIME: _count_lvm_time(path, segment, len(table)), **columns}
+    if TIME_S not in columns and is_time:
+        columns = {TIME_S: _count_lvm_time(path, segment, len(table)), **columns}
     return columns
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from pamctl.log.importing.lab_tables import number_rows
 from pamctl.log.importing.measured_table import (
+    TIME_S,
     Floats,
     ImportRefused,
     MeasuredTable,
@@ -28,8 +29,6 @@ from pamctl.log.importing.measured_table import (
 )
 from pamctl.log.importing.quantities import TextHints
 
-_SIMULINK_TIME = "time_s"
-"""Simulink's own time (`tout`, and the time of its structures) is in seconds."""
 MOST_BYTES = 2 << 30
 """Of one array."""
 _DEEPEST = 16
@@ -107,7 +106,7 @@ def _read_array(name: str, value: Any) -> Iterator[TableColumn]:
     if value.size < 2:  # it may claim a thousand million columns of nothing
         return
     outer, _, leaf = name.rpartition(".")
-    called = _SIMULINK_TIME if leaf == "tout" else leaf if outer else ""
+    called = TIME_S if leaf == "tout" else leaf if outer else ""
     is_one = value.ndim < 2 or 1 in value.shape
     for column in make_columns([(name, value)]):
         yield replace(column, called=called) if is_one else column
@@ -121,7 +120,7 @@ def _read_struct(name: str, record: Any) -> Iterator[TableColumn]:
         )
     elif "time" in fields and "data" in fields:
         leaf = name.rpartition(".")[2] if "." in name else ""
-        yield TableColumn(f"{name}.time", _flatten(record[fields["time"]]), called=_SIMULINK_TIME)
+        yield TableColumn(f"{name}.time", _flatten(record[fields["time"]]), called=TIME_S)
         yield TableColumn(name, _flatten(record[fields["data"]]), called=leaf)
     else:
         for field in record.dtype.names:
@@ -130,7 +129,7 @@ def _read_struct(name: str, record: Any) -> Iterator[TableColumn]:
 
 def _read_structure_with_time(name: str, time: Any, signals: Any) -> Iterator[TableColumn]:
     if np.size(time) > 1:
-        yield TableColumn(f"{name}.time", _flatten(time), called=_SIMULINK_TIME)
+        yield TableColumn(f"{name}.time", _flatten(time), called=TIME_S)
     each = signals.reshape(-1)
     for index, signal in enumerate(each):
         values = signal["values"]

@@ -20,6 +20,12 @@ class ImportRefused(LogError):
     """A measured file cannot be imported. The message says what, where, and what to do."""
 
 
+MOST_NUMBERS = 250_000_000
+"""2 GB as floats."""
+TIME_S = "time_s"
+"""What the time is called where a format has it apart from its columns, in seconds."""
+
+
 @dataclass(frozen=True, eq=False)
 class TableColumn:
     """A column of a file."""

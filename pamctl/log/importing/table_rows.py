@@ -27,6 +27,7 @@ from pamctl.log.importing.cell_texts import (
 )
 from pamctl.log.importing.column_roles import read_unit
 from pamctl.log.importing.measured_table import (
+    MOST_NUMBERS,
     Floats,
     ImportRefused,
     Ints,
@@ -39,8 +40,6 @@ Cell = str | float
 WIDE_GAP = "two spaces or more"
 HEAD_ROWS = 200
 """The numbers begin within as many rows."""
-MOST_NUMBERS = 250_000_000
-"""2 GB as floats."""
 _MOST_LEFT_OUT = 3
 """Lines below the table that are no rows of it, and may be left out."""
 

@@ -24,6 +24,8 @@ from pyarrow import parquet
 from scipy.io import savemat
 from test_log_import import ATMOSPHERE_PA, Outcome
 
+from pamctl.log.importing.pipeline import import_log
+
 T_S = np.round(np.arange(60) * 0.05, 2)
 VALVE_V = np.round(1.5 * np.sin(3.0 * T_S), 4)
 BAR = np.round(2.5 + 1.2 * np.sin(4.0 * T_S), 4)
@@ -516,3 +518,17 @@ def test_an_atmosphere_that_is_not_the_shipped_plants_is_told(tmp_path):
     done = Outcome(write(tmp_path, table()), "--map", str(write(tmp_path, text, "map.yaml")))
     assert "atmospheric_pressure_pa: 95000" in done.said["warning", "atmosphere"]
     np.testing.assert_allclose(done.signals.pressure_pa, BAR * 1e5 + 95000.0)
+
+
+def test_a_plain_name_goes_before_words_that_mean_the_same(tmp_path):
+    """As in what `log export` writes: the references and the raw sample stand beside."""
+    table = tmp_path / "exported.csv"
+    rows = [f"{0.001 * i},{i % 7},{0.5 * i},{2.0 * i},{1e5 + i},{1e-6 * i}" for i in range(60)]
+    head = "t_s,reference_valve_v,command_v,valve_v,pressure_pa,position_m"
+    table.write_text("\n".join([head, *rows]))
+    summary = import_log(table, tmp_path / "exported.mcap", accept_units=True)
+    assert {reading.quantity: reading.column for reading in summary.readings} == {
+        name: name for name in ("t_s", "valve_v", "pressure_pa", "position_m")
+    }
+    left_out = {column.name: column.left_out for column in summary.columns if column.left_out}
+    assert left_out == dict.fromkeys(("reference_valve_v", "command_v"), "valve_v is in 'valve_v'")

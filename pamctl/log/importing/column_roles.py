@@ -38,6 +38,8 @@ class HeaderMeaning(NamedTuple):
     """Whether every word is understood."""
     said_unit: str = ""
     """What stands in the place of the unit."""
+    is_plain: bool = False
+    """Whether it is pamctl's own name for the quantity and its unit, such as `valve_v`."""
 
 
 class _Unit(NamedTuple):
@@ -206,6 +208,9 @@ def choose_by_header(table: MeasuredTable) -> ChosenColumns:
     doubts = []
     for quantity in UNITS:
         columns, unsure = sure.get(quantity, []), asked.get(quantity, [])
+        if plain := [one for one in columns if one[2].is_plain]:
+            unsure = [*unsure, *(one for one in columns if not one[2].is_plain)]
+            columns = plain
         if not columns:
             doubts += [_ask(quantity, column, meaning) for _, column, meaning in unsure]
             continue
@@ -233,7 +238,7 @@ def understand_column(column: TableColumn) -> HeaderMeaning | None:
     plain = parse_column_name(column.name) or parse_column_name(column.name, column.called)
     if plain is not None:
         is_gauge = plain.gauge if plain.quantity == "pressure_pa" else None
-        return HeaderMeaning(plain.quantity, plain.unit, is_gauge, True)
+        return HeaderMeaning(plain.quantity, plain.unit, is_gauge, True, is_plain=True)
     return understand_header(column.called or column.name, column.unit)
 
 

@@ -1,0 +1,125 @@
+"""The ladder: place, kind and name of each finding, each said where all outside are beaten.
+
+It is no chain. A name's rivals stand in its stead beside the rest of the model, fitted, under the
+resolution of the model without it. A freer term of the same place can always mimic a name: it
+speaks against it only where it clearly does better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pamctl.evidence.constants import FREER_SHARE, LEFT_SHARE, RIVAL_SHARE
+from pamctl.evidence.fit import WeighedModel, bound_gain
+from pamctl.evidence.name_search import NameSearch
+from pamctl.evidence.pool import Hypothesis
+from pamctl.evidence.scores import EvidenceScore
+
+RIVALS = 4
+"""Rivals that are fitted, beside the best of another kind and of another place."""
+
+
+@dataclass(frozen=True)
+class Rung:
+    """What may be said of one finding."""
+
+    name: str
+    place: str
+    kind: str
+    says_place: bool
+    says_kind: bool
+    says_name: bool
+    gain_nats: float
+    interval_nats: tuple[float, float]
+    share: float
+    """Of the gain of the whole model."""
+    numbers: Mapping[str, float]
+    at_range: tuple[str, ...]
+    """Numbers that stand at their range: then no name is said."""
+    rivals: tuple[str, ...]
+    """What is not beaten, the nearest first."""
+
+    @property
+    def level(self) -> str:
+        """The rung that is reached: name, kind, place, or set."""
+        if self.says_place and self.says_kind:
+            return "name" if self.says_name else "kind"
+        return "place" if self.says_place else "set"
+
+
+def climb_ladder(search: NameSearch, base: WeighedModel, m: WeighedModel) -> list[Rung]:
+    """Return what may be said of each name of a model, in the order in which they were found."""
+    search.weigher.meet(base, m)
+    whole = max(base.total - m.total, 1e-9)
+    return [_find_rung(search, m, name, whole) for name in m.names]
+
+
+def _find_rung(search: NameSearch, m: WeighedModel, name: str, whole: float) -> Rung:
+    weigher, pool, mine = search.weigher, search.pool, search.pool[name]
+    without = search.drop(m, name)
+    own = without.left_out - m.left_out
+    asked = [n for n in pool if n != name and _may_rival(search, n, mine)]
+    scored = _choose_rivals(search, search.score(without, asked), mine)
+    rivals = search.refit(without, scored, len(scored), float(own.sum())) if scored else []
+    weigher.meet(without, m)
+    says_place = says_kind = True
+    says_name = not mine.is_term
+    near = []
+    for rival in rivals:
+        weigher.leave_out(rival)
+        its, lead = pool[rival.names[-1]], rival.left_out - m.left_out
+        beaten = bound_gain(lead)[0] > RIVAL_SHARE * own.sum()
+        if not beaten:
+            near.append((float(lead.sum()), its.name))
+        if its.is_term and its.place == mine.place:
+            if bound_gain(-lead)[0] > FREER_SHARE * own.sum():
+                says_name = False
+                says_kind &= its.kind == mine.kind
+            continue
+        if its.place != mine.place:
+            says_place &= bool(beaten)
+        if its.place != mine.place or its.kind != mine.kind:
+            says_kind &= bool(beaten)
+        says_name &= bool(beaten)
+    at_range = tuple(
+        u.name
+        for u in m.picked[name].free
+        if m.values[u.name] != u.neutral
+        and not u.low + 1e-3 * u.scale < m.values[u.name] < u.high - 1e-3 * u.scale
+    )
+    enough = takes_enough(search, without, m)
+    low, _, high = bound_gain(own)
+    return Rung(
+        name, mine.place, mine.kind, says_place, says_kind,
+        says_name and not at_range and enough, float(own.sum()), (float(low), float(high)),
+        float(own.sum()) / whole, {u.name: m.values[u.name] for u in m.picked[name].free},
+        at_range, tuple(n for _, n in sorted(near)),
+    )  # fmt: skip
+
+
+def takes_enough(search: NameSearch, without: WeighedModel, m: WeighedModel) -> bool:
+    """Tell whether what a name takes off some channel is not small beside what stays there."""
+    weigher = search.weigher
+    taken = weigher.find_imprint(without, m)
+    left2 = weigher.like.mean_squares(m.d) / weigher.find_noise2(m) - 1.0
+    return bool((taken > LEFT_SHARE * np.sqrt(np.maximum(left2, 0.0))).any())
+
+
+def _may_rival(search: NameSearch, name: str, mine: Hypothesis) -> bool:
+    return name in search.best_scores or search.pool[name].place == mine.place
+
+
+def _choose_rivals(
+    search: NameSearch, scored: list[EvidenceScore], mine: Hypothesis
+) -> list[EvidenceScore]:
+    """Return the best, and the best of another kind and of another place."""
+    chosen, pool = scored[:RIVALS], search.pool
+    for rung in ("kind", "place"):
+        outside = (s for s in scored if getattr(pool[s.name], rung) != getattr(mine, rung))
+        first = next(outside, None)
+        if first is not None and first not in chosen:
+            chosen.append(first)
+    return chosen

@@ -8,6 +8,7 @@ only fine residuals decide.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -36,8 +37,10 @@ STEP = 2e-3
 """Of a number's scale: the step of a one-sided difference."""
 MOST_STEP = 3.0
 """Scales that a number may move at once."""
-GOOD_PROMISE = (0.7, 1.5)
-"""A tangent is used again while a step gains what it promised, within these factors."""
+NEAR = 0.5
+"""Scales within which a tangent is that of the place."""
+KEPT_PROMISE = 0.3
+"""A tangent is used again while a step gains this share of what it promised."""
 
 
 @dataclass(eq=False)
@@ -56,6 +59,8 @@ class WeighedModel:
     """Coarse residual minus fine residual."""
     tangent: Array | None = None
     """Change of d for a scale of each number, shape (numbers, *d.shape)."""
+    tangent_at: Array = field(default_factory=lambda: np.zeros(0))
+    """The numbers at which the tangent was simulated."""
     loss: Loss | None = None
     left_out: Array = field(default_factory=lambda: np.zeros(0))
     """Loss of each block as if it had been left out, those held out behind."""
@@ -143,7 +148,10 @@ class Weigher:
         return (self.residual_at(m, x) - m.d) * (number.scale / h)
 
     def _find_tangent(self, m: WeighedModel) -> Array:
-        return np.stack([self.find_column(m, i) for i in range(len(m.x))])
+        if m.tangent is None:
+            m.tangent = np.stack([self.find_column(m, i) for i in range(len(m.x))])
+            m.tangent_at = m.x.copy()
+        return m.tangent
 
     def fit(
         self, m: WeighedModel, steps: int = FIT_STEPS, *, is_rough: bool = False
@@ -158,16 +166,16 @@ class Weigher:
         if not m.d.size:
             self.refine(m)
         m.loss = self.like(m.d, self.floor2)
-        damping, fresh = 1e-3, False
+        damping = 1e-3
         for step in range(steps):
-            if m.tangent is None:
-                m.tangent, fresh = self._find_tangent(m), True
-            flat = m.tangent.reshape(len(m.x), -1)
+            tangent = self._find_tangent(m)
+            fresh = is_rough or bool((np.abs(m.x - m.tangent_at) < NEAR * scale).all())
+            flat = tangent.reshape(len(m.x), -1)
             weighed = flat * m.cost.weights.ravel()
             hessian, slope = weighed @ flat.T, weighed @ m.d.ravel()
             cost = float(m.cost.by_block.sum())
             better = None
-            for _ in range(4 if fresh or is_rough else 1):
+            for _ in range(4 if fresh else 1):
                 way = _find_step(m.x, low, high, scale, hessian, slope, damping)
                 d = self.residual_at(m, m.x + way)
                 loss = self.like(d, self.floor2, m.cost.scales2)
@@ -176,28 +184,39 @@ class Weigher:
                     break
                 damping = max(damping, 1e-4) * 10.0
             if better is None:
-                if fresh or is_rough:
+                if fresh:
                     break
                 m.tangent = None
                 continue
             go = way / scale
             promised = float(-(slope @ go) - 0.5 * go @ hessian @ go)
             missed = (better[1] - m.d).ravel() - go @ flat
-            m.tangent += np.outer(go / max(float(go @ go), 1e-30), missed).reshape(m.tangent.shape)
+            flat += np.outer(go / max(float(go @ go), 1e-30), missed)
             m.x, m.d, m.loss = better
             gained, damping = cost - float(m.loss.by_block.sum()), max(damping / 10.0, 1e-6)
             if gained < FIT_STOP:
-                if fresh or is_rough:
+                if fresh:
                     break
                 m.tangent = None
-            elif is_rough:
-                continue
-            elif step < steps - 1 and not GOOD_PROMISE[0] < gained / promised < GOOD_PROMISE[1]:
+            elif not is_rough and step < steps - 1 and gained < KEPT_PROMISE * promised:
                 m.tangent = None
-            fresh = False
-        if m.tangent is None:
-            m.tangent = self._find_tangent(m)
+        self._find_tangent(m)
         return m
+
+    def thin_out(self, m: WeighedModel, share: float) -> tuple[Weigher, WeighedModel]:
+        """Return a weigher of a share of the blocks, and the model on it."""
+        thin = copy(self)
+        thin.train, blocks = self.train.thin_out({**self.base, **m.values}, share)
+        thin.held_out, thin.like_held = None, None
+        thin.like = self.like.take_blocks(blocks)
+        thin._zeros = {name: column[:, blocks] for name, column in self._zeros.items()}
+        part = copy(m)
+        part.d = np.ascontiguousarray(m.d[:, blocks])
+        assert m.tangent is not None
+        part.tangent = np.ascontiguousarray(m.tangent[:, :, blocks])
+        part.lag = thin.find_residual(m.values) - part.d
+        part.loss = thin.like(part.d, self.floor2, scales2=m.cost.scales2)
+        return thin, part
 
     def polish(self, m: WeighedModel, steps: int = FIT_STEPS) -> WeighedModel:
         """Fit to the end by fine residuals: until the steps' error moves nothing."""
@@ -233,9 +252,8 @@ class Weigher:
     def leave_out(self, m: WeighedModel) -> WeighedModel:
         """Weigh a model with each block left out, to first order; then the held-out blocks."""
         m.loss = self.like(m.d, self.floor2)
-        if m.tangent is None:
-            m.tangent = self._find_tangent(m)
-        m.left_out = m.loss.by_block + find_optimism(m.tangent, m.loss.weights, m.d)
+        optimism = find_optimism(self._find_tangent(m), m.loss.weights, m.d)
+        m.left_out = m.loss.by_block + optimism
         if self.held_out is not None and self.like_held is not None:
             key = m.x.tobytes()
             if m.away is None or m.away[0] != key:

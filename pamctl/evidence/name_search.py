@@ -14,7 +14,7 @@ from pamctl.evidence.constants import (
 )
 from pamctl.evidence.fit import WeighedModel, Weigher
 from pamctl.evidence.pool import Hypothesis
-from pamctl.evidence.scores import EvidenceScore, drop_name, extend_model, score_all
+from pamctl.evidence.scores import EvidenceScore, carry_over, drop_name, score_all
 
 POLISHED = 4
 """Fits of a shortlist that are carried to the end."""
@@ -34,12 +34,14 @@ class NameSearch:
         """The best gain that each hypothesis of a shortlist promised in any round."""
         self._scored: dict[frozenset[str], list[EvidenceScore]] = {}
         self._without: dict[tuple[object, ...], WeighedModel] = {}
+        self._fitted: dict[frozenset[str], WeighedModel] = {}
 
     def run(self, base: WeighedModel) -> WeighedModel:
         """Return the model that nothing improves."""
         m, been, asked = base, set[frozenset[str]](), list(self.pool)
         while len(m.names) < MOST_NAMES and frozenset(m.names) not in been:
             been.add(frozenset(m.names))
+            self._fitted[frozenset(m.names)] = m
             self.weigher.set_floor(m)
             self.weigher.leave_out(m)
             scored = self.score(m, asked)
@@ -74,7 +76,8 @@ class NameSearch:
         weigher, key = self.weigher, (m.names, m.x.tobytes(), name)
         if key not in self._without:
             weigher.set_floor(m)
-            self._without[key] = weigher.polish(weigher.fit(drop_name(m, name), 5), 2)
+            left = self._fitted.get(frozenset(m.names) - {name})
+            self._without[key] = left or weigher.polish(weigher.fit(drop_name(m, name), 5), 2)
         weigher.meet(self._without[key], m)
         return self._without[key]
 
@@ -108,24 +111,21 @@ class NameSearch:
     ) -> list[WeighedModel]:
         """Return fitted models with one hypothesis more each, the best first.
 
-        All are fitted roughly, and to the end what then gains half of the best, and of `least`.
+        All are fitted to pieces of the records; to all records what then gains half of the best,
+        and of `least`.
         """
         weigher = self.weigher
-        before = float(m.cost.by_block.sum())
-        fits = [
-            weigher.fit(extend_model(weigher, m, s), 3, is_rough=True)
-            for s in self.choose(scored, many)
-        ]
-        gains = {id(e): before - float(e.cost.by_block.sum()) for e in fits}
-        fits.sort(key=lambda e: -gains[id(e)])
-        least = 0.5 * max(least, gains[id(fits[0])])
-        for place, e in enumerate(fits):
-            if place < POLISHED and gains[id(e)] > least and weigher.may_be_seen(m, e):
-                weigher.polish(e)
-            else:
-                weigher.leave_out(e)
+        rough = [s.beside.fit_roughly(s) for s in self.choose(scored, many)]
+        rough.sort(key=lambda r: -r[0])
+        least, fits = 0.5 * max(least, rough[0][0]), list[WeighedModel]()
+        for place, (gain, e) in enumerate(rough):
+            if place < POLISHED and gain > least:
+                fits.append(weigher.fit(carry_over(weigher, m, e), 3))
+                if weigher.may_be_seen(m, fits[-1]):
+                    weigher.polish(fits[-1])
+                weigher.leave_out(fits[-1])
         fits.sort(key=lambda e: e.total)
-        if self.pool[fits[0].names[-1]].is_term:
+        if fits and self.pool[fits[0].names[-1]].is_term:
             self._prefer_name(m, fits)
         return fits
 
@@ -175,8 +175,8 @@ class NameSearch:
         scored = self.score(without, near[:20])[:3]
         if not scored or scored[0].gain < 0.5 * loss:
             return None
-        best = self.refit(without, scored, 3)[0]
-        return best if best.total < m.total - NAME_NATS else None
+        best = next(iter(self.refit(without, scored, 3)), None)
+        return best if best is not None and best.total < m.total - NAME_NATS else None
 
     def counts_in(self, without: WeighedModel, m: WeighedModel, name: str) -> bool:
         """Tell whether a name counts in a model, against the model without it."""

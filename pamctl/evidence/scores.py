@@ -7,7 +7,7 @@ predicts the residual, and the likelihood what that is worth.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -27,6 +27,7 @@ HATS = np.array([[1, 1, 1, 1, 1], [-1, -0.5, 0, 0.5, 1], [1, 0, -1, 0, 1]], dtyp
 MOST_SHARE = 3.0
 """A least-squares dose may be so many times the simulated one."""
 MOST_HAT = 10.0
+ROUGH_STEPS = 3
 FILTER_S = 0.06
 """The plant's memory, by which a force's imprint on the position lags."""
 LINE = ((1.0, 1.0), (1.0, 0.3), (1.0, 0.0), (0.2, 0.2), (0.2, 0.0), (0.03, 0.0))
@@ -59,27 +60,27 @@ class Beside:
     """A model's residual and tangent, weighed: what all scores beside it share."""
 
     def __init__(self, weigher: Weigher, m: WeighedModel) -> None:
+        self.worth = float(m.d.shape[1])
+        self.weigher, self.m = weigher.thin_out(m, SCORED_SHARE)
+        m, cost = self.m, self.m.cost
+        self.worth /= m.d.shape[1]
         assert m.tangent is not None
-        self.weigher, self.m, cost = weigher, m, m.cost
-        given = {**weigher.base, **m.values}
-        self.runs, self.blocks = weigher.train.thin_out(given, SCORED_SHARE)
-        self.like = weigher.like.take_blocks(self.blocks)
-        self.d = np.ascontiguousarray(m.d[:, self.blocks])
-        self.tangent = m.tangent[:, :, self.blocks].reshape(len(m.x), -1)
-        self.root = np.sqrt(cost.weights[:, self.blocks]).ravel()
+        self.tangent = m.tangent.reshape(len(m.x), -1)
+        self.root = np.sqrt(cost.weights).ravel()
         self.basis, self.triangle = np.linalg.qr((self.tangent * self.root).T)
-        self.off = self.d.ravel() * self.root
+        self.off = m.d.ravel() * self.root
         self.seen = self.basis.T @ self.off
-        self.size2 = float((self.d**2 * self.like.keep).sum())
-        self.here = self.find_residual(m.values)
-        self.worth = m.d.shape[1] / len(self.blocks)
+        self.size2 = float((m.d**2 * self.weigher.like.keep).sum())
+        self.here = m.d + m.lag
         # Fewer blocks are fitted better by the model's own numbers: that is nobody's gain.
-        none = np.zeros((0, self.d.size))
+        none = np.zeros((0, m.d.size))
         self.before = self._predict_cost(none, none @ self.basis, np.zeros(0))[0]
 
-    def find_residual(self, values: Mapping[str, float]) -> Array:
-        """Return the residual of the pieces that scores look at, as `Weigher.find_residual`."""
-        return self.weigher.residual_of(self.runs, values)
+    def fit_roughly(self, score: EvidenceScore) -> tuple[float, WeighedModel]:
+        """Return the gain of a fit to the pieces that scores look at, and the fitted model."""
+        e = extend_model(self.weigher, self.m, score)
+        self.weigher.fit(e, ROUGH_STEPS, is_rough=True)
+        return self.worth * (self.before - float(e.cost.by_block.sum())), e
 
     def score(self, hypothesis: Hypothesis) -> EvidenceScore | None:
         """Return the best of the variants and doses; None where none does anything."""
@@ -107,7 +108,7 @@ class Beside:
                 sizes = {
                     u.name: float(v) for u, v in zip(variant.sizes, neutral + way, strict=True)
                 }
-                d = self.find_residual({**held, **sizes})
+                d = self.weigher.find_residual({**held, **sizes})
                 secants.append((d - self.here).ravel())
             secants_now = np.stack(secants)
             yield directions * dose, secants_now
@@ -154,14 +155,11 @@ class Beside:
         move = -np.linalg.solve(
             self.triangle + 1e-9 * np.diag(diagonal), self.seen + inside.T @ share
         )
-        d = self.d.ravel() + share @ secants + move @ self.tangent
-        loss = self.like(d.reshape(self.d.shape), self.weigher.floor2, self.m.cost.scales2)
+        d = self.m.d.ravel() + share @ secants + move @ self.tangent
+        loss = self.weigher.like(
+            d.reshape(self.m.d.shape), self.weigher.floor2, self.m.cost.scales2
+        )
         return float(loss.by_block.sum()), np.asarray(move)
-
-    def find_cost(self, values: Mapping[str, float]) -> float:
-        """Return the cost of other numbers, of the pieces that scores look at."""
-        d = self.d + self.find_residual(values) - self.here
-        return float(self.like(d, self.weigher.floor2).by_block.sum())
 
     # --- waves ---
 
@@ -171,9 +169,9 @@ class Beside:
         The weighed residual, back in time, is correlated with what a wave of each period would do
         to the readings: for a force a lag, for a supply the change by a constant pressure.
         """
-        runs, m = self.runs, self.m
+        runs, m = self.weigher.train, self.m
         off = self.off - self.basis @ self.seen
-        pull = from_haar((off * self.root).reshape(self.d.shape)).reshape(len(self.shown), -1)
+        pull = from_haar((off * self.root).reshape(self.m.d.shape)).reshape(len(self.shown), -1)
         if hypothesis.scan == "position":
             if "position_m" not in runs.channels:
                 return
@@ -184,7 +182,7 @@ class Beside:
         else:
             tank = "tank_pressure_pa"
             more = {**m.values, tank: m.values.get(tank, self.weigher.base[tank]) + 1e3}
-            way = from_haar(self.find_residual(more) - self.here)
+            way = from_haar(self.weigher.find_residual(more) - self.here)
             pull, over = (pull * way.reshape(pull.shape)).sum(axis=0)[None], runs.when_s.ravel()
         span = float(np.ptp(over))
         if span <= 0.0:
@@ -209,8 +207,8 @@ class Beside:
     @property
     def shown(self) -> Array:
         """What the model shows, one row a channel."""
-        measured = self.runs.shown
-        return (measured - from_haar(self.d)).reshape(len(measured), -1)
+        measured = self.weigher.train.shown
+        return (measured - from_haar(self.m.d)).reshape(len(measured), -1)
 
 
 def extend_model(weigher: Weigher, m: WeighedModel, score: EvidenceScore) -> WeighedModel:
@@ -231,14 +229,26 @@ def extend_model(weigher: Weigher, m: WeighedModel, score: EvidenceScore) -> Wei
     tries = []
     for new, old in LINE:
         share = np.concatenate([np.full(len(m.x), old), np.full(len(variant.free), new)])
-        e.x = np.clip(begin + share * (end - begin), low, high)
-        tries.append((score.beside.find_cost(e.values), e.x))
-    e.x = min(tries, key=lambda t: t[0])[1]
-    e.d = weigher.residual_at(e, e.x)
+        x = np.clip(begin + share * (end - begin), low, high)
+        d = weigher.residual_at(e, x)
+        tries.append((float(weigher.like(d, weigher.floor2).by_block.sum()), x, d))
+    _, e.x, e.d = min(tries, key=lambda t: t[0])
+    return add_columns(weigher, m, e)
+
+
+def add_columns(weigher: Weigher, m: WeighedModel, e: WeighedModel) -> WeighedModel:
+    """Give an extended model the tangent of the model that it extends, and its new columns."""
     assert m.tangent is not None
     columns = [weigher.find_column(e, i) for i in range(len(m.x), len(e.x))]
-    e.tangent = np.concatenate([m.tangent, np.stack(columns)])
+    e.tangent, e.tangent_at = np.concatenate([m.tangent, np.stack(columns)]), e.x.copy()
     return e
+
+
+def carry_over(weigher: Weigher, m: WeighedModel, e: WeighedModel) -> WeighedModel:
+    """Return an extended model that was fitted to pieces, on all records."""
+    whole = WeighedModel(e.names, e.numbers, e.held, e.x.copy(), e.picked, lag=m.lag)
+    whole.d = weigher.residual_at(whole, whole.x)
+    return add_columns(weigher, m, whole)
 
 
 def _put_inside(unknown: Unknown, value: float) -> float:

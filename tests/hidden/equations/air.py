@@ -17,7 +17,11 @@ def valve_flows(p, area, leak, tank_pa, port_pa, gas_k):
 
 def supply_pa(p, t_s):
     """Return what the regulator holds."""
-    return p.supply_pa + p.ripple_pa * math.sin(2.0 * math.pi * p.ripple_hz * t_s)
+    held = p.supply_pa + p.ripple_pa * math.sin(2.0 * math.pi * p.ripple_hz * t_s)
+    if p.saw_pa != 0.0:
+        turns = t_s / p.saw_s
+        held += p.saw_pa * (0.5 - (turns - math.floor(turns)))
+    return held
 
 
 def tank_after(p, tank_pa, taken, t_s, h):

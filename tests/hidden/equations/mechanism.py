@@ -20,6 +20,8 @@ def band(p, x, gauge_pa, speed, t_s):
     rise = 1.0
     if p.stribeck > 0.0:
         rise += p.stribeck * math.exp(-((abs(speed) / p.stribeck_m_per_s) ** p.stribeck_exponent))
+    if p.grip_wave != 0.0:
+        rise *= 1.0 + p.grip_wave * math.sin(2.0 * math.pi * x / p.grip_wave_m)
     return -rise * (p.return_share * grip + p.coulomb_n), rise * (grip + p.coulomb_n)
 
 
@@ -33,7 +35,17 @@ def elastic(p, state, x):
         )
     if p.stop_m > 0.0 and x > p.stop_m:
         force += p.stop_n_per_m * (x - p.stop_m)
+    if p.kink_m > 0.0 and x > p.kink_m:
+        force += p.kink_n_per_m * (x - p.kink_m)
+    if p.cog_n != 0.0:
+        force += cogging(p, x)
     return force + state.loop_n
+
+
+def cogging(p, x):
+    """Return the magnets' (or teeth's) force: periodic, but for what the rail does to it."""
+    rail = math.sin(2.0 * math.pi * x / p.rail_m)
+    return p.cog_n * (1.0 + 0.4 * rail) * math.sin(2.0 * math.pi * x / p.cog_m + 0.8 * rail)
 
 
 def pull(p, x, gauge_pa, force_n):

@@ -64,6 +64,9 @@ class Truth(NamedTuple):
     """Above 0 the gas has a temperature of its own, warmed through the wall."""
     ripple_pa: float = 0.0
     ripple_hz: float = 0.7
+    saw_pa: float = 0.0
+    """A compressor refills the tank in jerks: from peak to peak, each `saw_s`."""
+    saw_s: float = 1.0
 
     # --- mechanism
     bristle_n_per_m: float = 0.0
@@ -99,6 +102,16 @@ class Truth(NamedTuple):
     loop_n: float = 0.0
     """Half the force between loading and unloading of a hysteretic spring."""
     loop_m: float = 1e-3
+    cog_n: float = 0.0
+    """A periodic force over position; the rail's irregularity bends its period and its height."""
+    cog_m: float = 5e-3
+    rail_m: float = 17e-3
+    grip_wave: float = 0.0
+    """Share by which dry friction varies along the stroke."""
+    grip_wave_m: float = 7e-3
+    kink_m: float = 0.0
+    """The spring is stiffer beyond it; 0: it is the same to either side."""
+    kink_n_per_m: float = 0.0
     direct: float = 0.0
     """1: the force is given, and the muscle is only a mass on a spring with damping."""
 

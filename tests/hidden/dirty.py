@@ -110,7 +110,7 @@ def _cog(size: float, s: Shape) -> Mapping[str, float]:
 BOTH = ("muscle", "direct")
 STROKE = {"muscle": 20e-3, "direct": 9e-3}
 
-KINDS = {kind.name: kind for kind in (
+DIRT = {kind.name: kind for kind in (
     Kind("cogging", "N", 8.0, (("force", "curve"),),
          lambda rng: {"pitch_m": rng.uniform(2.5e-3, 7e-3), "rail_m": rng.uniform(11e-3, 23e-3)},
          in_truth=_cog, actuators=BOTH),
@@ -207,19 +207,21 @@ class DirtyRig:
         return self.actuator == "direct" and self.effect == "coulomb_friction"
 
     @cached_property
-    def _clean(self) -> HiddenRig:
+    def clean(self) -> HiddenRig:
+        """The rig without dirt and without the effect."""
         return hidden_rig({}, seed=self.seed, actuator=self.actuator)
 
     @cached_property
-    def _affected(self) -> HiddenRig:
+    def affected(self) -> HiddenRig:
+        """The rig without dirt, with the effect."""
         rng = np.random.default_rng([61, self.seed])
-        rig = self._clean
+        rig = self.clean
         truth, sensors = apply({self.effect: self.multiple}, rig.truth, rig.sensors, rng)
         return replace(rig, truth=truth, sensors=sensors)
 
     @cached_property
     def _probe(self) -> _Probe:
-        return _Probe(self._affected, self._clean, self.actuator, self.programs[0])
+        return _Probe(self.affected, self.clean, self.actuator, self.programs[0])
 
     @property
     def programs(self) -> tuple[list[Excitation], list[Excitation]]:
@@ -228,7 +230,7 @@ class DirtyRig:
             self.seed
         )
         if self.climbs:
-            limit = 0.9 * self._affected.truth.coulomb_n
+            limit = 0.9 * self.affected.truth.coulomb_n
             train, held_out = ([_climb(run, limit) for run in runs] for runs in (train, held_out))
         return train, held_out
 
@@ -238,8 +240,8 @@ class DirtyRig:
         rng = np.random.default_rng([67, self.seed])
         wanted = int(rng.integers(2, 5))
         found: list[Dirt] = []
-        for name in rng.permutation([*KINDS]):
-            kind = KINDS[name]
+        for name in rng.permutation([*DIRT]):
+            kind = DIRT[name]
             share = float(rng.uniform(SHARES[0] + 0.01, SHARES[1] - 0.01))
             shape = _in_stroke(kind.draw(rng), STROKE[self.actuator])
             if self.actuator not in kind.actuators or len(found) == wanted:
@@ -249,17 +251,10 @@ class DirtyRig:
                 found.append(dirt)
         return tuple(found)
 
-    @property
-    def truth(self) -> HiddenRig:
-        """The rig that is run."""
-        rig = self._affected if self.is_hidden else self._clean
-        return _soil_rig(rig, self.dirts)
-
     def records(self) -> tuple[list[Record], list[Record]]:
         """Return the records for the fit, and those to judge by."""
-        train, held_out = (
-            [_soil_record(self.truth, run, self.dirts) for run in runs] for runs in self.programs
-        )
+        rig = self.affected if self.is_hidden else self.clean
+        train, held_out = ([run_dirty(rig, r, self.dirts) for r in runs] for runs in self.programs)
         return train, held_out
 
     @property
@@ -284,7 +279,7 @@ class DirtyRig:
             "effect": CALLED.get(self.effect, self.effect) if self.is_hidden else None,
             "size": self.multiple,
             "rung": self.rung if self.is_hidden else "none",
-            "numbers": _changed_numbers(self._affected, self._clean) if self.is_hidden else {},
+            "numbers": _changed_numbers(self.affected, self.clean) if self.is_hidden else {},
             "force_climbs_at_rest": self.climbs,
             "dirt": [
                 {"kind": d.kind.name, "size": d.size, "unit": d.kind.unit, "share": d.share,
@@ -321,7 +316,7 @@ class _Probe:
     def measure_share(self, kind: Kind, shape: Shape, size: float) -> float:
         """Return what the dirt leaves of the signals, in what the effect leaves."""
         dirt = Dirt(kind, size, 0.0, shape)
-        return self._left(self._see(_soil_rig(self._rig, [dirt]), [dirt])) / self.effect_left
+        return self._left(self._see(self._rig, [dirt])) / self.effect_left
 
     def _moved(self, name: str) -> Array:
         truth = self._rig.truth
@@ -335,7 +330,7 @@ class _Probe:
 
     def _see(self, rig: HiddenRig, dirts: Sequence[Dirt] = ()) -> Array:
         """Return the signals in floors of their sensors, one row a channel."""
-        records = [_soil_record(rig, run, dirts) for run in self._runs]
+        records = [run_dirty(rig, run, dirts) for run in self._runs]
         floors = {"pressure_pa": PRESSURE_FLOOR_PA, "position_m": POSITION_FLOOR_M}
         rows = [
             np.concatenate([c[name] / floor for c in (r.columns() for r in records)])
@@ -352,17 +347,13 @@ def _perfect(rig: HiddenRig) -> HiddenRig:
     return replace(rig, sensors=clear)
 
 
-def _soil_rig(rig: HiddenRig, dirts: Sequence[Dirt]) -> HiddenRig:
+def run_dirty(rig: HiddenRig, run: Excitation, dirts: Sequence[Dirt]) -> Record:
+    """Run the rig; let the measuring chain do to the columns what it does; convert them again."""
     truth = rig.truth
     for d in dirts:
         if d.kind.in_truth is not None:
             truth = truth._replace(**d.kind.in_truth(d.size, d.shape))
-    return replace(rig, truth=truth)
-
-
-def _soil_record(rig: HiddenRig, run: Excitation, dirts: Sequence[Dirt]) -> Record:
-    """Run the rig; let the measuring chain do to the columns what it does; convert them again."""
-    record = rig.run(run).record
+    record = replace(rig, truth=truth).run(run).record
     columns = record.columns()
     for d in dirts:
         if d.kind.on_columns is not None:

@@ -1,0 +1,169 @@
+"""A dirty rig is what its truth says: each small thing, its share, its place; and the rungs."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hidden.dirty import DIRT, RECALIBRATED, SHARES, Dirt, DirtyRig, run_dirty
+from hidden.rig import HiddenRig
+from hidden.rungs import KINDS, NAMES, PLACES, Cause, Said, carried_rung, mark, named_cause
+from hidden.score_list import draw_list
+from hidden.sensors import ADC_STEP_PA, ENCODER_STEP_M, Sensors
+from pamctl.plant.catalogue import CATALOGUE
+
+RIGS = [*(DirtyRig(seed) for seed in (1, 3, 6)), DirtyRig(0, "direct"), DirtyRig(2, "direct")]
+
+
+@cache
+def drawn(seed: int, actuator: str) -> DirtyRig:
+    return DirtyRig(seed, actuator)
+
+
+def show(rig: HiddenRig, dirty: DirtyRig, dirts: tuple[Dirt, ...] = ()) -> NDArray[np.float64]:
+    """Return what perfect sensors show, in 300 Pa and 5 um."""
+    perfect = Sensors(
+        perfect=True,
+        **{
+            name: getattr(rig.sensors, name)
+            for name in ("pressure_gain", "pressure_offset_pa", "encoder_scale")
+        },
+    )
+    runs = [run_dirty(replace(rig, sensors=perfect), run, dirts) for run in dirty.programs[0][1:4]]
+    columns = [np.concatenate([r.position_m / 5e-6 for r in runs if r.position_m is not None])]
+    if runs[0].pressure_pa is not None:
+        columns += [
+            np.concatenate([r.pressure_pa / 300.0 for r in runs if r.pressure_pa is not None])
+        ]
+    return np.concatenate(columns)
+
+
+@pytest.mark.parametrize("rig", RIGS, ids=lambda r: f"{r.actuator}-{r.seed}")
+def test_each_small_thing_leaves_its_share_of_what_the_effect_leaves(rig: DirtyRig) -> None:
+    base = show(rig.affected, rig)
+    number = rig.affected.truth._asdict()
+    moved = [
+        show(
+            replace(rig.affected, truth=rig.affected.truth._replace(**{n: 1.002 * number[n]})), rig
+        )
+        for n in RECALIBRATED[rig.actuator]
+    ]
+    basis = np.linalg.qr(np.stack([m - base for m in moved], axis=1))[0]
+
+    def left(seen: NDArray[np.float64]) -> float:
+        change = seen - base
+        return float(np.linalg.norm(change - basis @ (basis.T @ change)))
+
+    effect = left(show(rig.clean, rig))
+    assert 2 <= len(rig.dirts) <= 4
+    for dirt in rig.dirts:
+        share = left(show(rig.affected, rig, (dirt,))) / effect
+        assert share == pytest.approx(dirt.share, rel=0.05)
+        assert SHARES[0] <= share <= SHARES[1]
+        assert 0.0 < dirt.size <= dirt.kind.largest
+
+
+def test_the_same_seed_makes_the_same_rig_and_another_seed_another() -> None:
+    first, again, other = DirtyRig(3), DirtyRig(3), DirtyRig(4)
+    assert json.dumps(first.describe()) == json.dumps(again.describe()) != other.describe()
+    for one, two in zip(first.records()[0], again.records()[0], strict=True):
+        for name, column in one.columns().items():
+            assert np.array_equal(column, two.columns()[name])
+
+
+def test_the_truth_file_holds_what_was_simulated() -> None:
+    rig = DirtyRig(4)
+    told = rig.describe()
+    assert told["effect"] == "chamber_leak"
+    assert told["numbers"] == {"chamber_leak_m2": rig.affected.truth.chamber_leak_m2}
+    assert 7e-9 < rig.affected.truth.chamber_leak_m2 < 11e-9
+    assert [d["kind"] for d in told["dirt"]] == [d.kind.name for d in rig.dirts]
+    names = {name for cause in rig.causes for name in cause.names}
+    assert "chamber_leak" in names
+    assert {c.rung for c in rig.causes[1:]} == {"none"}, "nobody must say the dirt"
+    without = replace(rig, is_hidden=False)
+    assert [d.size for d in without.dirts] == [d.size for d in rig.dirts]
+    assert without.describe()["numbers"] == {}
+
+
+def test_a_dirty_record_is_still_read_in_the_sensors_steps() -> None:
+    record = DirtyRig(1).records()[0][0]
+    for column, step in ((record.pressure_pa, ADC_STEP_PA), (record.position_m, ENCODER_STEP_M)):
+        assert column is not None
+        assert np.allclose(column / step, np.round(column / step), atol=1e-6)
+
+
+def test_a_force_climbs_while_friction_holds_the_carriage() -> None:
+    rig = DirtyRig(0, "direct")
+    record = rig.records()[0][0]
+    assert record.force_n is not None
+    assert record.position_m is not None
+    before = record.t_s < 3.0
+    assert record.force_n[before].max() > 0.85 * rig.affected.truth.coulomb_n
+    assert np.ptp(record.position_m[before]) < 0.01 * np.ptp(record.position_m)
+
+
+def test_every_kind_of_dirt_comes_up_and_has_a_place() -> None:
+    for kind in DIRT.values():
+        assert all(place in PLACES and law in (*KINDS, "") for place, law in kind.where)
+        assert set(kind.names) <= {*NAMES, "skew.pressure_pa", "skew.position_m"}
+    found = Counter(d.kind.name for seed in range(12) for d in drawn(seed, "muscle").dirts)
+    assert set(found) >= {*DIRT} - {"uneven_friction", "missing_codes"}, found
+
+
+# --- the rungs --------------------------------------------------------------------------------
+
+
+def test_every_effect_of_the_catalogue_has_a_place() -> None:
+    assert set(NAMES) == set(CATALOGUE)
+
+
+LEAK = named_cause("chamber_leak")
+BOW = Cause("bow", frozenset({("pressure_sensor", "curve")}), "none")
+
+
+@pytest.mark.parametrize(
+    ("said", "verdict"),
+    [
+        (Said(frozenset({"chamber_leak"})), "right at name"),
+        (Said(frozenset({"chamber_leak", "stribeck"})), "wrong name"),
+        (Said(sets=(frozenset({"chamber_leak", "dead_volume"}),)), "low"),
+        (Said(places=frozenset({("chamber", "curve")})), "low"),
+        (Said(places=frozenset({("encoder", "memory")})), "wrong place"),
+        (Said(frozenset({"chamber_leak", "bow.pressure_pa"})), "right at name"),
+        (Said(frozenset({"chamber_leak", "bow.position_m"})), "wrong name"),
+        (Said(), "missed"),
+        (Said(places=frozenset({("pressure_sensor", "curve")})), "missed"),
+        (Said(refusal="too short"), "refused"),
+    ],
+)
+def test_what_is_said_is_marked_at_the_rung_it_reaches(said: Said, verdict: str) -> None:
+    assert mark([LEAK, BOW], said)[0] == verdict
+
+
+def test_where_nothing_must_be_said_silence_and_a_true_place_are_right() -> None:
+    assert mark([BOW], Said())[0] == "silent"
+    assert (
+        mark([BOW], Said(places=frozenset({("pressure_sensor", "curve")})))[0] == "right at place"
+    )
+    assert mark([], Said(frozenset({"creep"})))[0] == "wrong name"
+
+
+def test_a_rung_falls_with_what_is_beside_the_effect() -> None:
+    assert carried_rung("creep", 3, "short") == "name"
+    assert carried_rung("command_delay", 1, "short") == "kind", "a spool imitates it"
+    assert carried_rung("dead_volume", 1, "short") == "none", "nobody can see it"
+    assert carried_rung("encoder_scale", 3, "short", beside=0.4) != "name"
+
+
+def test_a_list_has_24_cases_and_consecutive_seeds_go_round_the_catalogue() -> None:
+    lists = [draw_list(seed) for seed in range(1, 7)]
+    assert {len(cases) for cases in lists} == {24}
+    singles = {c.key.split("/")[1] for cases in lists for c in cases if c.group == "single"}
+    assert len(singles) == 34

@@ -1,6 +1,6 @@
 """Score a diagnosis on 24 rigs that share no code with it, and put cores side by side.
 
-    python scripts/score_diagnosis.py [--seeds 1,2] [--core today | MODULE:FUNCTION] [--jobs 2]
+    python scripts/score_diagnosis.py [--seeds 1,2] [--core today|evidence|MODULE:FUNCTION] [--jobs 2]
         [--only TEXT] [--change cut:2,half_rate,guess:0.5,units] [--results FILE] [--list]
 
 A seed draws a list: singles in turn over the catalogue, pairs, halves of the smallest size, nulls,
@@ -58,6 +58,8 @@ def find_core(name: str) -> Core:
     """Return a core by name."""
     if name == "today":
         return diagnose_today
+    if name == "evidence":
+        name = "hidden.evidence_core:diagnose_case"
     module, _, function = name.partition(":")
     core: Core = getattr(importlib.import_module(module), function)
     return core

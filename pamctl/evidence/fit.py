@@ -328,6 +328,26 @@ def find_optimism(tangent: Array, weights: Array, d: Array) -> Array:
     return np.asarray(np.einsum("ib,ij,jb->b", by_block, np.linalg.inv(hessian), by_block))
 
 
+def find_intervals(m: WeighedModel) -> dict[str, tuple[float, float]]:
+    """Return a 90 % interval of each number: the blocks' scores between two inverse Hessians.
+
+    Neighbouring blocks are summed, STRETCH at a time: their scores are not independent.
+    """
+    assert m.tangent is not None
+    count, (_, n_blocks, _) = len(m.x), m.d.shape
+    flat = m.tangent.reshape(count, -1)
+    weighed = flat * m.cost.weights.ravel()
+    hessian = weighed @ flat.T
+    inverse = np.linalg.pinv(hessian, hermitian=True)
+    by_block = (weighed * m.d.ravel()).reshape(count, len(m.d), n_blocks, -1).sum(axis=(1, 3))
+    pieces = np.add.reduceat(by_block, np.arange(0, n_blocks, STRETCH), axis=1)
+    variance = np.maximum(np.diag(inverse @ (pieces @ pieces.T) @ inverse), np.diag(inverse) * 0.1)
+    off = 1.645 * np.sqrt(np.maximum(variance, 0.0)) * [n.scale for n in m.numbers]
+    return {
+        n.name: (float(v - w), float(v + w)) for n, v, w in zip(m.numbers, m.x, off, strict=True)
+    }
+
+
 def bound_gain(gain: Array, quantiles: Sequence[float] = (SURE, 0.5, 1.0 - SURE)) -> Array:
     """Return quantiles of a total gain: circular bootstrap over stretches of blocks."""
     n, rng = len(gain), np.random.default_rng(0)

@@ -39,7 +39,7 @@ class Rung:
     numbers: Mapping[str, float]
     at_range: tuple[str, ...]
     """Numbers that stand at their range: then no name is said."""
-    rivals: tuple[str, ...]
+    rivals: tuple[Hypothesis, ...]
     """What is not beaten, the nearest first."""
 
     @property
@@ -73,7 +73,7 @@ def _find_rung(search: NameSearch, m: WeighedModel, name: str, whole: float) -> 
         its, lead = pool[rival.names[-1]], rival.left_out - m.left_out
         beaten = bound_gain(lead)[0] > RIVAL_SHARE * own.sum()
         if not beaten:
-            near.append((float(lead.sum()), its.name))
+            near.append((float(lead.sum()), its))
         if its.is_term and its.place == mine.place:
             if bound_gain(-lead)[0] > FREER_SHARE * own.sum():
                 says_name = False
@@ -96,7 +96,7 @@ def _find_rung(search: NameSearch, m: WeighedModel, name: str, whole: float) -> 
         name, mine.place, mine.kind, says_place, says_kind,
         says_name and not at_range and enough, float(own.sum()), (float(low), float(high)),
         float(own.sum()) / whole, {u.name: m.values[u.name] for u in m.picked[name].free},
-        at_range, tuple(n for _, n in sorted(near)),
+        at_range, tuple(h for _, h in sorted(near, key=lambda n: n[0])),
     )  # fmt: skip
 
 

@@ -57,6 +57,12 @@ GAP = 20.0
 """Periods without a sample after which a record goes on anew."""
 FROZEN = 20
 """Equal samples in a row of a channel whose noise is above its step."""
+BLOCK_S = 0.512
+"""Of a block at 1 kHz; slower logs come as near to it as the levels let them."""
+SPRING_SHARE = 0.2
+"""Of the force's span that a spring takes which makes a mechanism forget."""
+INERTIA_SHOWS = 2.0
+"""The mean square of the force without the acceleration, over that with it, if a mass shows."""
 PIECE = 4
 """Blocks of a piece that scores look at."""
 FAR = 1e4
@@ -122,16 +128,19 @@ class Runs:
     """Records of one rig, and what a plant would have shown in their place."""
 
     def __init__(
-        self, records: Sequence[Recording], plant: Mapping[str, float], *, imposed: bool = False
+        self, records: Sequence[Recording], plant: Mapping[str, float], like: Runs | None = None
     ) -> None:
-        """Cut records at gaps into blocks. Raise ValueError where nothing can be simulated."""
+        """Cut records at gaps into blocks. Raise ValueError where nothing can be simulated.
+
+        Held-out records are simulated `like` those that are fitted.
+        """
         self.actuator = ACTUATORS[round(plant.get(ACTUATOR, 0.0))]
-        self.imposed = imposed
-        self.channels = _choose_channels(records, self.actuator, imposed)
-        self.period_s = float(np.median([np.median(np.diff(r.t_s)) for r in records]))
-        levels = round(np.log2(0.512 / self.period_s))
-        self.block = 1 << max(LEAST_LEVELS, min(LEVELS, levels))
-        self.windowed = self.actuator == "direct" and not plant["stiffness_n_per_m"] > 0.0
+        self.period_s = float(np.median([np.median(np.diff(r.t_s)) for r in records or ()]))
+        motion = _judge_motion(records, self.actuator, self.period_s)
+        self.imposed, self.windowed = (like.imposed, like.windowed) if like else motion
+        self.channels = _choose_channels(records, self.actuator, self.imposed)
+        levels = round(np.log2(BLOCK_S / self.period_s))
+        self.block: int = like.block if like else 1 << max(LEAST_LEVELS, min(LEVELS, levels))
         self._atmosphere_pa = plant["atmospheric_pressure_pa"]
         self.steps_s = (FINE_STEP_S, COARSE_STEP_S)
         self.stretches = [s for record in records for s in self._cut(record)]
@@ -404,6 +413,41 @@ def _choose_channels(records: Sequence[Recording], actuator: str, imposed: bool)
     if not channels:
         raise ValueError(f"a {actuator} needs valve_v and a sensor, or pressure_pa and position_m")
     return channels
+
+
+def _judge_motion(
+    records: Sequence[Recording], actuator: str, period_s: float
+) -> tuple[bool, bool]:
+    """Tell whether a mechanism's motion is imposed, and whether it needs windows, by its force.
+
+    A spring that takes part of the force makes it forget. Without one, a force in which the
+    acceleration does not show has not moved the mass: something else did.
+    """
+    if actuator != "direct" or any(r.position_m is None for r in records):
+        return False, False
+    tables, forces = [], []
+    for record in records:
+        grid = build_grid(np.diff(record.t_s), len(record.t_s), 1)
+        rates = _find_rates(np.asarray(record.position_m, float), period_s, SMOOTH_S, grid)
+        speed = rates["speed"]
+        columns = [rates["push"], speed, rates["smooth"], np.sign(speed), np.ones(len(speed))]
+        pressure = record.pressure_pa
+        if record.force_n is not None and pressure is not None:
+            columns += [np.asarray(pressure), pressure * np.sign(speed)]
+        tables.append(np.column_stack(columns))
+        forces.append(record.force_n if record.force_n is not None else pressure)
+    table, force = np.concatenate(tables), np.concatenate(forces)
+    table = table / np.maximum(np.abs(table).max(axis=0), 1e-30)
+    amounts, _, _, _ = np.linalg.lstsq(table, force, rcond=None)
+    less, _, _, _ = np.linalg.lstsq(table[:, 1:], force, rcond=None)
+    left2 = [
+        float(np.mean((force - t @ a) ** 2)) for t, a in ((table, amounts), (table[:, 1:], less))
+    ]
+    spring = abs(amounts[2]) * np.ptp(table[:, 2]) / max(float(np.ptp(force)), 1e-30)
+    if spring >= SPRING_SHARE:
+        return False, False
+    has_force = all(r.force_n is not None for r in records)
+    return has_force and left2[1] < INERTIA_SHOWS * left2[0], True
 
 
 def _join_waves(plain: dict[str, float], chain: dict[str, float]) -> None:

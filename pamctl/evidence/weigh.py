@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.evidence.constants import FIT_STEPS
-from pamctl.evidence.fit import WeighedModel, Weigher
+from pamctl.evidence.fit import WeighedModel, Weigher, find_intervals
 from pamctl.evidence.ladder import Rung, climb_ladder
 from pamctl.evidence.name_search import NameSearch
 from pamctl.evidence.pool import (
@@ -55,6 +55,8 @@ class EvidenceVerdict:
     rungs: tuple[Rung, ...]
     values: Mapping[str, float]
     """The extended model's numbers by flat name."""
+    intervals: Mapping[str, tuple[float, float]]
+    """90 % interval of each free number, by name."""
     left_rms: Mapping[str, Mapping[str, float]]
     """RMS by channel of the start, the recalibrated and the extended model; held out if any is."""
     noise_rms: Mapping[str, float]
@@ -72,19 +74,17 @@ def weigh_evidence(
     held_out: Sequence[Recording] = (),
     plant: PlantSettings | None = None,
     *,
-    imposed: bool = False,
     without: Sequence[str] = (),
     tell: Callable[[str], None] = lambda _: None,
 ) -> EvidenceVerdict:
     """Find what is missing from a plant file. Raise ValueError where records lack an input.
 
-    `imposed`: something else moves the axis, and the force is what it needed. `without` names are
-    left out of the pool.
+    Names in `without` are left out of the pool.
     """
     plant = plant or PlantSettings()
     values = values_of(plant)
-    train = Runs(records, values, imposed=imposed)
-    away = Runs(held_out, values, imposed=imposed) if held_out else None
+    train = Runs(records, values)
+    away = Runs(held_out, values, train) if held_out else None
     weigher = Weigher(train, away, values)
     numbers = list_calibrated(train, values, plant)
     start = WeighedModel((), numbers, {}, np.array([n.value for n in numbers]))
@@ -103,6 +103,7 @@ def weigh_evidence(
     return EvidenceVerdict(
         tuple(rungs),
         {**values, **m.values},
+        find_intervals(m),
         gaps,
         dict(zip(train.channels, map(float, noise), strict=True)),
         train.simulated_samples / train.shown[0].size,

@@ -1,0 +1,58 @@
+"""`pamctl.evidence` before the list of `scripts/score_diagnosis.py`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from hidden.rungs import Said, Where
+from hidden.score_list import Handed
+from pamctl.evidence import weigh_evidence
+from pamctl.evidence.ladder import Rung
+from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.model import PlantSettings
+
+PLACES = {"air": "chamber", "pull": "force"}
+KINDS = {"lag": "lag", "memory": "memory"}
+NUMBERS = {
+    "valve": "valve_v", "supply": "supply", "air": "volume", "friction": "friction",
+    "pull": "stiffness", "pressure_sensor": "pressure_pa", "encoder": "position_m",
+}  # fmt: skip
+
+
+def where_at(place: str, kind: str) -> Where:
+    """Return a place and a kind in the words of the list."""
+    in_time = "time" in kind or kind == "onset"
+    return PLACES.get(place, place), KINDS.get(kind, "time" if in_time else "curve")
+
+
+def word_of(name: str, place: str, kind: str) -> str:
+    """Return the name of an effect, or that of a finding of the same place and kind."""
+    effect = name.split(":")[0]
+    if effect in CATALOGUE:
+        return effect
+    found = {"lag": "skew", "time": "drift"}.get(where_at(place, kind)[1], "curve")
+    return f"{found}.{NUMBERS[place]}"
+
+
+def diagnose_case(records: Handed, plant: Mapping[str, Any]) -> Said:
+    """Return what the evidence says of a case."""
+    train, held_out = records
+    verdict = weigh_evidence(train, held_out, PlantSettings.model_validate(plant))
+    names, sets, places, numbers = set(), [], set(), {}
+    for rung in verdict.rungs:
+        word = word_of(rung.name, rung.place, rung.kind)
+        if rung.level == "name":
+            names.add(word)
+            numbers |= {k: (v, *verdict.intervals.get(k, (v, v))) for k, v in rung.numbers.items()}
+        elif rung.level == "kind":
+            places.add(where_at(rung.place, rung.kind))
+        elif rung.level == "place":
+            places.add((PLACES.get(rung.place, rung.place), ""))
+        else:
+            sets.append(_make_set(rung, word))
+    return Said(frozenset(names), tuple(sets), frozenset(places), numbers)
+
+
+def _make_set(rung: Rung, word: str) -> frozenset[str]:
+    return frozenset({word, *(word_of(r.name, r.place, r.kind) for r in rung.rivals)})

@@ -77,9 +77,6 @@ FINE_STEP_S = 0.25e-3
 MOST_DOSE = 30.0
 """Growth of a dose at once, towards the size of the residual."""
 
-SCORED_SHARE = 0.25
-"""Share of the blocks that scores see: they need a rank, and no value."""
-
 REST_SHARE = 0.03
 """Where a motion is imposed, slower samples than this share of the usual top speed are masked:
 a log has no velocity there."""

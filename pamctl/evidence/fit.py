@@ -8,7 +8,6 @@ only fine residuals decide.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -102,6 +101,8 @@ class Weigher:
         if held_out is not None:
             self.like_held = Likelihood(held_out.find_kept(level), least2)
         self.floor2 = least2
+        self.pushes: dict[str, float] = {}
+        """Of each hypothesis, the square that a unit dose adds to the residual."""
         one = np.zeros_like(train.shown)
         self._zeros = {}
         for c, channel in enumerate(train.channels):
@@ -202,21 +203,6 @@ class Weigher:
                 m.tangent = None
         self._find_tangent(m)
         return m
-
-    def thin_out(self, m: WeighedModel, share: float) -> tuple[Weigher, WeighedModel]:
-        """Return a weigher of a share of the blocks, and the model on it."""
-        thin = copy(self)
-        thin.train, blocks = self.train.thin_out({**self.base, **m.values}, share)
-        thin.held_out, thin.like_held = None, None
-        thin.like = self.like.take_blocks(blocks)
-        thin._zeros = {name: column[:, blocks] for name, column in self._zeros.items()}
-        part = copy(m)
-        part.d = np.ascontiguousarray(m.d[:, blocks])
-        assert m.tangent is not None
-        part.tangent = np.ascontiguousarray(m.tangent[:, :, blocks])
-        part.lag = thin.find_residual(m.values) - part.d
-        part.loss = thin.like(part.d, self.floor2, scales2=m.cost.scales2)
-        return thin, part
 
     def polish(self, m: WeighedModel, steps: int = FIT_STEPS) -> WeighedModel:
         """Fit to the end by fine residuals: until the steps' error moves nothing."""

@@ -106,10 +106,6 @@ class Likelihood:
             self._at[row, : len(i)] = i + size * (row // self.n_levels)
             self._counted[row, : len(i)] = 1.0 / max(len(i), 1)
 
-    def take_blocks(self, blocks: NDArray[np.int64]) -> Likelihood:
-        """Return the likelihood of some of the blocks."""
-        return Likelihood(self.keep[:, blocks], self.least2)
-
     def mean_squares(self, d: Array) -> Array:
         """Return the mean square of each channel's coefficients."""
         squares = d * d if self.all_kept else np.where(self.keep, d * d, 0.0)

@@ -14,8 +14,9 @@ from pamctl.evidence.constants import (
 )
 from pamctl.evidence.fit import WeighedModel, Weigher
 from pamctl.evidence.pool import Hypothesis
-from pamctl.evidence.scores import EvidenceScore, carry_over, drop_name, score_all
+from pamctl.evidence.scores import EvidenceScore, drop_name, extend_model, score_all
 
+ROUGH_STEPS = 3
 POLISHED = 4
 """Fits of a shortlist that are carried to the end."""
 
@@ -111,19 +112,18 @@ class NameSearch:
     ) -> list[WeighedModel]:
         """Return fitted models with one hypothesis more each, the best first.
 
-        All are fitted to pieces of the records; to all records what then gains half of the best,
-        and of `least`.
+        All are fitted roughly, and to the end what then gains half of the best, and of `least`.
         """
         weigher = self.weigher
-        rough = [s.beside.fit_roughly(s) for s in self.choose(scored, many)]
+        before, rough = float(m.cost.by_block.sum()), list[tuple[float, WeighedModel]]()
+        for score in self.choose(scored, many):
+            e = weigher.fit(extend_model(weigher, m, score), ROUGH_STEPS, is_rough=True)
+            rough.append((before - float(e.cost.by_block.sum()), e))
         rough.sort(key=lambda r: -r[0])
         least, fits = 0.5 * max(least, rough[0][0]), list[WeighedModel]()
-        for place, (gain, e) in enumerate(rough):
-            if place < POLISHED and gain > least:
-                fits.append(weigher.fit(carry_over(weigher, m, e), 3))
-                if weigher.may_be_seen(m, fits[-1]):
-                    weigher.polish(fits[-1])
-                weigher.leave_out(fits[-1])
+        for gain, e in rough:
+            worth = len(fits) < POLISHED and gain > least and weigher.may_be_seen(m, e)
+            fits.append(weigher.polish(e) if worth else weigher.leave_out(e))
         fits.sort(key=lambda e: e.total)
         if fits and self.pool[fits[0].names[-1]].is_term:
             self._prefer_name(m, fits)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from pamctl.evidence.constants import MOST_DOSE, SCORED_SHARE
+from pamctl.evidence.constants import MOST_DOSE
 from pamctl.evidence.fit import WeighedModel, Weigher
 from pamctl.evidence.likelihood import from_haar
 from pamctl.evidence.pool import Hypothesis, Unknown, Variant
@@ -27,7 +27,12 @@ HATS = np.array([[1, 1, 1, 1, 1], [-1, -0.5, 0, 0.5, 1], [1, 0, -1, 0, 1]], dtyp
 MOST_SHARE = 3.0
 """A least-squares dose may be so many times the simulated one."""
 MOST_HAT = 10.0
-ROUGH_STEPS = 3
+HOPE_NATS = 4.0
+"""Where the first shape of a hypothesis promises less, no other is asked."""
+ALIKE = 1e-4
+"""Of a secant's square: what is smaller beside the model's tangent is rounding."""
+STUCK = 1e-3
+"""Scales from its range at which a number counts as held by it."""
 FILTER_S = 0.06
 """The plant's memory, by which a force's imprint on the position lags."""
 LINE = ((1.0, 1.0), (1.0, 0.3), (1.0, 0.0), (0.2, 0.2), (0.2, 0.0), (0.03, 0.0))
@@ -44,65 +49,63 @@ class EvidenceScore(NamedTuple):
     """Of each size, the prediction."""
     move: Array
     """Of the model's own numbers, in scales."""
-    beside: Beside
 
 
 def score_all(
     weigher: Weigher, m: WeighedModel, hypotheses: Iterable[Hypothesis]
 ) -> list[EvidenceScore]:
     """Return the scores of hypotheses beside a model, the best first."""
-    beside = Beside(weigher, m)
+    beside = _Beside(weigher, m)
     found = (beside.score(h) for h in hypotheses)
     return sorted((s for s in found if s is not None), key=lambda s: -s.gain)
 
 
-class Beside:
+class _Beside:
     """A model's residual and tangent, weighed: what all scores beside it share."""
 
     def __init__(self, weigher: Weigher, m: WeighedModel) -> None:
-        self.worth = float(m.d.shape[1])
-        self.weigher, self.m = weigher.thin_out(m, SCORED_SHARE)
-        m, cost = self.m, self.m.cost
-        self.worth /= m.d.shape[1]
+        self.weigher, self.m, cost = weigher, m, m.cost
         assert m.tangent is not None
-        self.tangent = m.tangent.reshape(len(m.x), -1)
+        low, high, scale = (
+            np.array([getattr(n, k) for n in m.numbers]) for k in ("low", "high", "scale")
+        )
+        self.room = (low - m.x) / scale, (high - m.x) / scale
+        self.free = np.flatnonzero((self.room[0] < -STUCK) & (self.room[1] > STUCK))
+        self.tangent = m.tangent.reshape(len(m.x), -1)[self.free]
         self.root = np.sqrt(cost.weights).ravel()
         self.basis, self.triangle = np.linalg.qr((self.tangent * self.root).T)
         self.off = m.d.ravel() * self.root
         self.seen = self.basis.T @ self.off
         self.size2 = float((m.d**2 * self.weigher.like.keep).sum())
         self.here = m.d + m.lag
-        # Fewer blocks are fitted better by the model's own numbers: that is nobody's gain.
-        none = np.zeros((0, m.d.size))
-        self.before = self._predict_cost(none, none @ self.basis, np.zeros(0))[0]
-
-    def fit_roughly(self, score: EvidenceScore) -> tuple[float, WeighedModel]:
-        """Return the gain of a fit to the pieces that scores look at, and the fitted model."""
-        e = extend_model(self.weigher, self.m, score)
-        self.weigher.fit(e, ROUGH_STEPS, is_rough=True)
-        return self.worth * (self.before - float(e.cost.by_block.sum())), e
 
     def score(self, hypothesis: Hypothesis) -> EvidenceScore | None:
         """Return the best of the variants and doses; None where none does anything."""
         variants = self._scan(hypothesis) if hypothesis.scan else hypothesis.variants
         best: EvidenceScore | None = None
-        self.dose = 1.0  # variants of one hypothesis need about the same
-        for variant in variants:
-            for sizes, secants in self._push(variant):
+        for number, variant in enumerate(variants):
+            if number and not hypothesis.scan and (best is None or best.gain < HOPE_NATS):
+                break  # another shape of what gains nothing
+            for sizes, secants in self._push(hypothesis.name, variant):
                 score = self._predict(hypothesis.name, variant, sizes, secants)
                 if score is not None and (best is None or score.gain > best.gain):
                     best = score
         return best
 
-    def _push(self, variant: Variant) -> Iterator[tuple[Array, Array]]:
+    def _push(self, name: str, variant: Variant) -> Iterator[tuple[Array, Array]]:
         """Yield directions of the sizes, and the secants along them, at doses that fit."""
         neutral = np.array([u.neutral or 0.0 for u in variant.sizes])
         usual = np.array([u.value for u in variant.sizes]) - neutral
         held = {**self.m.values, **variant.held, **{u.name: u.value for u in variant.shapes}}
         directions = HATS if variant.is_curve else np.diag(usual)
-        dose = self.dose
+        known = self.weigher.pushes.get(name)
+        dose = min(max((self.size2 / known) ** 0.5, 1.0 / MOST_DOSE), MOST_DOSE) if known else 1.0
+        room = min(
+            ((u.high if w > 0.0 else u.low) - n) / w
+            for u, n, w in zip(variant.sizes, neutral, usual, strict=True)
+        )
+        dose = min(dose, 0.9 * room)
         for again in range(3):
-            self.dose = dose
             secants = []
             for way in directions * dose:
                 sizes = {
@@ -113,15 +116,13 @@ class Beside:
             secants_now = np.stack(secants)
             yield directions * dose, secants_now
             big = float((secants_now**2).sum(axis=1).max()) / self.size2
+            if big > 0.0:
+                self.weigher.pushes[name] = big * self.size2 / dose**2
             if again == 2 or big == 0.0 or 0.1 <= big <= 4.0:
                 return
             if big > 4.0:
                 dose *= max(0.02, big**-0.5)
                 continue
-            room = min(
-                ((u.high if w > 0.0 else u.low) - n) / w
-                for u, n, w in zip(variant.sizes, neutral, usual, strict=True)
-            )
             grown = min(dose * min(MOST_DOSE, big**-0.5), 0.9 * room)
             if grown < 1.5 * dose:
                 return
@@ -132,10 +133,12 @@ class Beside:
     ) -> EvidenceScore | None:
         weighed = secants * self.root
         inside = weighed @ self.basis
-        normal = weighed @ weighed.T - inside @ inside.T
+        alone = weighed @ weighed.T
+        normal = alone - inside @ inside.T
         if not np.isfinite(normal).all() or np.trace(normal) < 1e-6:
             return None
-        ridge = 1e-6 * np.trace(normal) * np.eye(len(normal))
+        # What the model's own numbers do as well is not asked for by a large dose.
+        ridge = np.diag(ALIKE * np.diag(alone) + 1e-6 * np.trace(normal))
         share = -np.linalg.solve(normal + ridge, weighed @ self.off - inside @ self.seen)
         if variant.is_curve:
             share = np.clip(share, -MOST_HAT, MOST_HAT)
@@ -145,17 +148,17 @@ class Beside:
             ]
             share = np.clip(share, np.where(one_sided, 0.0, -MOST_SHARE), MOST_SHARE)
         cost, move = self._predict_cost(secants, inside, share)
-        gain = self.worth * (self.before - cost)
+        gain = float(self.m.cost.by_block.sum()) - cost
         neutral = np.array([u.neutral or 0.0 for u in variant.sizes])
-        return EvidenceScore(gain, name, variant, neutral + share @ directions, move, self)
+        return EvidenceScore(gain, name, variant, neutral + share @ directions, move)
 
     def _predict_cost(self, secants: Array, inside: Array, share: Array) -> tuple[float, Array]:
         """Return the cost of a dose with the model's numbers fitted to it, and their move."""
-        diagonal = np.abs(np.diag(self.triangle)) + 1e-30
-        move = -np.linalg.solve(
-            self.triangle + 1e-9 * np.diag(diagonal), self.seen + inside.T @ share
-        )
-        d = self.m.d.ravel() + share @ secants + move @ self.tangent
+        ridge = 1e-9 * np.diag(np.abs(np.diag(self.triangle)) + 1e-30)
+        move = np.zeros(len(self.m.x))
+        move[self.free] = -np.linalg.solve(self.triangle + ridge, self.seen + inside.T @ share)
+        move = np.clip(move, *self.room)
+        d = self.m.d.ravel() + share @ secants + move[self.free] @ self.tangent
         loss = self.weigher.like(
             d.reshape(self.m.d.shape), self.weigher.floor2, self.m.cost.scales2
         )
@@ -233,22 +236,10 @@ def extend_model(weigher: Weigher, m: WeighedModel, score: EvidenceScore) -> Wei
         d = weigher.residual_at(e, x)
         tries.append((float(weigher.like(d, weigher.floor2).by_block.sum()), x, d))
     _, e.x, e.d = min(tries, key=lambda t: t[0])
-    return add_columns(weigher, m, e)
-
-
-def add_columns(weigher: Weigher, m: WeighedModel, e: WeighedModel) -> WeighedModel:
-    """Give an extended model the tangent of the model that it extends, and its new columns."""
     assert m.tangent is not None
     columns = [weigher.find_column(e, i) for i in range(len(m.x), len(e.x))]
     e.tangent, e.tangent_at = np.concatenate([m.tangent, np.stack(columns)]), e.x.copy()
     return e
-
-
-def carry_over(weigher: Weigher, m: WeighedModel, e: WeighedModel) -> WeighedModel:
-    """Return an extended model that was fitted to pieces, on all records."""
-    whole = WeighedModel(e.names, e.numbers, e.held, e.x.copy(), e.picked, lag=m.lag)
-    whole.d = weigher.residual_at(whole, whole.x)
-    return add_columns(weigher, m, whole)
 
 
 def _put_inside(unknown: Unknown, value: float) -> float:

@@ -8,7 +8,6 @@ force. What a hypothesis of the measuring chain does is done to the simulated re
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Protocol
@@ -29,7 +28,6 @@ from pamctl.evidence.pool import CHAIN
 from pamctl.plant.axis.required_force import required_force_n
 from pamctl.plant.drive import (
     NO_RESTARTS,
-    MechanicsResponse,
     Restarts,
     SampleGrid,
     build_grid,
@@ -63,8 +61,6 @@ SPRING_SHARE = 0.2
 """Of the force's span that a spring takes which makes a mechanism forget."""
 INERTIA_SHOWS = 2.0
 """The mean square of the force without the acceleration, over that with it, if a mass shows."""
-PIECE = 4
-"""Blocks of a piece that scores look at."""
 FAR = 1e4
 """What a simulation shows where the plant leaves the range of its model."""
 
@@ -82,7 +78,7 @@ class Recording(Protocol):
 
 @dataclass
 class RunPiece:
-    """A record, the part of one between two gaps, or a piece that scores look at."""
+    """A record, or the part of one between two gaps."""
 
     inputs: dict[str, Array]
     shown: Array
@@ -93,35 +89,6 @@ class RunPiece:
     grids: dict[float, SampleGrid]
     """By the length of the step."""
     starts_at_rest: bool
-    acts_after_s: Array | None = None
-    skip: int = 0
-    """Samples that only warm up a simulation: the first rows of `inputs`, and none of `shown`."""
-    start: tuple[float, float, float] | None = None
-    """Position, speed and pressure of a model at the first sample."""
-    age_s: float = 0.0
-
-    def cut(self, begin: int, end: int, warm: int, start: tuple[float, float, float]) -> RunPiece:
-        """Return the samples [begin, end), run from `warm` samples before, from a model's state."""
-        run, kept = slice(begin - warm, end), slice(begin, end)
-        times_s = next(iter(self.grids.values())).samples_s
-        acts = None if self.acts_after_s is None else self.acts_after_s[run]
-        usual_s = float(np.median(np.diff(times_s)))
-        held = self.inputs.get("valve_v")
-        held_v = None if held is None or begin == warm else float(held[begin - warm - 1])
-        return RunPiece(
-            {name: column[run] for name, column in self.inputs.items()},
-            self.shown[:, kept], self.masked[:, kept],
-            {name: column[run] for name, column in self.rates.items()},
-            {
-                step: build_grid(
-                    np.diff(times_s[run]), end - begin + warm, max(1, round(usual_s / step)),
-                    acts, held_v,
-                )
-                for step in self.grids
-            },
-            self.starts_at_rest and begin == warm, acts, warm, start,
-            self.age_s + float(times_s[run.start]),
-        )  # fmt: skip
 
 
 class Runs:
@@ -137,7 +104,8 @@ class Runs:
         self.actuator = ACTUATORS[round(plant.get(ACTUATOR, 0.0))]
         self.period_s = float(np.median([np.median(np.diff(r.t_s)) for r in records or ()]))
         motion = _judge_motion(records, self.actuator, self.period_s)
-        self.imposed, self.windowed = (like.imposed, like.windowed) if like else motion
+        self.imposed: bool = like.imposed if like else motion[0]
+        self.windowed: bool = like.windowed if like else motion[1]
         self.channels = _choose_channels(records, self.actuator, self.imposed)
         levels = round(np.log2(BLOCK_S / self.period_s))
         self.block: int = like.block if like else 1 << max(LEAST_LEVELS, min(LEVELS, levels))
@@ -176,9 +144,7 @@ class Runs:
                 for step in self.steps_s
             }  # fmt: skip
             counted = None if counts is None else counts[cut]
-            stretch = self._make_stretch(columns, grids, begin == 0, counted)
-            stretch.acts_after_s = None if acts_after is None else np.asarray(acts_after[cut])
-            found.append(stretch)
+            found.append(self._make_stretch(columns, grids, begin == 0, counted))
         return found
 
     def _make_stretch(
@@ -217,9 +183,7 @@ class Runs:
         self.shown = self.pack([s.shown for s in self.stretches])
         masked = self.pack([s.masked.astype(float) for s in self.stretches], rest=1.0) > 0.5
         self.masked: Mask = masked
-        self.when_s = self.pack(
-            [s.age_s + s.grids[COARSE_STEP_S].samples_s[None, s.skip :] for s in self.stretches]
-        )[0]
+        self.when_s = self.pack([s.grids[COARSE_STEP_S].samples_s[None] for s in self.stretches])[0]
         ends = np.cumsum([0, *sizes])
         self._fills = [_find_neighbours(row.ravel(), ends) for row in masked]
 
@@ -275,7 +239,7 @@ class Runs:
 
     def _drive(self, p: PlantParameters, step_s: float) -> Array:
         self.simulated_samples += sum(self.sizes)
-        parts = [self._drive_stretch(p, s, step_s)[:, s.skip :] for s in self.stretches]
+        parts = [self._drive_stretch(p, s, step_s) for s in self.stretches]
         return np.nan_to_num(self.pack(parts), nan=FAR, posinf=FAR, neginf=-FAR)
 
     def _drive_stretch(self, p: PlantParameters, stretch: RunPiece, step_s: float) -> Array:
@@ -287,7 +251,7 @@ class Runs:
                 inputs.get("pressure_pa"),
             )[None]  # fmt: skip
         if self.actuator == "direct":
-            return self._run_mechanism(p, stretch, grid).position_m[None]
+            return self._drive_mechanism(p, stretch, grid)
         if "valve_v" not in inputs:
             start = self._start(p, stretch)
             response = drive_mechanics(p, inputs["pressure_pa"], grid, start=start)
@@ -298,17 +262,11 @@ class Runs:
     def _start(self, p: PlantParameters, stretch: RunPiece) -> Any:
         if stretch.starts_at_rest:
             return None
-        if stretch.start is not None:
-            position_m, speed, pressure_pa = stretch.start
-            state = rest_state(p, position_m, pressure_pa)
-            return state._replace(velocity_m_per_s=speed, age_s=stretch.age_s)
         first = {name: float(np.median(c[:5])) for name, c in stretch.inputs.items()}
         position_m = first.get("position_m", 0.0)
         return rest_state(p, position_m, first.get("pressure_pa", self._atmosphere_pa))
 
-    def _run_mechanism(
-        self, p: PlantParameters, stretch: RunPiece, grid: SampleGrid
-    ) -> MechanicsResponse:
+    def _drive_mechanism(self, p: PlantParameters, stretch: RunPiece, grid: SampleGrid) -> Array:
         inputs, rates, n = stretch.inputs, stretch.rates, len(grid.samples_s)
         pressure = inputs.get("pressure_pa")
         if pressure is None:
@@ -317,59 +275,12 @@ class Runs:
         if self.windowed:
             every = np.arange(round(WINDOW_S / self.period_s), n, round(WINDOW_S / self.period_s))
             again = Restarts(every, rates["smooth"][every], rates["speed"][every])
-        begun = stretch.start or (float(rates["smooth"][0]), float(rates["speed"][0]), 0.0)
-        start = rest_state(p, begun[0], float(pressure[0]))
-        start = start._replace(velocity_m_per_s=begun[1], age_s=stretch.age_s)
-        return drive_mechanics(
+        start = rest_state(p, float(rates["smooth"][0]), float(pressure[0]))
+        start = start._replace(velocity_m_per_s=float(rates["speed"][0]))
+        response = drive_mechanics(
             p, pressure, grid, force_n=inputs.get("force_n"), start=start, restarts=again
         )
-
-    # --- a part of it ---
-
-    def thin_out(self, values: Mapping[str, float], share: float) -> tuple[Runs, NDArray[np.int64]]:
-        """Return pieces of the records, which begin in a model's own states, and their blocks.
-
-        Each is run from a block before. Memories that are longer than that begin at rest.
-        """
-        plain = {n: float(v) for n, v in values.items() if not n.startswith(CHAIN)}
-        chain = {n: float(v) for n, v in values.items() if n.startswith(CHAIN)}
-        _join_waves(plain, chain)
-        p, pieces, blocks, first = parameters_of(plain), [], [], 0
-        for number, (stretch, size) in enumerate(zip(self.stretches, self.sizes, strict=True)):
-            count = size // self.block
-            states = self._find_states(p, stretch)
-            every = round(PIECE / share)
-            for at in range(0, count, every):
-                span = min(every, count - at)
-                wide = max(1, round(share * span))
-                begin = at + (5 * number + 3) % (span - wide + 1)
-                blocks += [*range(first + begin, first + begin + wide)]
-                warm = self.block if begin else 0
-                end = min((begin + wide) * self.block, stretch.shown.shape[1])
-                row = begin * self.block - warm
-                state = (float(states[0][row]), float(states[1][row]), float(states[2][row]))
-                pieces.append(stretch.cut(begin * self.block, end, warm, state))
-            first += count
-        thin = copy(self)
-        thin.stretches, thin._last = pieces, None
-        thin._lay_out()
-        return thin, np.array(blocks)
-
-    def _find_states(self, p: PlantParameters, stretch: RunPiece) -> tuple[Array, Array, Array]:
-        """Return position, speed and pressure of a model at each sample; measured ones if none."""
-        n = len(next(iter(stretch.inputs.values())))
-        grid = stretch.grids[COARSE_STEP_S]
-        pressure = stretch.inputs.get("pressure_pa", np.full(n, self._atmosphere_pa))
-        if self.imposed or self.windowed:
-            return stretch.rates["smooth"], stretch.rates["speed"], pressure
-        if self.actuator == "direct":
-            run = self._run_mechanism(p, stretch, grid)
-            return run.true_position_m, run.velocity_m_per_s, pressure
-        if "valve_v" not in stretch.inputs:
-            held = drive_mechanics(p, pressure, grid, start=self._start(p, stretch))
-            return held.true_position_m, held.velocity_m_per_s, pressure
-        both = drive_coupled(p, stretch.inputs["valve_v"], grid, start=self._start(p, stretch))
-        return both.true_position_m, both.velocity_m_per_s, both.true_pressure_pa
+        return response.position_m[None]
 
     def _change_readings(self, rows: Array, chain: Mapping[str, float]) -> Array:
         """Do to the readings what the measuring chain does."""

@@ -1,7 +1,8 @@
 """Score a diagnosis on 24 rigs that share no code with it, and put cores side by side.
 
-    python scripts/score_diagnosis.py [--seeds 1,2] [--core today|evidence|MODULE:FUNCTION] [--jobs 2]
-        [--only TEXT] [--change cut:2,half_rate,guess:0.5,units] [--results FILE] [--list]
+    python scripts/score_diagnosis.py [--seeds 1,2] [--core today|evidence|MODULE:FUNCTION]
+        [--jobs 2] [--only TEXT] [--change cut:2,half_rate,guess:0.5,units]
+        [--results FILE] [--list]
 
 A seed draws a list: singles in turn over the catalogue, pairs, halves of the smallest size, nulls,
 hostile, dirty and uncatalogued rigs, and two measured seals. A core is one function,

@@ -1,6 +1,6 @@
 """What is missing from a plant, by evidence: one pool, one likelihood, one search, one ladder.
 
-Read `weigh.py` first: it is the door. Then `pool.py` (what may be missing), `stretches.py` (what a
+Read `weigh.py` first: it is the door. Then `pool.py` (what may be missing), `run_pieces.py` (what a
 plant would have shown), `likelihood.py`, `fit.py`, `scores.py`, `name_search.py`, `ladder.py`; all
 that decides stands in `constants.py`.
 """

@@ -61,6 +61,10 @@ SEEN_SHARE = 0.05
 SMALL_SHARE = 0.25
 """Of its smallest size of interest: what is smaller is not said, however sure."""
 
+NAME_SHARE = 0.1
+"""Of the whole gain: what gains less beside the first finding mends the model, and is said to be
+that. Half: the form of a law that is nearly right gets a name of its own."""
+
 LEFT_SHARE = 0.5
 """A name takes off some channel at least this share of what stays unexplained there (RMS over the
 sensor's noise). Else something larger is still missing, and only its place is said."""

@@ -28,7 +28,7 @@ from pamctl.evidence.constants import (
 )
 from pamctl.evidence.likelihood import Likelihood, Loss, levels_of, to_haar
 from pamctl.evidence.pool import CHAIN, Unknown, Variant
-from pamctl.evidence.stretches import Runs, find_step
+from pamctl.evidence.run_pieces import Runs, find_step
 
 Array = NDArray[np.float64]
 

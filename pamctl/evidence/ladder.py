@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pamctl.evidence.constants import FREER_SHARE, LEFT_SHARE, RIVAL_SHARE
+from pamctl.evidence.constants import FREER_SHARE, LEFT_SHARE, NAME_NATS, NAME_SHARE, RIVAL_SHARE
 from pamctl.evidence.fit import WeighedModel, bound_gain
 from pamctl.evidence.name_search import NameSearch
 from pamctl.evidence.pool import Hypothesis
@@ -39,12 +39,16 @@ class Rung:
     numbers: Mapping[str, float]
     at_range: tuple[str, ...]
     """Numbers that stand at their range: then no name is said."""
+    is_rest: bool
+    """Whether it is small beside what was found before it: it mends the model, and is no cause."""
     rivals: tuple[Hypothesis, ...]
     """What is not beaten, the nearest first."""
 
     @property
     def level(self) -> str:
-        """The rung that is reached: name, kind, place, or set."""
+        """The rung that is reached: name, kind, place, or set; `rest` of what is only mended."""
+        if self.is_rest:
+            return "rest"
         if self.says_place and self.says_kind:
             return "name" if self.says_name else "kind"
         return "place" if self.says_place else "set"
@@ -71,10 +75,12 @@ def _find_rung(search: NameSearch, m: WeighedModel, name: str, whole: float) -> 
     for rival in rivals:
         weigher.leave_out(rival)
         its, lead = pool[rival.names[-1]], rival.left_out - m.left_out
-        beaten = bound_gain(lead)[0] > RIVAL_SHARE * own.sum()
+        least = bound_gain(lead)[0]
+        clearly = least > NAME_NATS and takes_enough(search, rival, m)
+        beaten = clearly or least > RIVAL_SHARE * own.sum()
         if not beaten:
             near.append((float(lead.sum()), its))
-        if its.is_term and its.place == mine.place:
+        if its.is_term and (its.place == mine.place or its.name in mine.akin):
             if bound_gain(-lead)[0] > FREER_SHARE * own.sum():
                 says_name = False
                 says_kind &= its.kind == mine.kind
@@ -92,11 +98,13 @@ def _find_rung(search: NameSearch, m: WeighedModel, name: str, whole: float) -> 
     )
     enough = takes_enough(search, without, m)
     low, _, high = bound_gain(own)
+    is_rest = name != m.names[0] and bool(own.sum() < NAME_SHARE * whole)
+    nearest = tuple(h for _, h in sorted(near, key=lambda n: n[0]))
     return Rung(
         name, mine.place, mine.kind, says_place, says_kind,
         says_name and not at_range and enough, float(own.sum()), (float(low), float(high)),
         float(own.sum()) / whole, {u.name: m.values[u.name] for u in m.picked[name].free},
-        at_range, tuple(h for _, h in sorted(near, key=lambda n: n[0])),
+        at_range, is_rest, nearest,
     )  # fmt: skip
 
 

@@ -78,6 +78,8 @@ class Hypothesis:
     """A part of a step that holds one term only."""
     is_term: bool = False
     """A law without a name."""
+    akin: tuple[str, ...] = ()
+    """Free terms that the effect is, or is akin to: they can always mimic it."""
     scan: str = ""
     """Of a wave: the driver over which it repeats; its period is looked for first."""
 
@@ -129,7 +131,9 @@ def list_effects(actuator: Actuator, machine: Scales) -> Iterator[Hypothesis]:
         for number, (called, its) in enumerate(groups.items()):
             variants = tuple(v for form in its for v in _make_variants(effect, form, machine))
             place = _find_place(effect, number if len(groups) > 1 else None)
-            yield Hypothesis(called, place, _find_kind(effect), variants, name)
+            yield Hypothesis(
+                called, place, _find_kind(effect), variants, name, akin=_list_akin(effect)
+            )
 
 
 def _make_variants(
@@ -219,6 +223,10 @@ def _find_kind(effect: EffectDescription) -> str:
     return "constant" if effect.as_terms else effect.name
 
 
+def _list_akin(effect: EffectDescription) -> tuple[str, ...]:
+    return tuple(f"{t.location}~{t.operator}({t.driver})" for t in effect.as_terms)
+
+
 def _make_ripple(effect: EffectDescription) -> Hypothesis:
     """Return a wave in time: two sizes instead of amplitude and phase, and a period to look for."""
     size, rate, _ = effect.parameters
@@ -238,7 +246,7 @@ def _make_wave(
     )
     period = Unknown(inner, 1.0, 0.0, 1.0, 1.0)
     return Hypothesis(
-        name, place, "wave", (Variant(held, pair, (period,)),), family, part, is_term, driver
+        name, place, "wave", (Variant(held, pair, (period,)),), family, part, is_term, scan=driver
     )
 
 
@@ -356,31 +364,48 @@ def _make_operator(
 
 
 def list_of_chain(
-    channels: Sequence[str], plant: Mapping[str, float], period_s: float, is_muscle: bool
+    channels: Sequence[str], plant: Mapping[str, float], period_s: float, actuator: Actuator
 ) -> Iterator[Hypothesis]:
-    """Yield what makes a file differ from the plant: columns that are late or smoothed, the air."""
+    """Yield what makes a file differ from the plant.
+
+    Columns that are late, smoothed, of another clock, scaled or turned round; the air of the place;
+    numbers of the plant file that no fit moves.
+    """
     tick, places = period_s, {"pressure_pa": "pressure_sensor", "position_m": "encoder"}
     for channel in channels:
         place, short = places.get(channel, channel), channel.split("_")[0]
-        yield _make_chain(f"{short}_late", place, "lag", f"{CHAIN}late.{channel}", tick, 20 * tick)
-        yield _make_chain(
-            f"{short}_smoothed", place, "lag", f"{CHAIN}smooth.{channel}", 2 * tick, 30 * tick, 0.0
+        late = Unknown(f"{CHAIN}late.{channel}", tick, -20 * tick, 20 * tick, tick, 0.0, 0.4 * tick)
+        yield Hypothesis(f"{short}_late", place, "lag", (Variant({}, (late,)),), f"{short}_late")
+        width = Unknown(
+            f"{CHAIN}smooth.{channel}", 4 * tick, 0.0, 100 * tick, 2 * tick, 0.0, 0.4 * tick
         )
+        name = f"{short}_smoothed"
+        yield Hypothesis(name, place, "lag", (Variant({}, (width,)),), name)
+        yield _make_turn(short, place, channel)
+        yield _make_clock(short, place, channel)
+    if actuator != "direct":
+        yield _make_turn("valve", "valve", "valve_v")
+        yield _make_clock("valve", "valve", "valve_v")
     if "pressure_pa" in channels:
         air = plant["atmospheric_pressure_pa"]
         yield _make_number("atmosphere", "pressure_sensor", f"{CHAIN}atmosphere", air, 0.02, 0.16)
-    if is_muscle:
+    if actuator == "muscle":
         for name, share in (("rest_length_m", 0.01), ("temperature_k", 0.02)):
             place = "pull" if name == "rest_length_m" else "air"
             yield _make_number(name.rsplit("_", 1)[0], place, name, plant[name], share, 0.05)
 
 
-def _make_chain(
-    name: str, place: str, kind: str, number: str, usual: float, most: float,
-    low: float | None = None,
-) -> Hypothesis:  # fmt: skip
-    size = Unknown(number, usual, -most if low is None else low, most, usual, 0.0, 0.2 * usual)
-    return Hypothesis(name, place, kind, (Variant({}, (size,)),), name)
+def _make_turn(short: str, place: str, channel: str) -> Hypothesis:
+    """Return a column of the wrong sign: its factor is -1, or near it."""
+    factor = Unknown(f"{CHAIN}factor.{channel}", -1.0, -2.0, -0.5, 0.05, 1.0, 0.5)
+    name = f"{short}_turned"
+    return Hypothesis(name, place, "turned", (Variant({}, (factor,)),), name)
+
+
+def _make_clock(short: str, place: str, channel: str) -> Hypothesis:
+    rate = Unknown(f"{CHAIN}clock.{channel}", 1e-4, -0.02, 0.02, 1e-4, 0.0, 1e-4)
+    name = f"{short}_clock"
+    return Hypothesis(name, place, "clock", (Variant({}, (rate,)),), name)
 
 
 def _make_number(

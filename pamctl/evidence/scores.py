@@ -105,6 +105,8 @@ class _Beside:
             for u, n, w in zip(variant.sizes, neutral, usual, strict=True)
         )
         dose = min(dose, 0.9 * room)
+        if any(u.low < u.high < (u.neutral or 0.0) for u in variant.sizes):
+            dose = 1.0  # a column is turned round or not: there is nothing between
         for again in range(3):
             secants = []
             for way in directions * dose:

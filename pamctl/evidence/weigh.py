@@ -22,7 +22,7 @@ from pamctl.evidence.pool import (
     list_of_chain,
     list_terms,
 )
-from pamctl.evidence.stretches import Recording, Runs, find_step
+from pamctl.evidence.run_pieces import Recording, Runs, find_step
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings, values_of
 
@@ -162,7 +162,7 @@ def list_pool(runs: Runs, values: Mapping[str, float], plant: PlantSettings) -> 
     acting = {name.split(".")[0] for name in values if "." in name}
     pool = [
         *(h for h in list_effects(plant.actuator, machine) if h.family not in acting),
-        *list_of_chain(runs.channels, values, runs.period_s, plant.actuator == "muscle"),
+        *list_of_chain(runs.channels, values, runs.period_s, plant.actuator),
         *list_terms(plant.actuator, reach, machine),
     ]
     if plant.actuator == "direct":

@@ -49,7 +49,7 @@ def diagnose_case(records: Handed, plant: Mapping[str, Any]) -> Said:
             places.add(where_at(rung.place, rung.kind))
         elif rung.level == "place":
             places.add((PLACES.get(rung.place, rung.place), ""))
-        else:
+        elif rung.level == "set":
             sets.append(_make_set(rung, word))
     return Said(frozenset(names), tuple(sets), frozenset(places), numbers)
 

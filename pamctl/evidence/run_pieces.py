@@ -226,23 +226,26 @@ class Runs:
         air_pa = chain.get(f"{CHAIN}atmosphere")
         if air_pa is not None:
             plain["atmospheric_pressure_pa"] = air_pa
-        key = (step_s, *sorted(plain.items()))
+        command = {k: v for k, v in chain.items() if k.endswith("valve_v")}
+        key = (step_s, *sorted((plain | command).items()))
         last = self._last
         if last is not None and last[0] == key:
             rows = last[1].copy()
         else:
-            rows = self._drive(parameters_of(plain), step_s)
+            rows = self._drive(parameters_of(plain), step_s, command)
             self._last = (key, rows.copy())
         if chain:
             rows = self._change_readings(rows, chain)
         return rows
 
-    def _drive(self, p: PlantParameters, step_s: float) -> Array:
+    def _drive(self, p: PlantParameters, step_s: float, command: Mapping[str, float]) -> Array:
         self.simulated_samples += sum(self.sizes)
-        parts = [self._drive_stretch(p, s, step_s) for s in self.stretches]
+        parts = [self._drive_stretch(p, s, step_s, command) for s in self.stretches]
         return np.nan_to_num(self.pack(parts), nan=FAR, posinf=FAR, neginf=-FAR)
 
-    def _drive_stretch(self, p: PlantParameters, stretch: RunPiece, step_s: float) -> Array:
+    def _drive_stretch(
+        self, p: PlantParameters, stretch: RunPiece, step_s: float, command: Mapping[str, float]
+    ) -> Array:
         inputs, grid = stretch.inputs, stretch.grids[step_s]
         if self.imposed:
             rates = stretch.rates
@@ -256,7 +259,12 @@ class Runs:
             start = self._start(p, stretch)
             response = drive_mechanics(p, inputs["pressure_pa"], grid, start=start)
             return response.position_m[None]
-        coupled = drive_coupled(p, inputs["valve_v"], grid, start=self._start(p, stretch))
+        commands = inputs["valve_v"]
+        if command:
+            commands = commands * command.get(f"{CHAIN}factor.valve_v", 1.0)
+            when_s = grid.samples_s * (1.0 + command.get(f"{CHAIN}clock.valve_v", 0.0))
+            commands = np.interp(when_s, grid.samples_s, commands)
+        coupled = drive_coupled(p, commands, grid, start=self._start(p, stretch))
         return np.stack([getattr(coupled, channel) for channel in self.channels])
 
     def _start(self, p: PlantParameters, stretch: RunPiece) -> Any:
@@ -287,15 +295,17 @@ class Runs:
         out = rows.reshape(len(rows), -1)
         for row, channel in zip(out, self.channels, strict=True):
             late_s = chain.get(f"{CHAIN}late.{channel}", 0.0)
+            rate = 1.0 + chain.get(f"{CHAIN}clock.{channel}", 0.0)
             width_s = chain.get(f"{CHAIN}smooth.{channel}", 0.0)
             at = 0
             for size in self.sizes:
                 part, when_s = row[at : at + size], self.when_s.ravel()[at : at + size]
-                if late_s:
-                    part[:] = np.interp(when_s - late_s, when_s, part)
+                if late_s or rate != 1.0:
+                    part[:] = np.interp(rate * when_s - late_s, when_s, part)
                 if width_s > 0.0:
                     part[:] = gaussian_filter1d(part, max(width_s / self.period_s, 0.05))
                 at += size
+            row *= chain.get(f"{CHAIN}factor.{channel}", 1.0)
             row += chain.get(f"{CHAIN}zero.{channel}", 0.0)
             if channel == "pressure_pa" and f"{CHAIN}atmosphere" in chain:
                 row += self._atmosphere_pa - chain[f"{CHAIN}atmosphere"]

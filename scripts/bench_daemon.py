@@ -3,9 +3,9 @@
     python scripts/bench_daemon.py --rounds 30 --browser > daemon.json
 
 JSON on stdout, a table on stderr. One daemon holds a position, in turn unwatched and watched: five
-clients ask for the status at 10 Hz, beside a viewer of the web page and a Foxglove client, each
-served by its own process; `--browser` opens the page in a headless Chromium as well. The onlookers
-live from the first round to the last, and are stopped (SIGSTOP) while the loop is alone.
+clients ask for the status at 10 Hz, beside a viewer of the web page, which has a process of its
+own; `--browser` opens the page in a headless Chromium as well. The onlookers live from the first
+round to the last, and are stopped (SIGSTOP) while the loop is alone.
 
 Wake-up lateness and tick duration come from the log. A cyclictest (apt-get install rt-tests) runs
 beside both halves of a round, with a thread on each CPU and the lowest real-time priority, so it
@@ -14,7 +14,7 @@ never delays the loop. Where it wakes up later than 0.4 ms, the machine stood st
 the ratios; a round with too few ticks left is not counted.
 
 Then a client demands the emergency stop many times; measured from before it connects until the
-output is at the safe voltage. Needs `pamctl[live]`.
+output is at the safe voltage.
 """
 
 from __future__ import annotations
@@ -38,9 +38,6 @@ from statistics import median
 from typing import Any, NamedTuple
 
 import numpy as np
-from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import connect
-from websockets.typing import Subprotocol
 
 from hal.sim.register import peek_v
 from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
@@ -109,10 +106,10 @@ class Bench:
 
 
 class Onlookers:
-    """Five clients, a web viewer, a Foxglove client; `seen` counts what each kind received."""
+    """Five clients and a web viewer; `seen` counts what each kind received."""
 
     def __init__(self, bench: Bench, folder: Path, *, with_browser: bool) -> None:
-        self.seen = {"answers": 0, "pictures": 0, "messages": 0}
+        self.seen = {"answers": 0, "pictures": 0}
         self._looks, self._ended = threading.Event(), threading.Event()
         self._looks.set()
         self._stack = ExitStack()
@@ -122,18 +119,13 @@ class Onlookers:
         assert page.stdout
         address = page.stdout.readline().decode().strip()
         web_port = int(address.rsplit(":", 1)[1].rstrip("/"))
-        live = [sys.executable, "-m", "pamctl.live.live_main", "0", "--socket", str(bench.socket)]
-        pipes = {"stdin": subprocess.PIPE, "stderr": subprocess.PIPE}
-        viewer = self._stack.enter_context(_process(live, **pipes))
-        assert viewer.stderr
-        live_port = int(viewer.stderr.readline().decode().split()[1].rsplit(":", 1)[1])
-        self._processes = [page, viewer]
+        self._processes = [page]
         if with_browser:
             command = [find_browser(), "--headless", "--no-sandbox", "--disable-gpu"]
             command += ["--remote-debugging-port=0", "--window-size=1280,1400"]
             command += [f"--user-data-dir={folder / 'browser'}", address]
             self._processes.append(self._stack.enter_context(_process(command)))
-        each = [(_poll, bench)] * CLIENTS + [(_view_page, web_port), (_view_live, live_port)]
+        each = [(_poll, bench)] * CLIENTS + [(_view_page, web_port)]
         self._threads = [
             threading.Thread(target=look, args=(at, self._look_again, self.seen), daemon=True)
             for look, at in each
@@ -216,24 +208,6 @@ def _view_scope(connection: http.client.HTTPConnection) -> None:
         limits = f"first={max(0, held['last_tick'] - 2000)}&last={held['last_tick']}"
         connection.request("GET", f"/scope/ticks?log={held['log']}&{limits}&fields={fields}")
         connection.getresponse().read()
-
-
-def _view_live(port: int, look_again: LookAgain, seen: dict[str, int]) -> None:
-    protocol = Subprotocol("foxglove.sdk.v1")
-    with connect(f"ws://127.0.0.1:{port}", subprotocols=[protocol]) as connection:
-        while look_again(0.0):
-            try:
-                frame = connection.recv(0.5)
-            except TimeoutError:
-                continue
-            except ConnectionClosed:
-                return
-            if isinstance(frame, bytes):
-                seen["messages"] += 1
-            elif json.loads(frame)["op"] == "advertise":
-                ids = [channel["id"] for channel in json.loads(frame)["channels"]]
-                wanted = [{"id": one, "channelId": one} for one in ids]
-                connection.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
 
 
 class Window(NamedTuple):

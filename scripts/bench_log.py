@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import random
 import sys
 import tempfile
@@ -18,6 +19,7 @@ from typing import Any, get_type_hints
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
+from pamctl.log.importing.pipeline import import_log
 from pamctl.log.reader import read
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import TICK_TOPIC
@@ -70,6 +72,22 @@ def put_cost(directory: Path, ticks: list[TickRecord]) -> dict[str, float]:
         ring.unlink()
     own = quantile(empty, 0.5)
     return {f"p{q * 100:g}_us": (quantile(costs, q) - own) / 1e3 for q in (0.5, 0.99, 0.999)}
+
+
+def import_text(directory: Path, rows: int) -> dict[str, float]:
+    """Import a CSV file of measured rows at 1 kHz."""
+    chance = random.Random(1)
+    source = directory / "bench.csv"
+    with source.open("w") as file:
+        file.write("Time [s],Valve command [V],Pressure [kPa gauge],Position [mm]\n")
+        for row in range(rows):
+            t_s = 1e-3 * row
+            pressure = 200.0 + 50.0 * math.sin(t_s) + chance.gauss(0.0, 0.3)
+            motion = 12.0 + 4.0 * math.sin(t_s)
+            file.write(f"{t_s:.3f},{math.sin(2.0 * t_s):.4f},{pressure:.4f},{motion:.5f}\n")
+    began = time.perf_counter()
+    import_log(source, directory / "imported.mcap")
+    return {"rows_per_s": rows / (time.perf_counter() - began)}
 
 
 def quantile(values: list[int], share: float) -> int:
@@ -131,6 +149,7 @@ def main() -> None:
             "ticks": len(ticks),
             "ring_put": put_cost(Path(rings), ticks),
             "recorder": record(Path(rings), ticks, log),
+            "import": import_text(Path(logs), len(ticks)),
             "reader_ticks_per_s": {
                 "pamctl": ticks_per_s(lambda: read(log), len(ticks)),
                 "mcap": ticks_per_s(lambda: stock_reader(log, decoded=False), len(ticks)),

@@ -21,12 +21,11 @@ import numpy as np
 from bench_log import make_up_ticks, put_when_there_is_room
 
 from pamctl.log import read
-from pamctl.log.container import make_message_records
 from pamctl.log.framing import Damage, map_log_file, walk_records
-from pamctl.log.repair.recover import recover_file
+from pamctl.log.recover import recover_file
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import TICK_TOPIC
-from pamctl.log.wire import TickLayout
+from pamctl.log.wire import TickLayout, make_message_records
 from pamctl.log.writer import LogWriter, begin_log
 from pamctl.recording.recorder import await_recorder, spawn_recorder
 from pamctl.recording.ring import Ring
@@ -37,15 +36,14 @@ CHUNK = 6
 
 TOOLS = {
     "info": "from pamctl.log import info; info({path!r})",
-    "check": "from pamctl.log.check.check_log import check_log; check_log({path!r})",
+    "check": "from pamctl.log.check import check_log; check_log({path!r})",
     "read, all columns": "from pamctl.log import read; read({path!r})",
     "read, four columns": (
         "from pamctl.log import read;"
         "read({path!r}, fields=('t_s', 'applied_v', 'pressure_pa', 'position_m'))"
     ),
     "recover": (
-        "from pamctl.log.repair.recover import recover_file;"
-        "recover_file({path!r}, {path!r} + '.saved')"
+        "from pamctl.log.recover import recover_file;recover_file({path!r}, {path!r} + '.saved')"
     ),
 }
 

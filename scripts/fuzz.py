@@ -123,7 +123,7 @@ def _in_file(harness: Callable[[Path], object], suffix: str) -> Harness:
 
 def _read() -> Harness:
     from pamctl.log import LogError, info, read, signals
-    from pamctl.log.check.check_log import check_log
+    from pamctl.log.check import check_log
     from pamctl.replay.read_source import read_replay_source
     from pamctl.settings.problems import ConfigError
 
@@ -150,7 +150,7 @@ def _read() -> Harness:
 
 def _recover() -> Harness:
     from pamctl.log import LogError, read
-    from pamctl.log.repair.recover import recover_file
+    from pamctl.log.recover import recover_file
 
     def save(path: Path) -> None:
         saved = path.with_name("saved.mcap")

@@ -1,6 +1,6 @@
 """Does `pamctl diagnose --on-rig` find what a rig hides, behind a real daemon in real time?
 
-    python scripts/on_rig_study.py [--rig NAME:SIZE ...] [--runs 3] [--tries 3] [--then tune]
+    python scripts/on_rig_study.py [--rig NAME:SIZE ...] [--runs 3] [--tries 3]
         [--results FILE]
 
 The rigs are those of tests/hidden: they share no code with the plant. Each stands behind the wires
@@ -99,16 +99,16 @@ def write_strokes(path: Path, frequency_hz: int) -> Path:
     return path
 
 
-def examine(rig: str, runs: int, tries: int, then: str) -> Outcome:
+def examine(rig: str, runs: int, tries: int) -> Outcome:
     """Let the daemon decide what one rig hides; try again where the PC gave no time."""
     starved = 0
-    while (found := _examine_once(rig, runs, then))["is_starved"] and starved + 1 < tries:
+    while (found := _examine_once(rig, runs))["is_starved"] and starved + 1 < tries:
         starved += 1
     again = {"error": "starved"} if found["is_starved"] else {}  # the next study tries it again
     return {**found, **again, "key": rig, "starved_tries": starved + bool(again)}
 
 
-def _examine_once(rig: str, runs: int, then: str) -> Outcome:
+def _examine_once(rig: str, runs: int) -> Outcome:
     name, size = rig.split(":")
     began_s = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="on-rig-") as made:
@@ -125,7 +125,7 @@ def _examine_once(rig: str, runs: int, then: str) -> Outcome:
         with hold_daemon(folder, "hidden", environment) as socket:
             command = [sys.executable, "-m", "pamctl", "diagnose", "--on-rig", "--yes", "--json"]
             command += ["--runs", str(runs), "--experiment", str(first), "--socket", str(socket)]
-            command += ["--out", str(folder / "found"), *(["--then", then] if then else [])]
+            command += ["--out", str(folder / "found")]
             done = subprocess.run(
                 command, env=environment, capture_output=True, text=True, timeout=PATIENCE_S
             )
@@ -150,7 +150,6 @@ def _read_document(document: Outcome) -> Outcome:
         "forecasts": [
             [f["refuted"], f["expected"], f["found"]] for f in document.get("forecasts", ())
         ],
-        "retuning": told.get("retuning"),
     }
 
 
@@ -192,11 +191,10 @@ def main() -> None:
     parser.add_argument("--rig", action="append", metavar="NAME:SIZE")
     parser.add_argument("--runs", type=int, default=3, help="most programs, with the first")
     parser.add_argument("--tries", type=int, default=3, help="of a rig whose PC gave no time")
-    parser.add_argument("--then", default="", choices=["", "tune"])
     parser.add_argument("--results", type=Path, default=Path("on-rig-study.jsonl"))
     options = parser.parse_args()
     rigs = options.rig or RIGS
-    one = partial(examine, runs=options.runs, tries=options.tries, then=options.then)
+    one = partial(examine, runs=options.runs, tries=options.tries)
     tasks = {rig: rig for rig in rigs}
     results = run_resumable(tasks, one, options.results, 1, describe)
     print("\n".join(write_table([results[rig] for rig in rigs])))

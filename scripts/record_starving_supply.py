@@ -3,10 +3,11 @@
     python scripts/record_starving_supply.py --out FOLDER [--pictures]
 
 A real daemon with the monitor follows a sine. Half-way the regulator starves. The monitor's alarm
-and explanation are taken from `pamctl status`; then `pamctl diagnose --on-rig --then tune` runs its
-programs, names the effect, and tracks the sine before and after new gains. Nothing is drawn that
-was not measured. FOLDER keeps logs, pages and `story.json`; the pictures go into .readme/ and need
-Chromium. It takes some minutes in real time.
+and explanation are taken from `pamctl status`; then `pamctl diagnose --on-rig` runs its programs
+and names the effect. `pamctl tune` searches gains for the plant that was found, and the daemon
+tracks the sine before and after them. Nothing is drawn that was not measured. FOLDER keeps logs,
+pages and `story.json`; the pictures go into .readme/ and need Chromium. It takes some minutes in
+real time, and the search as long as `pamctl tune` takes.
 """
 
 from __future__ import annotations
@@ -80,8 +81,7 @@ BACKEND = replace(SIM, name="starving", description="Its supply starves.", build
 def record(folder: Path) -> dict[str, Any]:
     """Run the whole story; return what the programs said, and where the logs are."""
     install_backend(folder, "starving", CODE)
-    for name, data in (("motion", MOTION), ("healthy", HEALTHY)):
-        (folder / f"{name}.yaml").write_text(yaml.safe_dump(data))
+    (folder / "healthy.yaml").write_text(yaml.safe_dump(HEALTHY))
     environment = {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(map(str, (ROOT, folder))),
@@ -92,7 +92,7 @@ def record(folder: Path) -> dict[str, Any]:
     with hold_daemon(folder, "starving", environment, options) as socket:
 
         def pamctl(*words: str) -> str:
-            command = [sys.executable, "-m", "pamctl", *words, "--socket", str(socket)]
+            command = [sys.executable, "-m", "pamctl", *words]
             done = subprocess.run(command, env=environment, capture_output=True, text=True)
             tell(f"$ pamctl {' '.join(words)}\n{done.stdout[-1500:]}{done.stderr[-1500:]}")
             return done.stdout
@@ -102,12 +102,17 @@ def record(folder: Path) -> dict[str, Any]:
             fits = _await(lambda: (at := rig.status()["monitor"])["blocks"] and at["sentence"])
             tell(str(fits))
             watched = _watch(rig, folder / "starved")
-        told = pamctl("status")
-        found = pamctl(
-            "diagnose", "--on-rig", "--yes", "--json", "--then", "tune", "--minutes", "6",
-            "--motion", str(folder / "motion.yaml"), "--out", str(folder / "found"),
-        )  # fmt: skip
-        return {**watched, "fits": fits, "status": told, "found": json.loads(found)}
+        of_daemon = ("--socket", str(socket))
+        told, out = pamctl("status", *of_daemon), str(folder / "found")
+        found = pamctl("diagnose", "--on-rig", "--yes", "--json", "--out", out, *of_daemon)
+        gains = folder / "gains.yaml"
+        pamctl("tune", "--law", "qsmc", "--plant", f"{out}/plant.yaml", "--out", str(gains))
+        with connect(socket) as rig:
+            tracked = {"before": str(rig.run(MOTION, name="before").path)}
+            rig.load(gains)
+            tracked["after"] = str(rig.run(MOTION, name="after").path)
+        spoken = {"fits": fits, "status": told, "found": json.loads(found)}
+        return {**watched, **spoken, "tracked": tracked}
 
 
 def _await(find: Callable[[], Any], patience_s: float = PATIENCE_S) -> Any:
@@ -165,17 +170,14 @@ def _find_moments(run: Run, flag: Path) -> list[tuple[float, str]]:
     return [(float(run.t_s[starved]), "the supply starves"), *alarms[:1]]
 
 
-def draw_tracking(folder: Path, story: dict[str, Any]) -> Page:
+def draw_tracking(story: dict[str, Any]) -> Page:
     """Draw the tracking error with the old gains and with the new ones, on the same axes."""
-    done = story["found"]["on_rig"]["retuning"]
-    page = Page("Tracking on the starved rig", done["why"], numbered=False)
+    page = Page("Tracking on the starved rig", "before and after", numbered=False)
     plots = []
-    for colour, name in enumerate(("before", "after")):
-        if done[name] is None:
-            continue
-        run = Run.open(folder / "logs" / done[name]["log"])
+    for colour, (name, log) in enumerate(story["tracked"].items()):
+        run = Run.open(log)
         shown = run["phase"] == Phase.TRACK
-        rms_um = 1e6 * done[name]["rms_error_m"]
+        rms_um = 1e6 * run.metrics.rms_error_m
         axes = PlotAxis("time", "s", tight=True), PlotAxis("x - x_D", "µm", low=-250.0, high=250.0)
         plot = SvgPlot(f"{name}: {rms_um:.1f} µm RMS", *axes, height_px=120)
         t_s = run.t_s[shown] - run.t_s[shown][0]
@@ -200,9 +202,7 @@ def main() -> None:
         kept.write_text(json.dumps(record(folder), indent=1))
     story = json.loads(kept.read_text())
     if options.pictures:
-        pages = {"run": draw_run(folder, story)}
-        if story["found"]["on_rig"]["retuning"]["before"]:
-            pages["tracking"] = draw_tracking(folder, story)
+        pages = {"run": draw_run(folder, story), "tracking": draw_tracking(story)}
         for name, page in pages.items():
             file = folder / f"{name}.html"
             file.write_text(page.html(), encoding="utf-8")

@@ -1,11 +1,13 @@
 """Score a diagnosis on 24 rigs that share no code with it, and put cores side by side.
 
-    python scripts/score_diagnosis.py [--seeds 1,2] [--core today|evidence|MODULE:FUNCTION]
-        [--jobs 2] [--only TEXT] [--change cut:2,half_rate,guess:0.5,units]
+    python scripts/score_diagnosis.py [--cases short|nulls|hostile] [--seeds 1,2] [--only PATTERN]
+        [--core today | MODULE:FUNCTION] [--change cut:2,half_rate,guess:0.5,units] [--jobs 2]
         [--results FILE] [--list]
 
-A seed draws a list: singles in turn over the catalogue, pairs, halves of the smallest size, nulls,
-hostile, dirty and uncatalogued rigs, and two measured seals. A core is one function,
+A seed draws the short list: singles in turn over the catalogue, pairs, halves of the smallest size,
+nulls, hostile, dirty and uncatalogued rigs, and two measured seals (below the folder that
+PAMCTL_MEASURED_DATA names). The other lists are whole suites: their table has only what is not
+right. A core is one function,
 `diagnose_case(records, plant) -> Said` (`tests/hidden/rungs.py`), with records as (to fit, to judge
 by) and the plant file's content. Results are appended to a JSONL file; what is stored is not run
 again, and the table shows every core in the file. With `--change` the same records come in other
@@ -16,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import re
 import signal
 import sys
 import traceback
@@ -40,6 +43,9 @@ from hidden.rungs import Said, mark  # noqa: E402
 from hidden.score_list import LISTS, Handed, ScoredCase  # noqa: E402
 from resumable_study import read_stored, run_resumable  # noqa: E402
 
+LONGEST = 100
+"""Cases of which every one has a row."""
+
 Core = Callable[[Handed, Mapping[str, Any]], Said]
 
 
@@ -59,8 +65,6 @@ def find_core(name: str) -> Core:
     """Return a core by name."""
     if name == "today":
         return diagnose_today
-    if name == "evidence":
-        name = "hidden.evidence_core:diagnose_case"
     module, _, function = name.partition(":")
     core: Core = getattr(importlib.import_module(module), function)
     return core
@@ -122,7 +126,7 @@ def run_task(task: Task) -> dict[str, Any]:
 def _as_plain(said: Said) -> dict[str, Any]:
     return asdict(said) | {
         "names": sorted(said.names), "sets": [sorted(group) for group in said.sets],
-        "places": sorted(said.places),
+        "places": sorted(said.places), "noise": sorted(said.noise),
     }  # fmt: skip
 
 
@@ -132,7 +136,8 @@ def said_of(result: Mapping[str, Any]) -> Said:
     return Said(
         frozenset(s["names"]), tuple(map(frozenset, s["sets"])),
         frozenset((p, k) for p, k in s["places"]),
-        {name: tuple(n) for name, n in s["numbers"].items()}, s["refusal"],
+        {name: tuple(n) for name, n in s["numbers"].items()}, frozenset(s.get("noise", ())),
+        s["refusal"], s.get("admits", False),
     )  # fmt: skip
 
 
@@ -142,9 +147,12 @@ def format_scores(results: Sequence[Mapping[str, Any]]) -> str:
     rows = ["| case | truth (rung) |" + "".join(f" {core} | s |" for core in cores),
             "|---|---|" + "---|---|" * len(cores)]  # fmt: skip
     by_case: dict[str, dict[str, Mapping[str, Any]]] = {}
+    groups = list(dict.fromkeys(r["group"] for r in results))
     for r in results:
         by_case.setdefault(r["case"], {})[r["core"]] = r
     for case, by_core in by_case.items():
+        if len(by_case) > LONGEST and all(map(_is_right, by_core.values())):
+            continue
         asked = next((r["asked"] for r in by_core.values() if r.get("asked")), [])
         cells = [f"| {case} | {', '.join(asked) or 'nothing'} |"]
         for core in cores:
@@ -155,13 +163,19 @@ def format_scores(results: Sequence[Mapping[str, Any]]) -> str:
         mine = [r for r in results if r["core"] == core]
         seconds = sorted(r["cpu_s"] for r in mine if "cpu_s" in r)
         counts = Counter(r.get("verdict", "CRASH") for r in mine)
-        good = sum(n for word, n in counts.items() if word.startswith(("right", "silent")))
+        good = {g: [_is_right(r) for r in mine if r["group"] == g] for g in groups}
+        shares = ", ".join(f"{g} {sum(right)}/{len(right)}" for g, right in good.items())
         middle = seconds[len(seconds) // 2] if seconds else 0.0
         rows.append(
-            f"\n{core}: {good} of {len(mine)} right; {dict(counts)}; processor seconds "
+            f"\n{core}: {sum(map(_is_right, mine))} of {len(mine)} right ({shares}); "
+            f"{dict(counts)}; processor seconds "
             f"{sum(seconds):.0f} in all, median {middle}, worst {max(seconds, default=0)}"
         )
     return "\n".join(rows)
+
+
+def _is_right(result: Mapping[str, Any]) -> bool:
+    return str(result.get("verdict", "")).startswith(("right", "silent"))
 
 
 def _cell(result: Mapping[str, Any] | None) -> str:
@@ -193,7 +207,7 @@ def main() -> None:
     parser.add_argument("--seeds", default="1")
     parser.add_argument("--cases", choices=LISTS, default="short", help="which list")
     parser.add_argument("--core", default="today")
-    parser.add_argument("--only", default="", help="only cases whose name contains this")
+    parser.add_argument("--only", default="", help="only cases whose name has this pattern")
     parser.add_argument("--change", default="", help=f"of {', '.join(CHANGES)}; NAME:VALUE")
     parser.add_argument("--results", type=Path, default=Path("logs/score.jsonl"))
     parser.add_argument("--cpu-limit-s", type=float, default=300.0, help="for a case")
@@ -201,7 +215,7 @@ def main() -> None:
     parser.add_argument("--list", action="store_true", help="print the cases and stop")
     given = parser.parse_args()
     cases = [c for seed in map(int, given.seeds.split(",")) for c in LISTS[given.cases](seed)
-             if given.only in c.key]  # fmt: skip
+             if re.search(given.only, c.key)]  # fmt: skip
     if given.list:
         print("\n".join(case.key for case in cases))
         return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -148,43 +148,6 @@ TagOption = Annotated[
         show_default="none",
     ),
 ]
-
-# --- live values for Foxglove -----------------------------------------------------------------
-
-LiveOption = Annotated[
-    bool,
-    typer.Option(
-        "--live", help="Serve live values to Foxglove and Lichtblick; needs the extra 'live'"
-    ),
-]
-LivePortOption = Annotated[
-    int,
-    typer.Option(
-        "--live-port",
-        metavar="PORT",
-        min=0,
-        max=65535,
-        help="Port of the live values; 0 picks a free one",
-    ),
-]
-LiveOriginOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--live-origin",
-        metavar="ORIGIN",
-        help="Web site whose pages may watch, such as https://app.foxglove.dev; can be repeated",
-        show_default="no web site",
-    ),
-]
-DEFAULT_LIVE_PORT = 8765
-"""Foxglove's own."""
-
-
-def choose_live_port(live: bool, port: int, origins: Sequence[str] | None) -> int | None:
-    """Return the port to serve, None without `--live`; leave with 2 where it is not asked for."""
-    if origins and not live:
-        raise typer.BadParameter("belongs to --live, which is off", param_hint="--live-origin")
-    return port if live else None
 
 
 def require_one_place(cluster: str | None, jobs: int | None) -> None:

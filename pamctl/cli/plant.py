@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pamctl.cli.failure import Failed, print_error
+from pamctl.cli.failure import Failed
 from pamctl.cli.options import JsonOption
 from pamctl.cli.output import print_json
 from pamctl.exit_codes import ExitCode
@@ -16,17 +15,12 @@ from pamctl.new_file import require_place, write_files
 
 if TYPE_CHECKING:
     from pamctl.plant.model import PlantSettings
-    from pamctl.settings.datasheet.plant_questions import PlantQuestion
 
 plant_app = typer.Typer(
     no_args_is_help=True, help="Make and export plant files, which describe a rig."
 )
 
-_ACTUATORS = {
-    "muscle": "a braided pneumatic muscle behind a valve",
-    "direct": "a mass that a measured force moves, with or without a piston: axis, cylinder",
-    "chamber": "a volume that does not change, behind a valve",
-}
+_ACTUATORS = ("muscle", "direct", "chamber")
 
 
 @plant_app.callback()
@@ -38,46 +32,35 @@ def _group() -> None:
 def make_plant(
     out: Annotated[Path, typer.Option("--out", metavar="FILE.yaml", help="New plant file")],
     actuator: Annotated[
-        str | None,
-        typer.Option(
-            "--actuator",
-            metavar="|".join(_ACTUATORS),
-            help="What moves, or is filled",
-            show_default="asked",
-        ),
-    ] = None,
+        str,
+        typer.Option("--actuator", metavar="|".join(_ACTUATORS), help="What moves, or is filled"),
+    ] = "muscle",
     given: Annotated[
         list[str] | None,
         typer.Option(
             "--value",
             metavar="NAME=NUMBER",
             help="A number with its unit, such as rest_length_m='200 mm'; can be repeated",
-            show_default="asked",
+            show_default="a usual one, to edit in the file",
         ),
     ] = None,
-    yes: Annotated[
-        bool,
-        typer.Option(
-            "--yes", help="Ask nothing, and take the defaults of numbers that are not given"
-        ),
-    ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a plant file: ask for its numbers, with their units, and say which will be fitted.
-
-    Ctrl-C leaves without a file.
-    """
+    """Write a plant file to edit: every number in SI with what it means, and which are fitted."""
     require_place(out)
-    kind = _choose_actuator(actuator, ask=not yes)
+    if actuator not in _ACTUATORS:
+        which = f"{actuator!r} is not one of {', '.join(_ACTUATORS)}"
+        raise typer.BadParameter(which, param_hint="--actuator")
     from pamctl.settings.datasheet.plant_file import build_plant, format_new_plant
 
-    values, texts = _collect_numbers(kind, _split_given(given or [], kind), ask=not yes)
-    plant = build_plant(kind, values)
+    texts = _split_given(given or [], actuator)
+    values = _collect_numbers(actuator, texts)
+    plant = build_plant(actuator, values)
     names = _list_fitted(plant)
     fitted = ", ".join(names) or "nothing"
-    write_files({out: format_new_plant(kind, values, texts, fitted)})
+    write_files({out: format_new_plant(actuator, values, texts, fitted)})
     if as_json:
-        print_json({"plant": str(out), "actuator": kind, "numbers": values, "fitted": names})
+        print_json({"plant": str(out), "actuator": actuator, "numbers": values, "fitted": names})
     else:
         typer.echo(
             f"plant: {out}\n`pamctl diagnose` will fit {fitted}, from these values on; "
@@ -116,20 +99,6 @@ def export_plant(
         typer.echo(f"{out}: FMI 3.0 for co-simulation, {platform or 'sources only'}")
 
 
-def _choose_actuator(actuator: str | None, *, ask: bool) -> str:
-    if actuator is None and ask:
-        for name, meaning in _ACTUATORS.items():
-            typer.echo(f"{name:<10}{meaning}", err=True)
-        actuator = _read_line("actuator [muscle]: ", "--actuator") or "muscle"
-    if actuator not in _ACTUATORS:
-        which = f"one of {', '.join(_ACTUATORS)}"
-        raise typer.BadParameter(
-            f"say which: {which}" if actuator is None else f"{actuator!r} is not {which}",
-            param_hint="--actuator",
-        )
-    return actuator
-
-
 def _split_given(given: list[str], actuator: str) -> dict[str, str]:
     """Return the texts by name; leave with 2 for a name that this actuator does not have."""
     from difflib import get_close_matches
@@ -152,25 +121,17 @@ def _split_given(given: list[str], actuator: str) -> dict[str, str]:
     return texts
 
 
-def _collect_numbers(
-    actuator: str, given: dict[str, str], *, ask: bool
-) -> tuple[dict[str, float], dict[str, str]]:
-    """Return the numbers in SI, and the texts that the user gave."""
+def _collect_numbers(actuator: str, given: dict[str, str]) -> dict[str, float]:
+    """Return all numbers in SI: those that are given, and the defaults of the others."""
     from pamctl.settings.datasheet.datasheet_units import read_quantity
     from pamctl.settings.datasheet.plant_questions import list_questions
 
     values: dict[str, float] = {}
-    texts: dict[str, str] = {}
     for question in list_questions(actuator):
         if question.name in given:
-            text = given[question.name]
-            values[question.name] = read_quantity(question.name, text, values)
-            question.check(values[question.name])
-            texts[question.name] = text
-            continue
-        answer = _ask_number(question, values) if ask and not question.is_seldom else None
-        if answer is not None:
-            texts[question.name], values[question.name] = answer
+            value = read_quantity(question.name, given[question.name], values)
+            question.check(value)
+            values[question.name] = value
         elif question.default is not None:
             values[question.name] = question.default
         elif not question.is_optional:
@@ -179,40 +140,7 @@ def _collect_numbers(
                 f"{question.name} ({question.meaning}) has no default: "
                 f"give --value {question.name}='...' in {question.units}",
             )
-    return values, texts
-
-
-def _ask_number(question: PlantQuestion, known: dict[str, float]) -> tuple[str, float] | None:
-    """Ask until the answer can be right; None for an empty answer, where one will do."""
-    from pamctl.settings.datasheet.datasheet_units import DatasheetError, read_quantity
-
-    optional = "none" if question.is_optional else ""
-    default = f"{question.default:g}" if question.default is not None else optional
-    typer.echo(f"{question.meaning}  ({question.units})", err=True)
-    while True:
-        text = _read_line(
-            f"  {question.name}{f' [{default}]' if default else ''}: ", f"--value {question.name}"
-        )
-        if not text and default:
-            return None
-        try:
-            value = read_quantity(question.name, text, known)
-            question.check(value)
-        except DatasheetError as error:
-            print_error(str(error))
-            continue
-        typer.echo(f"  = {value:.6g}", err=True)
-        return text, value
-
-
-def _read_line(prompt: str, option: str) -> str:
-    """Read one answer; leave with 2 where the input ends."""
-    print(prompt, end="", file=sys.stderr, flush=True)
-    line = sys.stdin.readline()
-    if not line:
-        print(file=sys.stderr)
-        raise Failed(ExitCode.USAGE, f"the input ended: give {option}, or --yes for the defaults")
-    return line.strip()
+    return values
 
 
 def _list_fitted(plant: PlantSettings) -> list[str]:

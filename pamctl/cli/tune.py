@@ -80,27 +80,6 @@ def tune(
             "--generations", metavar="N", min=1, max=100_000, help="Number of search generations"
         ),
     ] = 40,
-    quantile: Annotated[
-        float,
-        typer.Option(
-            "--quantile",
-            metavar="SHARE",
-            min=0.5,
-            max=1.0,
-            help="Quantile of the drawn plants that counts; 1: the worst plant counts",
-        ),
-    ] = 1.0,
-    hardest: Annotated[
-        int | None,
-        typer.Option(
-            "--hardest",
-            metavar="N",
-            min=2,
-            help="Run all gains only on the N drawn plants that are hardest for the first ones, "
-            "and the best gains on all",
-            show_default="all",
-        ),
-    ] = None,
     held_out: Annotated[
         int | None,
         typer.Option(
@@ -157,13 +136,11 @@ def tune(
         plants or [],
         size,
         seed,
-        quantile,
         held_out,
         out,
         check,
         start,
         compensate or [],
-        hardest,
     )
     if task.checked is not None:
         scores = check_gains(task, jobs, cluster)
@@ -202,8 +179,7 @@ def _print_result(task: TuningTask, found: FoundGains, *, as_json: bool) -> None
         "out": None if failure else str(task.out),
     }
     if found.interrupted and not failure:
-        again = f"without {task.out} the same command goes on from {found.state}"
-        print(f"interrupted; {again}", file=sys.stderr)
+        print(f"interrupted; --start {task.out} goes on from these gains", file=sys.stderr)
 
     def format_found() -> str:
         scores = format_scores(task.law, found.scores) if found.scores else "not scored"

@@ -15,7 +15,7 @@ from pamctl.daemon.protocol import (
     RequestRefusedError,
 )
 from pamctl.daemon.service import Service
-from pamctl.log.annotate.annotation import (
+from pamctl.log.annotation import (
     LONGEST_NAME,
     LONGEST_NOTE,
     MOST_TAGS,
@@ -77,12 +77,11 @@ class UndoParams(Params):
 
 
 class LoadParams(Params):
-    """A controller, as its file holds it; for a trial, its time without a run."""
+    """A controller, as its file holds it."""
 
     controller: dict[str, Any]
     name: Name
     ramp_s: Ramp = DEFAULT_RAMP_S
-    trial_s: Annotated[float | None, Field(gt=0, le=600)] = None
 
 
 class MarkParams(Params):
@@ -123,9 +122,7 @@ def methods_of(service: Service) -> dict[str, Method]:
         "ack": Method(NoParams, lambda _: {"fault": service.ack()}),
         "set": Method(ChangeParams, lambda p: service.set_gains(p.changes, p.ramp_s, p.operator)),
         "undo": Method(UndoParams, lambda p: service.undo_gains(p.ramp_s, p.operator)),
-        "load": Method(
-            LoadParams, lambda p: service.load_gains(p.controller, p.name, p.ramp_s, p.trial_s)
-        ),
+        "load": Method(LoadParams, lambda p: service.load_gains(p.controller, p.name, p.ramp_s)),
         "goto": Method(GotoParams, lambda p: {"log": str(service.goto(p.position_m, p.within_s))}),
         "mark": Method(MarkParams, lambda p: service.mark(p.text)),
     }

@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from pamctl import __version__
 from pamctl.control.experiment import HoldSettings
@@ -40,13 +40,12 @@ from pamctl.daemon.requested_settings import (
 from pamctl.daemon.session import DaemonRun, Session, Workshop
 from pamctl.daemon.shelf import Shelf
 from pamctl.exit_codes import EMERGENCY_STOP, Ending
-from pamctl.log.annotate.annotation import NOTHING_SAID, Annotation, annotate_meta
-from pamctl.log.changed_gains import CHANGES, describe_changes
-from pamctl.log.naming import bare_name
+from pamctl.log.annotation import NOTHING_SAID, Annotation, annotate_meta
+from pamctl.log.moments import CHANGES, describe_changes
+from pamctl.log.run_meta import bare_name
 from pamctl.plain_text import clean_text
 from pamctl.plant.model import PlantSettings
 from pamctl.processes.keep_awake import SleepInhibitor
-from pamctl.realtime.gain_ramp import DEFAULT_RAMP_S
 from pamctl.runs.index_finished import index_in_own_process
 from pamctl.settings.resolve import RunSettings, settings_to_data
 from pamctl.signals import Phase
@@ -63,18 +62,6 @@ class DaemonState(StrEnum):
     RUNNING = "running"
     STOPPING = "stopping"
     FAULT = "fault"
-
-
-class ReplacedGains(NamedTuple):
-    """Gains that come back if those on trial are not loaded for good."""
-
-    controller: Any
-    name: str
-    file_gains: Mapping[str, Any]
-    patience_s: float
-    """How long the trial lasts without a run."""
-    since_s: float
-    """When it began, on the monotonic clock."""
 
 
 class Service:
@@ -122,7 +109,6 @@ class Service:
         self._tell = tell
         self.events: deque[dict[str, Any]] = deque(maxlen=_RECENT_EVENTS)
         self._gain_history = GainHistory()
-        self._replaced: ReplacedGains | None = None
         self._monitor = MonitorDesk(
             watched, self._announce_event, self.mark, self._trip if monitor_trips else None
         )
@@ -176,7 +162,6 @@ class Service:
             "controller": settings_to_data(self._settings.controller),
             "names": self._names,
             "gain_changes": self._gain_history.tell(),
-            "gains_on_trial": self._replaced is not None,
             "device": self._workshop.device,
             "backend": self._settings.rig.backend,
             "limits": {"stroke_mm": self._stroke_mm()},
@@ -290,27 +275,14 @@ class Service:
             changed = change_gains(self._settings, back)
             return self._tune(changed, ramp_s, operator, undoes=last)
 
-    def load_gains(
-        self,
-        controller: Mapping[str, Any],
-        name: str,
-        ramp_s: float,
-        trial_s: float | None = None,
-    ) -> dict[str, Any]:
-        """Take the gains of a whole controller file; return all its keys.
-
-        With `trial_s` they are on trial: the gains from before come back as soon as nothing has
-        run for that long. Whoever changes the gains meanwhile, or loads some, ends the trial.
-        """
+    def load_gains(self, controller: Mapping[str, Any], name: str, ramp_s: float) -> dict[str, Any]:
+        """Take the gains of a whole controller file; return all its keys."""
         with self._busy:
             changed = load_controller(self._settings, controller, name)
-            replaced = self._replaced or ReplacedGains(
-                self._settings.controller, self._names["controller"], self._file_gains, 0.0, 0.0
-            )
-            gains = self._take_file(changed, name, settings_to_data(changed.controller), ramp_s)
-            if trial_s is not None:
-                now_s = time.monotonic()
-                self._replaced = replaced._replace(patience_s=trial_s, since_s=now_s)
+            file_gains = settings_to_data(changed.controller)
+            gains = self._tune(changed, ramp_s, file_gains=file_gains)
+            self._names["controller"] = name
+            self._gain_history.clear()
             return gains
 
     def mark(self, text: str) -> None:
@@ -337,7 +309,6 @@ class Service:
             return  # an order is being carried out; it looks after the session itself
         try:
             self._check_session(session)
-            self._end_trial()
         finally:
             self._busy.release()
 
@@ -363,16 +334,6 @@ class Service:
     @property
     def _parked_too_long(self) -> bool:
         return time.monotonic() - self._parked_since_s > self._idle_after_s
-
-    def _end_trial(self) -> None:
-        """Take the gains from before the trial once nothing has run for its patience."""
-        old, session = self._replaced, self._session
-        if old is None or (session is not None and session.run is not None):
-            return
-        if time.monotonic() - max(old.since_s, self._parked_since_s) > old.patience_s:
-            changed = self._settings.model_copy(update={"controller": old.controller})
-            with suppress(RequestRefusedError):  # the loop is ending: at the next look
-                self._take_file(changed, old.name, old.file_gains, DEFAULT_RAMP_S)
 
     def _conclude_run(self, session: Session) -> None:
         run = session.run
@@ -467,14 +428,6 @@ class Service:
 
     # --- small questions -------------------------------------------------------------------------
 
-    def _take_file(
-        self, changed: RunSettings, name: str, file_gains: Mapping[str, Any], ramp_s: float
-    ) -> dict[str, Any]:
-        gains = self._tune(changed, ramp_s, file_gains=file_gains)
-        self._names["controller"] = name
-        self._gain_history.clear()
-        return gains
-
     def _tune(
         self,
         changed: RunSettings,
@@ -491,7 +444,7 @@ class Service:
             if session.run is not None:
                 require_tunable(self._settings, changed)
             session.order({"do": "gains", "controller": controller, "ramp_s": ramp_s})
-        self._settings, self._replaced = changed, None
+        self._settings = changed
         self._file_gains = file_gains or self._file_gains
         changes = describe_changes(controller, self._file_gains)
         self._names.pop(CHANGES, None)

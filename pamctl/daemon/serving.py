@@ -31,7 +31,6 @@ from pamctl.plant.model import PlantSettings
 from pamctl.processes.backends import SHARED_MEMORY, device_of, require_backend, require_open_files
 from pamctl.processes.keep_awake import keep_awake
 from pamctl.processes.run_once import (
-    LiveView,
     build_machine_code,
     make_run_meta,
     new_ring_path,
@@ -59,7 +58,6 @@ class ServiceOptions(NamedTuple):
     keep: int | None
     """Number of the daemon's logs to keep; None keeps all."""
     idle_after_s: float
-    live_view: LiveView
     announce: bool
     """Print each event as a line of JSON."""
     file_gains: Mapping[str, Any]
@@ -104,10 +102,9 @@ def serve_daemon(
                 watched=options.watched,
                 monitor_trips=options.monitor_trips,
             )
-            with options.live_view("--socket", str(options.socket)):
-                _shorten_pauses()
-                ending = asyncio.run(_serve(service, options.socket, options.group, tell))
-                _ignore_signals()
+            _shorten_pauses()
+            ending = asyncio.run(_serve(service, options.socket, options.group, tell))
+            _ignore_signals()
         tell(_make_event("ended", exit_code=int(ending.code), reason=ending.reason))
         return ending.code
     finally:

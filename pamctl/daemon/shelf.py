@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.exit_codes import ExitCode
-from pamctl.log.naming import flight_record_path, make_dated_path
+from pamctl.log.run_meta import flight_record_path, make_dated_path
 
 _DAEMON_PREFIX = "daemon"
 _BYTES_PER_TICK = 300
@@ -80,7 +80,7 @@ class Shelf:
 def _has_tag(log: Path) -> bool:
     """Tell whether somebody has tagged the log; a damaged one says what stands before its end."""
     # Not at the top: a daemon that keeps all its logs needs no memory for this.
-    from pamctl.log.annotate.read_annotation import LogError, read_annotation
+    from pamctl.log.annotate import LogError, read_annotation
 
     try:
         return bool(read_annotation(log).tags)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from pamctl.diagnose.audit import Audit
 from pamctl.diagnose.deciding.deciding_program import DecidingProgram
 from pamctl.diagnose.deciding.forecast import JudgedForecast
-from pamctl.diagnose.extend import CorrectionResult
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.intervals import FittedNumber
 from pamctl.diagnose.fitting.numbers import value_of
@@ -55,8 +54,6 @@ class Diagnosis:
     """Every set of effects that was fitted, the best first."""
     remainder: Remainder | None = None
     """The shape of what the effects leave."""
-    correction: CorrectionResult | None = None
-    """The tables for what the effects leave; None where none were requested."""
     train: tuple[Record, ...] = ()
     holdout: tuple[Record, ...] = ()
     explained: float = 0.0

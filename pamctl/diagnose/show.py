@@ -32,8 +32,6 @@ class HeldOutGap:
     extended: float
     floor: float
     """RMS of the sensor's own noise; where that is unknown, of the floor that was estimated."""
-    corrected: float | None = None
-    """With an unnamed correction added, where there is one."""
 
     @property
     def closed(self) -> float:
@@ -43,13 +41,12 @@ class HeldOutGap:
 
     def as_dict(self) -> dict[str, float]:
         """Return what the document holds."""
-        levels = {
+        return {
             "nominal": self.nominal,
             "recalibrated": self.recalibrated,
             "extended": self.extended,
             "floor": self.floor,
         }
-        return levels if self.corrected is None else {**levels, "corrected": self.corrected}
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from pamctl.diagnose.deciding.deciding_program import choose_deciding_program
 from pamctl.diagnose.deciding.explanations import list_explanations
 from pamctl.diagnose.deciding.forecast import judge_forecasts, read_forecast
 from pamctl.diagnose.diagnosis import Diagnosis
-from pamctl.diagnose.extend import add_correction_tables, extend_plant
+from pamctl.diagnose.extend import extend_plant
 from pamctl.diagnose.finer_steps import name_with_finer_steps
 from pamctl.diagnose.fitting.block_fit import Fit
 from pamctl.diagnose.fitting.candidates import Candidate, list_candidates
@@ -81,7 +81,6 @@ def diagnose(
     plant: PlantSettings,
     *,
     without: Collection[str] = (),
-    correction: bool = False,
     accept: Mapping[str, str] | None = None,
     noise: Mapping[str, float] | None = None,
     cut: bool = False,
@@ -94,7 +93,6 @@ def diagnose(
     confirms it. Without `holdout`, `train` is split by run; a single run is split into long
     stretches, and so is every run with `cut`, or where a program that a diagnosis chose is among
     them. `without` leaves effects out of the catalogue.
-    With `correction`, what no effect explains is added to the plant as a table, where that helps.
     `accept` holds the user's reasons to overrule rules of `quality_rules.RULES`, by rule. `noise`
     states the sensors' standard deviations in SI by channel, before what the plant file or the
     records state.
@@ -147,9 +145,7 @@ def diagnose(
     found = _search_below_limit(found, confirming, candidates, executor, progress)
     found, described = _describe_rest(found, confirming, executor, progress, without)
     on = describe_confirmation(confirming, is_cut=is_cut)
-    diagnosis = _conclude(
-        found, on, confirming, setup.train, setup.holdout, candidates, correction=correction
-    )
+    diagnosis = _conclude(found, on, setup.train, setup.holdout, candidates)
     diagnosis = replace(conclude_setup(diagnosis, setup), described=described)
     channels = describe_channels([*train, *holdout], evidence.noises, faults)
     extended = diagnosis.plant.model_copy(update={"noise": plant.noise})
@@ -329,42 +325,33 @@ def _recalibrate(
 def _conclude(
     found: Confirmation,
     on: ConfirmedOn,
-    confirming: Evidence,
     train: Sequence[Record],
     holdout: Sequence[Record],
     candidates: Sequence[Candidate],
-    *,
-    correction: bool,
 ) -> Diagnosis:
     """Extend the plant, and locate what is left."""
-    naming, gap = found.naming, {**found.gap}
+    naming, remainder = found.naming, None
     base, model = naming.base, naming.model
-    plant, remainder, tables = extend_plant(naming.verdict, model), None, None
     if naming.verdict in (Verdict.PARTIAL, Verdict.NONE_KNOWN):
         remainder = regress_remainder(model, max(model.evidence.blocks, key=model.ratio))
-        if correction:
-            tables = add_correction_tables(model, plant, confirming)
-    if tables and tables.blocks:
-        gap = {name: replace(level, corrected=tables.after[name]) for name, level in gap.items()}
     is_open = naming.verdict in (Verdict.PARTIAL, Verdict.AMBIGUOUS)
     base_misfits = tuple(locate_misfits(base))
     return Diagnosis(
         naming.verdict,
         model.evidence.nominal,
-        tables.plant if tables else plant,
+        extend_plant(naming.verdict, model),
         model=model,
         base=base,
         standings=naming.standings,
         numbers=tuple(
             replace(n, conditional_on=model.names if is_open else ()) for n in naming.numbers
         ),
-        gap=gap,
+        gap={**found.gap},
         misfits=base_misfits if model is base else tuple(locate_misfits(model)),
         base_misfits=base_misfits,
         substep_changes=compare_substeps(model),
         trials=naming.trials,
         remainder=remainder,
-        correction=tables,
         train=tuple(train),
         holdout=tuple(holdout),
         explained=min(found.explained.values(), default=1.0) if model.effects else 0.0,

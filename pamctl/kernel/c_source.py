@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -62,6 +63,42 @@ C_WORDS = frozenset({
     *re.findall(r"(?:\} |#define )(\w+)", PREAMBLE),
 })  # fmt: skip
 """Names that C, its library, its compilers, or the preamble use."""
+
+
+# What operators and functions of Python are in C.
+
+MATH = {
+    getattr(math, name): f"checked_{name}({{0}})"
+    for name in (
+        "exp", "expm1", "log", "log2", "log10", "log1p", "sin", "cos", "tan", "asin", "acos",
+        "atan", "sinh", "cosh", "tanh",
+    )
+} | {
+    math.sqrt: "root({0})",
+    math.fabs: "MAGNITUDE({0})",
+    math.copysign: "copysign({0}, {1})",
+    math.atan2: "atan2({0}, {1})",
+    math.pow: "raised({0}, {1})",
+    pow: "raised({0}, {1})",
+}  # fmt: skip
+TESTS = {math.isinf: "isinf", math.isnan: "isnan", math.isfinite: "isfinite"}
+BUILTINS = {
+    called.__name__: called for called in (abs, max, min, len, pow, round, float, int, bool)
+}
+FLOAT_OPERATORS = {
+    ast.Add: "({0} + {1})", ast.Sub: "({0} - {1})", ast.Mult: "({0} * {1})",
+    ast.Div: "divided({0}, {1})", ast.Mod: "remainder_of({0}, {1})",
+    ast.FloorDiv: "floor_divided({0}, {1})", ast.Pow: "raised({0}, {1})",
+}  # fmt: skip
+INT_OPERATORS = {
+    ast.Add: "added({0}, {1})", ast.Sub: "subtracted({0}, {1})", ast.Mult: "multiplied({0}, {1})",
+    ast.Mod: "remainder_int({0}, {1})", ast.FloorDiv: "floor_divided_int({0}, {1})",
+    ast.BitOr: "({0} | {1})", ast.BitAnd: "({0} & {1})", ast.BitXor: "({0} ^ {1})",
+    ast.LShift: "shifted_left({0}, {1})", ast.RShift: "shifted_right({0}, {1})",
+}  # fmt: skip
+COMPARE = {
+    ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!=",
+}  # fmt: skip
 
 
 @dataclass

@@ -17,7 +17,7 @@ import struct
 import sys
 import threading
 from collections import namedtuple
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from copy import copy
 from functools import cache
@@ -120,7 +120,9 @@ class NativeCall:
     def run(self) -> None:
         """Run the kernel. Raise what it raises in Python; then no argument has changed."""
         if self._function(self._address):
-            _run_plain(self, self._kernel, self.blocks, self._updates)
+            given = {name: _read_plain(self.get(name)) for name in self.blocks}
+            for name, value in _run_plain(self._kernel, given, self._updates):
+                self.put(name, value)
 
 
 class PlainCall:
@@ -133,12 +135,12 @@ class PlainCall:
     ) -> None:
         """Keep the arguments."""
         self._kernel, self._updates = kernel, updates
-        self._values = dict(arguments)
+        self._values = {name: _read_plain(value) for name, value in arguments.items()}
         self._own = ""
 
     def put(self, name: str, value: Any) -> None:
         """Set an argument."""
-        self._values[name] = value
+        self._values[name] = _read_plain(value)
 
     def get(self, name: str) -> Any:
         """Return an argument; after `run`, of those in `updates`, the result."""
@@ -168,19 +170,20 @@ class PlainCall:
 
     def run(self) -> None:
         """Run the kernel. Raise what it raises; then no argument has changed."""
-        _run_plain(self, self._kernel, self._values, self._updates)
+        self._values.update(_run_plain(self._kernel, self._values, self._updates))
 
 
 Call = NativeCall | PlainCall
 
 
 def _run_plain(
-    call: Call, kernel: Kernel, names: Mapping[str, Any], updates: tuple[str, ...]
-) -> None:
-    results = kernel(**{name: _read_plain(call.get(name)) for name in names})
-    if updates:
-        for name, value in zip(updates, results if len(updates) > 1 else (results,), strict=True):
-            call.put(name, value)
+    kernel: Kernel, arguments: Mapping[str, Any], updates: tuple[str, ...]
+) -> Iterable[tuple[str, Any]]:
+    """Run a kernel in Python; return the arguments that get its results."""
+    results = kernel(**arguments)
+    if not updates:
+        return ()
+    return zip(updates, results if len(updates) > 1 else (results,), strict=True)
 
 
 def _read_plain(value: Any) -> Any:
@@ -326,7 +329,7 @@ def _list_used(kernel: Any) -> tuple[set[Any], dict[str, Any]]:
 def write_source(kernel: Kernel, frame: Any, updates: tuple[str, ...] = ()) -> str:
     """Return the C source of a library: the kernel, and the function `run` that calls it."""
     from pamctl.kernel.c_source import NONE, CSource, c_name, write_call
-    from pamctl.kernel.translate import NotInC
+    from pamctl.kernel.expressions import NotInC
 
     source = CSource()
     its = source.type_of(frame)

@@ -1,4 +1,4 @@
-"""Watch a run or the daemon: terminal, browser, Foxglove. Nothing here can slow the loop.
+"""Watch the daemon: terminal, browser. Nothing here can slow the loop.
 
 Read `feed.py` first.
 """

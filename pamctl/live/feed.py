@@ -1,35 +1,26 @@
-"""Where a viewer's values come from: the daemon's control socket, or the ring of a run."""
+"""Where a viewer's values come from: the daemon's control socket."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
-from pamctl.recording.ring import Ring
 
 _PATIENCE_S = 5.0
-_MOST_TICKS = 1000
 
 
 class Glimpse(NamedTuple):
     """What is new since the last look."""
 
     status: dict[str, Any] | None
-    """Status as the daemon sends it; None without a daemon."""
+    """Status as the daemon sends it; None while it does not answer."""
     ticks: list[dict[str, float]]
     """Columns by name, oldest first; NaN where a value is unknown."""
     problem: str = ""
     """Why nothing can be seen; empty if all is well."""
-
-
-class Feed(Protocol):
-    """A source of values that a viewer asks again and again."""
-
-    def look(self) -> Glimpse:
-        """Return what is new. A daemon that is gone is no error: it may come back."""
 
 
 class DaemonFeed:
@@ -44,7 +35,7 @@ class DaemonFeed:
         self._seen = -1
 
     def look(self) -> Glimpse:
-        """Return what is new."""
+        """Return what is new. A daemon that is gone is no error: it may come back."""
         was_connected = self._client is not None
         try:
             return self._ask()
@@ -79,20 +70,3 @@ class DaemonFeed:
         if self._client is not None:
             self._client.close()
             self._client = None
-
-
-class RingFeed:
-    """Reads the ring of a run directly; the run does not notice."""
-
-    def __init__(self, ring: Ring, every: int) -> None:
-        """Look at the tick whose number `every` divides."""
-        self._ring = ring
-        self._every = every
-        self._seen = -1
-
-    def look(self) -> Glimpse:
-        """Return what is new."""
-        ticks = self._ring.recent_ticks(self._seen, self._every, _MOST_TICKS)
-        if ticks:
-            self._seen = int(ticks[-1]["tick"])
-        return Glimpse(None, ticks)

@@ -1,44 +1,34 @@
-"""`pamctl watch` in a terminal: ten pictures a second until `q`, or lines for a file or a pipe."""
+"""`pamctl watch` in a terminal: the daemon's status, ten times a second; lines for a pipe."""
 
 from __future__ import annotations
 
 import itertools
-import os
-import select
 import sys
-import termios
 import time
-import tty
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, suppress
 from pathlib import Path
 
 from rich.console import Console
 from rich.live import Live
+from rich.text import Text
 
-from pamctl.live import line
 from pamctl.live.feed import DaemonFeed, Glimpse
-from pamctl.live.history import History
-from pamctl.live.screen import COLUMNS, HISTORY_S, add_error, draw_screen
-from pamctl.live.status_text import format_glimpse
+from pamctl.live.line import COLUMNS, EVERY, LOOKS_PER_S, encode_glimpse
+from pamctl.live.status_text import format_glimpse, format_status
 
-_PICTURES_PER_S = 10.0
 _LINES_PER_S = 1.0
-_EVERY = 10
-"""Every tenth tick is plotted."""
 
 
 def watch_in_terminal(socket: Path, count: int | None = None) -> bool:
-    """Show what the daemon does, `count` times or until `q`; return whether it ever answered.
+    """Show the daemon's status `count` times or until Ctrl-C; return whether it ever answered.
 
     A file, a pipe, or a terminal that cannot draw gets lines.
     """
     console, seen = Console(file=getattr(sys.stdout, "unfiltered", sys.stdout)), _DaemonSighting()
-    with suppress(KeyboardInterrupt), closing(DaemonFeed(socket, _EVERY, COLUMNS)) as feed:
+    with suppress(KeyboardInterrupt), closing(DaemonFeed(socket, EVERY, COLUMNS)) as feed:
         if console.is_terminal and not console.is_dumb_terminal:
-            with read_single_keys() as wants_to_quit:
-                looks = _look_repeatedly(feed, _PICTURES_PER_S, count, wants_to_quit)
-                _draw_screens(console, seen.of(looks))
+            _redraw_status(console, seen.of(_look_repeatedly(feed, LOOKS_PER_S, count)))
         else:
             _print_lines(seen.of(_look_repeatedly(feed, _LINES_PER_S, count)), format_glimpse)
     return seen.daemon
@@ -50,9 +40,8 @@ def watch_as_json(socket: Path, count: int | None = None) -> bool:
     Returns whether the daemon ever answered.
     """
     seen = _DaemonSighting()
-    with suppress(KeyboardInterrupt), closing(DaemonFeed(socket, line.EVERY, line.COLUMNS)) as feed:
-        looks = seen.of(_look_repeatedly(feed, line.LOOKS_PER_S, count))
-        _print_lines(looks, line.encode_glimpse)
+    with suppress(KeyboardInterrupt), closing(DaemonFeed(socket, EVERY, COLUMNS)) as feed:
+        _print_lines(seen.of(_look_repeatedly(feed, LOOKS_PER_S, count)), encode_glimpse)
     return seen.daemon
 
 
@@ -68,53 +57,21 @@ class _DaemonSighting:
             yield glimpse
 
 
-def _look_repeatedly(
-    feed: DaemonFeed, per_s: float, count: int | None, ends: Callable[[float], bool] | None = None
-) -> Iterator[Glimpse]:
-    """Look; `ends` waits for so many seconds, and returns whether to stop."""
+def _look_repeatedly(feed: DaemonFeed, per_s: float, count: int | None) -> Iterator[Glimpse]:
     for number in itertools.count() if count is None else range(count):
-        if number and (ends or _sleep)(1.0 / per_s):
-            return
+        if number:
+            time.sleep(1.0 / per_s)
         yield feed.look()
 
 
-def _sleep(seconds: float) -> bool:
-    time.sleep(seconds)
-    return False
-
-
-@contextmanager
-def read_single_keys() -> Iterator[Callable[[float], bool]]:
-    """Give a function that waits for some seconds, and returns whether `q` was typed meanwhile.
-
-    Inside the block a key counts without Enter, and is not shown. The terminal gets its settings
-    back however the block ends. Without a terminal there are no keys.
-    """
-    if sys.stdin is None or not sys.stdin.isatty():
-        yield _sleep
-        return
-    fd = sys.stdin.fileno()
-    before = termios.tcgetattr(fd)
-
-    def is_ended(seconds: float) -> bool:
-        is_typed = bool(select.select([fd], [], [], seconds)[0])
-        return is_typed and os.read(fd, 64).lower() in (b"q", b"")
-
-    try:
-        tty.setcbreak(fd)
-        yield is_ended
-    finally:
-        termios.tcsetattr(fd, termios.TCSADRAIN, before)
-
-
-def _draw_screens(console: Console, looks: Iterator[Glimpse]) -> None:
-    history = History(HISTORY_S)
-    with Live(console=console, auto_refresh=False, screen=True) as live:
+def _redraw_status(console: Console, looks: Iterator[Glimpse]) -> None:
+    """Rewrite the status in place; the newest one stays on the terminal."""
+    with Live(console=console, auto_refresh=False) as live:
         for glimpse in looks:
-            history.extend(add_error(tick) for tick in glimpse.ticks)
-            size = (console.size.width, console.size.height)
-            picture = draw_screen(glimpse.status, glimpse.problem, history, size)
-            live.update(picture, refresh=True)
+            shown = format_glimpse(glimpse)
+            if glimpse.status is not None:
+                shown = format_status(glimpse.status)
+            live.update(Text(shown, no_wrap=True, overflow="ellipsis"), refresh=True)
 
 
 def _print_lines(looks: Iterator[Glimpse], line_of: Callable[[Glimpse], str]) -> None:

@@ -15,8 +15,8 @@ How to read any log, also an imported one:
 
     pamctl.log.read("long.mcap", fields=("t_s", "position_m"))  # saves memory
 
-The command line's tools are functions too: `check.check_log.check_log`,
-`repair.recover.recover_file`, `export.export_ticks` and `importing.pipeline.import_log`.
+The command line's tools are functions too: `check.check_log`, `recover.recover_file`,
+`cut.cut_log`, `export.export_ticks` and `importing.pipeline.import_log`.
 
 Names are loaded when they are first used: the loop process imports parts of this package and
 must not load numpy.
@@ -30,8 +30,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pamctl.log.framing import LogError
     from pamctl.log.measured_signals import NO_PHASE, Signals, signals
-    from pamctl.log.overview import info
-    from pamctl.log.reader import Log, read
+    from pamctl.log.reader import Log, info, read
 
 __all__ = ["NO_PHASE", "Log", "LogError", "Signals", "info", "read", "signals"]
 
@@ -40,7 +39,7 @@ _HOMES = {
     "LogError": "framing",
     "NO_PHASE": "measured_signals",
     "Signals": "measured_signals",
-    "info": "overview",
+    "info": "reader",
     "read": "reader",
     "signals": "measured_signals",
 }

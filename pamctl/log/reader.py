@@ -1,44 +1,68 @@
 """Read a log: the ticks as arrays by column, everything else as plain values.
 
+One pass, `Scan`, serves all who read: it verifies every checksum, passes the ticks on in batches
+and keeps everything else, which is little. `read` collects the ticks in memory, `read_paged`
+leaves them in the file, `info` counts them, and `check.py` looks at each of them.
+
 A log of another version is read by the descriptor that it carries, or refused with the reason.
-Every checksum in the file is verified.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Metadata, Schema
 from numpy.typing import NDArray
 
-from pamctl.log.contents import Contents
+from pamctl.json_text import from_json
+from pamctl.log.annotation import ANNOTATION, Annotation
+from pamctl.log.columns import WALL_TIME, GridRows, Page, Pages, TickColumns, suggest_nearest
 from pamctl.log.framing import (
     Damage,
+    FileRecord,
     LogError,
+    Unpacker,
     map_log_file,
+    record_at,
+    release_pages,
     translate_parse_errors,
-    unpack_chunk,
     verify_checksum,
     walk_records,
 )
-from pamctl.log.paging.grid_rows import GridRows
-from pamctl.log.paging.pages import Pages
+from pamctl.log.moments import CHANGES, describe_running_changes
 from pamctl.log.schema import (
+    CUT,
     EVENT_TOPIC,
     GAINS_TOPIC,
+    IMPORTED,
     KEYFRAME_TOPIC,
     TICK_TOPIC,
     unit_of_column,
 )
-from pamctl.log.ticks import TickColumns, suggest_nearest
-from pamctl.log.wire import UnknownLayout
+from pamctl.log.wire import (
+    MessageRun,
+    TickBatch,
+    TickDecoder,
+    UnknownLayout,
+    find_message_run,
+    require_short,
+    walk_messages,
+)
+from pamctl.plain_text import clean_document
+from pamctl.signals import Phase
 
-__all__ = ["Log", "LogError", "NoSuchColumn", "read"]
+__all__ = ["Log", "LogError", "NoSuchColumn", "Scan", "info", "read", "read_paged", "read_some"]
+
+MOST_JSON_BYTES = 1 << 24
+"""Events, gains and states that are read without a word, beside the bytes of the file itself."""
 
 
 class NoSuchColumn(LogError):
@@ -49,7 +73,7 @@ class NoSuchColumn(LogError):
 class Log:
     """A log: `log["position_m"]` is a column of its ticks, shape (n,).
 
-    In memory a column is an array. `paging.read_paged` leaves the columns in the file.
+    In memory a column is an array. `read_paged` leaves the columns in the file.
     """
 
     path: Path
@@ -97,98 +121,332 @@ class Log:
         return self["t_s"]
 
 
+class Scan:
+    """One pass over a log: all that is in it but the ticks, which are passed on in batches."""
+
+    def __init__(
+        self,
+        path: str | Path,
+        topics: Collection[str] = (),
+        fields: Collection[str] | None = None,
+        take: Callable[[TickBatch], None] | None = None,
+    ) -> None:
+        """Keep these topics and decode these fields of the ticks; by default all.
+
+        `take` gets each batch of ticks; by default they are collected. Nothing is read before
+        `run`. Raise LogError if there is no such file.
+        """
+        self.path = Path(path)
+        self.file = map_log_file(self.path)
+        self.damage: Damage | None = None
+        """The first damage of the file."""
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.ticks: TickDecoder | None = None
+        self.tick_channel = -1
+        """The number of the channel of the ticks."""
+        self.places: list[tuple[int, int]] = []
+        """Row of the first tick of each chunk, and where the chunk begins; -1: in no chunk."""
+        self.values: dict[str, list[dict[str, Any]]] = {
+            topic: [] for topic in (EVENT_TOPIC, GAINS_TOPIC, KEYFRAME_TOPIC)
+        }
+        """Messages by topic, without the ticks."""
+        self.counts: Counter[str] = Counter()
+        """Number of messages in the file, by topic."""
+        self.attachments: dict[str, bytes] = {}
+        self.metadata: dict[str, dict[str, str]] = {}
+        self._topics, self._fields, self._take = topics, fields, take
+        self._collected: TickColumns | None = None
+        self._json_bytes = 0
+
+    def run(self) -> Scan:
+        """Read up to the first damage; raise LogError for a version that cannot be read."""
+        try:
+            self._read_records()
+        except UnknownLayout as error:
+            what = f"was written by a version that cannot be read: {error}"
+            raise LogError(f"{self.path} {what}") from error
+        return self
+
+    def _read_records(self) -> None:
+        unpacker = Unpacker(self.path, self.file)
+        try:
+            for record in walk_records(self.file):
+                with translate_parse_errors(record):
+                    verify_checksum(self.file, record)
+                    if record.opcode == Opcode.CHUNK:
+                        _, content = unpacker.unpack(record)
+                        self.take_parts(walk_messages(content), record.start)
+                    else:
+                        self.take(record)
+        except Damage as damage:
+            self.damage = damage
+        self.flush()
+
+    def require_whole(self) -> Scan:
+        """Raise LogError if any part of the file is damaged, or it has no ticks' channel."""
+        if self.damage is not None and self.damage.offset == 0:
+            raise LogError(f"{self.path} is not a log: {self.damage}")
+        if self.damage is not None:
+            raise LogError(
+                f"{self.path} is damaged: {self.damage}; "
+                f"save the undamaged part with `pamctl log recover {self.path} DESTINATION`"
+            )
+        if self.wants(TICK_TOPIC) and self.ticks is None:
+            raise LogError(f"{self.path} is not a log of pamctl: it has no channel {TICK_TOPIC}")
+        return self
+
+    @property
+    def is_imported(self) -> bool:
+        """Whether another system measured it."""
+        return any(c.metadata.get("origin") == IMPORTED for c in self.channels.values())
+
+    @property
+    def outcome(self) -> dict[str, Any] | None:
+        """How the run ended; None if the log does not say it."""
+        ended = (e for e in reversed(self.values[EVENT_TOPIC]) if e.get("event") == "outcome")
+        return next(ended, None)
+
+    def config(self) -> dict[str, Any]:
+        """Return the configuration, empty if there is none; raise LogError if it is not JSON."""
+        try:
+            return dict(clean_document(from_json(self.attachments.get("config.json", b"{}"))))
+        except (ValueError, TypeError) as error:
+            raise LogError(f"the attachment config.json makes no sense: {error}") from error
+
+    def wants(self, topic: str) -> bool:
+        """Tell whether to keep the messages of a topic."""
+        return topic in (self._topics or (topic,))
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return the columns that were collected, and `WALL_TIME`; empty ones without ticks."""
+        if self._collected is None:
+            return {WALL_TIME: np.zeros(0, np.uint64)}
+        return self._collected.finish()
+
+    def to_log(self, columns: Mapping[str, NDArray[Any]], time_ns: NDArray[np.uint64]) -> Log:
+        """Return the log of these columns, and of all else that was read."""
+        return Log(
+            path=self.path,
+            columns=columns,
+            time_ns=time_ns,
+            units={name: unit_of_column(name) for name in columns},
+            events=self.values[EVENT_TOPIC],
+            gains=self.values[GAINS_TOPIC],
+            keyframes=self.values[KEYFRAME_TOPIC],
+            config=self.config(),
+            attachments=self.attachments,
+            metadata=self.metadata,
+            counts=dict(self.counts),
+            is_imported=self.is_imported,
+        )
+
+    def take(self, record: FileRecord) -> None:
+        """Take a record of the file that is no chunk."""
+        match record.opcode:
+            case Opcode.MESSAGE:
+                self._take_run(find_message_run(self.file[: record.end], record), -1)
+            case Opcode.SCHEMA:
+                schema = Schema.read(record.stream())
+                self.schemas.setdefault(schema.id, schema)
+            case Opcode.CHANNEL:
+                self._take_channel(Channel.read(record.stream()))
+            case Opcode.ATTACHMENT:
+                attachment = Attachment.read(record.stream())
+                self.attachments[attachment.name] = attachment.data
+            case Opcode.METADATA:
+                metadata = Metadata.read(record.stream())
+                self.metadata[metadata.name] = clean_document(metadata.metadata)
+
+    def take_parts(self, parts: Iterable[FileRecord | MessageRun], chunk_at: int) -> None:
+        """Take what the chunk at this place of the file holds."""
+        for part in parts:
+            if isinstance(part, MessageRun):
+                self._take_run(part, chunk_at)
+            else:
+                self.take(part)
+
+    def flush(self) -> None:
+        """Pass on the ticks that wait to be decoded together."""
+        if self.ticks is not None:
+            self.ticks.flush()
+
+    def _take_channel(self, channel: Channel) -> None:
+        self.channels.setdefault(channel.id, channel)
+        if channel.topic != TICK_TOPIC or channel.id == self.tick_channel:
+            return
+        if self.ticks is not None or channel.message_encoding != "protobuf":
+            raise UnknownLayout(f"{TICK_TOPIC} is not one channel of protobuf messages")
+        schema = self.schemas[channel.schema_id]
+        self.ticks = TickDecoder(schema.data, schema.name, self._fields)
+        self.tick_channel = channel.id
+        if self.wants(TICK_TOPIC):
+            self._collected = TickColumns(self.ticks.wanted)
+            self.ticks.take = self._take or self._collected.take
+
+    def _take_run(self, run: MessageRun, chunk_at: int) -> None:
+        topic = self.channels[run.channel].topic
+        if self.ticks is not None and run.channel == self.tick_channel:
+            if not self.places or self.places[-1][1] != chunk_at:
+                self.places.append((self.counts[topic], chunk_at))
+            self.ticks.add(run.records)
+        elif topic in self.values and self.wants(topic):
+            require_short(run)
+            self._json_bytes += run.records.nbytes
+            if self._json_bytes > MOST_JSON_BYTES + len(self.file):
+                size = f"{self._json_bytes / 1e6:.0f} MB of {topic}"
+                raise LogError(f"{self.path} unpacks to more than {size}: no run writes so many")
+            bodies = (body.tobytes() for body in run.records["body"])
+            self.values[topic] += [clean_document(from_json(body)) for body in bodies]
+        self.counts[topic] += len(run.records)
+
+
 def read(path: str | Path, *topics: str, fields: Collection[str] | None = None) -> Log:
     """Read a log, or only these topics, or only these fields of the ticks.
 
     Raise LogError if any part of the file is damaged, also a part that is not asked for.
     """
-    path = Path(path)
-    contents, log = _read_fields(path, topics, fields)
+    scan = Scan(path, topics, fields).run().require_whole()
     for name in fields or ():
-        if contents.ticks is not None and name not in contents.ticks.none:
-            near = suggest_nearest(name, contents.ticks.none)
+        if scan.ticks is not None and name not in scan.ticks.none:
+            near = suggest_nearest(name, scan.ticks.none)
             raise NoSuchColumn(f"{path} has no column {name}{near}")
-    return log
+    return _collect_log(scan)
 
 
 def read_some(path: str | Path, fields: Collection[str], *topics: str) -> Log:
     """Read only these fields of the ticks, without those that the log lacks, and these topics.
 
-    Raise LogError as `read` does.
-
-    A long log takes a fraction of the time and memory then.
+    A long log takes a fraction of the time and memory then. Raise LogError as `read` does.
     """
-    return _read_fields(Path(path), topics, fields)[1]
+    return _collect_log(Scan(path, topics, fields).run().require_whole())
 
 
-def _read_fields(
-    path: Path, topics: Collection[str], fields: Collection[str] | None
-) -> tuple[Contents, Log]:
-    ticks = TickColumns()
-    contents = Contents(topics, ticks.take, fields)
-    fill_contents(path, contents)
-    known = contents.ticks.none if contents.ticks and contents.wants(TICK_TOPIC) else {}
-    columns = ticks.columns({n: c for n, c in known.items() if fields is None or n in fields})
-    return contents, build_log(path, contents, columns, ticks.times())
+def _collect_log(scan: Scan) -> Log:
+    columns = scan.columns()
+    times = columns.pop(WALL_TIME)
+    return scan.to_log(columns, times)
 
 
-def fill_contents(path: Path, contents: Contents) -> None:
-    """Fill `contents` from a whole log; raise LogError if any part of the file is damaged."""
-    damage = scan_log(path, contents)
-    if damage is not None and damage.offset == 0:
-        raise LogError(f"{path} is not a log: {damage}")
-    if damage is not None:
-        raise LogError(
-            f"{path} is damaged: {damage}; "
-            f"save the undamaged part with `pamctl log recover {path} DESTINATION`"
-        )
-    if contents.wants(TICK_TOPIC) and contents.ticks is None:
-        raise LogError(f"{path} is not a log of pamctl: it has no channel {TICK_TOPIC}")
+def read_paged(path: str | Path) -> Log:
+    """Read a log as `read` does, but leave its ticks in the file: an hour in little memory.
 
-
-def scan_log(path: Path, contents: Contents) -> Damage | None:
-    """Fill `contents` up to the first damage of a file; return that damage, None if there is none.
-
-    Raise LogError if the file does not exist, or is of a version that cannot be read.
+    A column is read as `column[i]`, `column[a:b]` or `np.asarray(column)`; then a page of ticks is
+    decoded. The file must stay as it is while the log is in use. Raise LogError as `read` does.
     """
-    try:
-        return _take_records(contents, map_log_file(path))
-    except UnknownLayout as error:
-        raise LogError(f"{path} was written by a version that cannot be read: {error}") from error
+    grid = GridRows()
+
+    def take(batch: TickBatch) -> None:
+        if {"tick", "missed"} <= batch.columns.keys():
+            grid.take(batch.columns["tick"], batch.columns["missed"])
+
+    scan = Scan(path, fields=("tick", "missed"), take=take).run().require_whole()
+    is_loose = any(chunk_at < 0 for _, chunk_at in scan.places)  # another program wrote it
+    if is_loose or grid.count != scan.counts[TICK_TOPIC]:
+        return read(path)
+    assert scan.ticks is not None
+    pages = Pages(scan.ticks.none, scan.places, grid, _PageDecoder(scan).decode)
+    return scan.to_log(pages, pages.time_ns)
 
 
-def _take_records(contents: Contents, file: memoryview) -> Damage | None:
-    try:
-        for record in walk_records(file):
-            with translate_parse_errors(record):
-                verify_checksum(file, record)
-                if record.opcode == Opcode.CHUNK:
-                    contents.inside(unpack_chunk(record), record.start)
-                else:
-                    contents.take(file[: record.end], record)
-    except Damage as damage:
-        return damage
-    return None
+class _PageDecoder:
+    """Decodes the ticks of some chunks of a log that was read before."""
+
+    def __init__(self, scan: Scan) -> None:
+        self._path, self._file, self._channel = scan.path, scan.file, scan.tick_channel
+        schema = scan.schemas[scan.channels[scan.tick_channel].schema_id]
+        self._decoder = TickDecoder(schema.data, schema.name)
+
+    def decode(self, places: Sequence[int]) -> Page:
+        """Return the columns; raise LogError if the file is not what it was."""
+        columns = TickColumns(self._decoder.none)
+        self._decoder.take = columns.take
+        unpacker = Unpacker(self._path, self._file)
+        try:
+            for at in places:
+                record = record_at(self._file, at)
+                _, content = unpacker.unpack(record)
+                release_pages(self._file, record.start, record.end)
+                for part in walk_messages(content):
+                    if isinstance(part, MessageRun) and part.channel == self._channel:
+                        self._decoder.add(part.records)
+            self._decoder.flush()
+        except Damage as damage:
+            raise LogError(f"{self._path} was changed while it was read: {damage}") from damage
+        return columns.finish()
 
 
-def build_log(
-    path: Path,
-    contents: Contents,
-    columns: Mapping[str, NDArray[Any]],
-    time_ns: NDArray[np.uint64],
-) -> Log:
-    """Return the log of these columns, and of all else that `contents` has."""
-    return Log(
-        path=path,
-        columns=columns,
-        time_ns=time_ns,
-        units={name: unit_of_column(name) for name in columns},
-        events=contents.values[EVENT_TOPIC],
-        gains=contents.values[GAINS_TOPIC],
-        keyframes=contents.values[KEYFRAME_TOPIC],
-        config=contents.config(),
-        attachments=contents.attachments,
-        metadata=contents.metadata,
-        counts=dict(contents.counts),
-        is_imported=contents.is_imported,
-    )
+def info(path: str | Path) -> dict[str, Any]:
+    """Summarise the undamaged part of a log of any length; raise LogError if there is none."""
+    ticks = _Tally()
+    scan = Scan(path, fields=("tick", "t_s", "phase"), take=ticks.take).run()
+    if scan.damage is not None and not scan.metadata:
+        raise LogError(f"{path} is not a log, or nothing in it can be read: {scan.damage}")
+    run, origin = scan.metadata.get("run", {}), scan.metadata.get("pamctl", {})
+    size = len(scan.file)
+    config: dict[str, Any] = {}
+    with suppress(LogError):
+        config = scan.config()
+    said = Annotation.from_metadata(scan.metadata.get(ANNOTATION, {}))
+    return {
+        "path": str(path),
+        "complete": scan.damage is None,
+        "damage": scan.damage and str(scan.damage),
+        "bytes": size,
+        "bytes_per_tick": size / ticks.count if ticks.count else None,
+        "ticks": ticks.count,
+        "duration_s": ticks.last_t_s - ticks.first_t_s,
+        "gaps": ticks.gaps,
+        "missed_ticks": ticks.missed,
+        "phases": ticks.phases(),
+        "channels": dict(scan.counts),
+        "origin": IMPORTED if scan.is_imported else "recorded",
+        "source": scan.metadata.get("import", {}).get("source"),
+        "cut_from": _describe_cut(scan.metadata.get(CUT)),
+        **{key: run.get(key) for key in ("law", "controller", "experiment", "plant", "backend")},
+        **asdict(said),
+        "tags": list(said.tags),
+        CHANGES: run.get(CHANGES),
+        "gains_while_running": describe_running_changes(scan.values[GAINS_TOPIC]),
+        "seed": config.get("seed"),
+        "timing_setup": dict(scan.metadata.get("timing_setup", {})),
+        **{key: origin.get(key) for key in ("version", "host")},
+        "start": None if scan.is_imported else origin.get("start"),
+        "outcome": scan.outcome,
+    }
+
+
+def _describe_cut(cut: Mapping[str, str] | None) -> str | None:
+    if cut is None:
+        return None
+    rows = f"rows {cut['first_row']} to {cut['last_row']} of {cut['source_rows']}"
+    return f"{cut['source']}, {rows}, {float(cut['from_s']):.6g} to {float(cut['to_s']):.6g} s"
+
+
+class _Tally:
+    """The summary of the ticks, updated batch by batch."""
+
+    def __init__(self) -> None:
+        self.count = self.gaps = self.missed = 0
+        self.first_t_s = self.last_t_s = 0.0
+        self._last_tick: int | None = None
+        self._phases: Counter[int] = Counter()
+
+    def take(self, batch: TickBatch) -> None:
+        tick, t_s = batch.columns["tick"], batch.columns["t_s"]
+        before = tick[0] - 1 if self._last_tick is None else self._last_tick
+        skipped = np.maximum(np.diff(tick, prepend=before) - 1, 0)
+        if self.count == 0:
+            self.first_t_s = float(t_s[0])
+        self.count += len(tick)
+        self.gaps += int(np.count_nonzero(skipped))
+        self.missed += int(skipped.sum())
+        self._last_tick, self.last_t_s = int(tick[-1]), float(t_s[-1])
+        if "phase" in batch.columns:
+            phases, counts = np.unique(batch.columns["phase"], return_counts=True)
+            self._phases.update(dict(zip(phases.tolist(), counts.tolist(), strict=True)))
+
+    def phases(self) -> dict[str, int]:
+        """Return the number of ticks in each phase."""
+        names = {phase.value: phase.name.lower() for phase in Phase}
+        return {names.get(p, str(p)): count for p, count in sorted(self._phases.items())}

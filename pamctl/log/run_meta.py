@@ -1,9 +1,12 @@
-"""The description of a run, known before its first tick: stored in the ring and in the log."""
+"""What is known of a run before its first tick: its description, and the name of its log."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 from pamctl.json_text import from_json, to_json
@@ -14,7 +17,10 @@ _KINDS: dict[str, type] = {"int": int, "float": float, "bool": bool}
 
 @dataclass(frozen=True)
 class RunMeta:
-    """Everything that is needed beside the ring's rows to write a complete log."""
+    """Everything that is needed beside the ring's rows to write a complete log.
+
+    It is stored in the ring and in the log.
+    """
 
     log_path: str
     """Path of the log; it must not exist yet."""
@@ -47,3 +53,26 @@ class RunMeta:
         known = from_json(text)
         columns = (Field(name, _KINDS[kind], stage) for name, kind, stage in known["tick_fields"])
         return cls(**{**known, "tick_fields": tuple(columns)})
+
+
+def make_dated_path(directory: Path, what: str) -> Path:
+    """Return a path in `directory` that does not exist yet."""
+    stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
+    names = (f"{stamp}{again}-{what}.mcap" for again in ("", *range(-2, -100, -1)))
+    return next(path for name in names if not (path := directory / name).exists())
+
+
+def flight_record_path(log: Path) -> Path:
+    """Return the path of the flight record beside a log."""
+    return log.with_name(f"{log.stem}-trip.csv")
+
+
+def bare_name(name: str) -> str:
+    """Return the bare name of a shipped name or a path; `.25` in `square-0.25` is no suffix."""
+    last = Path(name).name
+    return last.removesuffix(".yaml").removesuffix(".yml")
+
+
+def file_safe_name(name: str) -> str:
+    """Return the bare name of a file, with characters that are safe in any file name."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", bare_name(name)).strip("._-")[:60] or "unnamed"

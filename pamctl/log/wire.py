@@ -1,26 +1,110 @@
-"""The bytes of a tick: one numpy type encodes and decodes them.
+"""The bytes of messages and ticks: numpy types encode and decode many at a time.
 
-If all fields of a message are present and have a fixed width, its length is constant. Then its
-wire format is a structured array: tag, value, tag, value.
+If all fields of a tick are present and have a fixed width, its length is constant. Then its wire
+format is a structured array: tag, value, tag, value. Ticks of any other form are decoded one by
+one, by the descriptor that the log carries.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message import DecodeError
 from google.protobuf.message_factory import GetMessageClass
+from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from pamctl.log.framing import LogError
+from pamctl.log.framing import FRAME, FileRecord, LogError, record_at
 from pamctl.log.schema import TICK_MESSAGE, tick_descriptor
 from pamctl.signals import Field
+
+SEQUENCE = 0xFFFFFFFF
+"""MCAP's sequence has 32 bits: at 1 kHz the tick exceeds it after 49 days."""
+_MESSAGE_HEADER = [
+    ("opcode", "u1"),
+    ("length", "<u8"),
+    ("channel", "<u2"),
+    ("sequence", "<u4"),
+    ("log_time", "<u8"),
+    ("publish_time", "<u8"),
+]
+_BODY_AT = np.dtype(_MESSAGE_HEADER).itemsize
+_KIND_AT = 11
+"""Bytes of a message's head up to its sequence: messages that share them are alike."""
+
+
+def make_message_records(
+    data: NDArray[Any], times_ns: NDArray[Any], sequences: NDArray[Any]
+) -> NDArray[Any]:
+    """Make n message records from n messages of equal length; the channel is filled in later."""
+    records = np.empty(len(data), [*_MESSAGE_HEADER, ("body", f"V{data.itemsize}")])
+    records["opcode"] = Opcode.MESSAGE
+    records["length"] = records.itemsize - FRAME.size
+    records["sequence"] = sequences & SEQUENCE
+    records["log_time"] = records["publish_time"] = times_ns
+    records["body"] = data.view(records["body"].dtype)
+    return records
+
+
+def make_message_record(data: bytes, time_ns: int, sequence: int) -> NDArray[Any]:
+    """Make one message record; the message must not be empty."""
+    one = np.frombuffer(data, f"V{len(data)}")
+    return make_message_records(one, np.array([time_ns]), np.array([sequence]))
+
+
+class MessageRun(NamedTuple):
+    """Messages of one channel and one length that follow one another."""
+
+    channel: int
+    start: int
+    """Where the first begins in its chunk or file."""
+    records: NDArray[Any]
+    """A view, shape (n,): opcode, length, channel, sequence, log_time, publish_time, body."""
+
+
+def find_message_run(data: memoryview, first: FileRecord) -> MessageRun:
+    """Return the messages of `data` from `first` on that have its channel and its length."""
+    size = first.end - first.start
+    count = (len(data) - first.start) // size
+    records = np.frombuffer(
+        data, [*_MESSAGE_HEADER, ("body", f"V{size - _BODY_AT}")], count, first.start
+    )
+    if count > 1:
+        octets = np.frombuffer(data, np.uint8, count * size, first.start).reshape(count, size)
+        alike = (octets[:, :_KIND_AT] == octets[0, :_KIND_AT]).all(axis=1)
+        records = records if alike.all() else records[: int(alike.argmin())]
+    return MessageRun(int(records["channel"][0]), first.start, records)
+
+
+LONGEST_JSON_BYTES = 1 << 20
+"""Of an event, gains or a state; parsed, they take many times their bytes."""
+
+
+def require_short(run: MessageRun) -> None:
+    """Raise ValueError for JSON that no run writes."""
+    if run.records.itemsize > LONGEST_JSON_BYTES:
+        raise ValueError(f"a JSON message has {run.records.itemsize / 1e6:.3g} MB")
+
+
+def walk_messages(chunk: memoryview) -> Iterator[FileRecord | MessageRun]:
+    """Yield the records of a chunk in order, similar messages together."""
+    at = 0
+    while at < len(chunk):
+        record = record_at(chunk, at)
+        if record.opcode == Opcode.MESSAGE:
+            run = find_message_run(chunk, record)
+            yield run
+            at += run.records.nbytes
+        else:
+            yield record
+            at = record.end
+
 
 _FIXED_WIDTH: dict[int, tuple[int, str]] = {
     FieldDescriptorProto.TYPE_DOUBLE: (1, "<f8"),
@@ -35,8 +119,14 @@ _FIXED_WIDTH: dict[int, tuple[int, str]] = {
 """Protobuf wire type and numpy type of the field types that have a fixed width."""
 
 _FLOATS = (FieldDescriptorProto.TYPE_DOUBLE, FieldDescriptorProto.TYPE_FLOAT)
-_COMPOSITE = (FieldDescriptorProto.TYPE_MESSAGE, FieldDescriptorProto.TYPE_GROUP)
-_TEXT = (FieldDescriptorProto.TYPE_STRING, FieldDescriptorProto.TYPE_BYTES)
+_NO_NUMBERS = (
+    FieldDescriptorProto.TYPE_MESSAGE,
+    FieldDescriptorProto.TYPE_GROUP,
+    FieldDescriptorProto.TYPE_STRING,
+    FieldDescriptorProto.TYPE_BYTES,
+)
+_MOST_DESCRIPTOR_BYTES = 1 << 20
+"""Of pamctl's ticks it has 3 kB; parsed, it takes many times its bytes."""
 
 
 class UnknownLayout(LogError):
@@ -96,7 +186,7 @@ class TickLayout:
         """Tell whether messages, as bytes of shape (n, size), have the expected tags."""
         at, tags = self._tags
         return bool((octets[:, at] == tags).all()) and bool(
-            (octets[:, self._bool_places] <= 1).all()
+            (octets[:, self._find_bytes_of(self.bools)] <= 1).all()
         )
 
     @cached_property
@@ -105,26 +195,11 @@ class TickLayout:
         at = self._find_bytes_of(f"{name}.tag" for name in self.names)
         return at, np.frombuffer(self.blank.tobytes(), np.uint8)[at]
 
-    @cached_property
-    def _bool_places(self) -> NDArray[np.intp]:
-        """Positions of the bools within a message."""
-        return self._find_bytes_of(self.bools)
-
     def _find_bytes_of(self, parts: Iterable[str]) -> NDArray[np.intp]:
         marked = np.zeros((), self.dtype)
         for part in parts:
             marked[part] = 1
         return np.flatnonzero(np.frombuffer(marked.tobytes(), np.uint8))
-
-    def decode(
-        self, messages: NDArray[Any], fields: Collection[str] | None = None
-    ) -> dict[str, NDArray[Any]]:
-        """Return the columns of messages that fit, each of shape (n,); default: all of them."""
-        return {
-            name: messages[name].astype(bool) if name in self.bools else messages[name].copy()
-            for name in self.names
-            if fields is None or name in fields
-        }
 
 
 Decoder = Callable[[Iterable[bytes]], dict[str, NDArray[Any]]]
@@ -154,6 +229,79 @@ def make_decoder(descriptor_set: bytes, message: str) -> Decoder:
     return decode
 
 
+class TickBatch(NamedTuple):
+    """n ticks that follow one another in the file."""
+
+    log_time_ns: NDArray[np.uint64]
+    sequence: NDArray[np.uint32]
+    columns: Mapping[str, NDArray[Any]]
+    """Columns by name, each of shape (n,); they are views, to be copied by who keeps them."""
+
+
+_BATCH_TICKS = 2048
+"""Ticks that are decoded together: a chunk of 250 costs as many calls of numpy."""
+
+
+class TickDecoder:
+    """Decodes messages of the tick channel into columns."""
+
+    def __init__(
+        self, descriptor_set: bytes, message: str, fields: Collection[str] | None = None
+    ) -> None:
+        """Decode these fields; default: all.
+
+        Raise UnknownLayout if the descriptor does not describe a row of numbers.
+        """
+        if len(descriptor_set) > _MOST_DESCRIPTOR_BYTES:
+            raise UnknownLayout(f"its descriptor has {len(descriptor_set)} bytes")
+        self._layout = TickLayout.of_descriptor(descriptor_set, message)
+        self._decode = make_decoder(descriptor_set, message)
+        self.none = self._decode([])
+        """All columns without ticks, each of its type."""
+        self.wanted = {n: c for n, c in self.none.items() if fields is None or n in fields}
+        """Those that are decoded."""
+        self.take: Callable[[TickBatch], None] | None = None
+        """Gets each batch; without it no tick is decoded."""
+        self._waiting, self._form = bytearray(), np.dtype("V1")
+
+    def add(self, records: NDArray[Any]) -> None:
+        """Take the next ticks; raise UnknownLayout if one lacks an integer."""
+        if self.take is None:
+            return
+        if self._waiting and self._form != records.dtype:
+            self.flush()
+        if not self._waiting and len(records) >= _BATCH_TICKS:
+            self._decode_batch(records)
+            return
+        self._form = records.dtype
+        self._waiting += records.view(np.uint8).data
+        if len(self._waiting) >= _BATCH_TICKS * records.itemsize:
+            self.flush()
+
+    def flush(self) -> None:
+        """Decode the ticks that wait for more of them."""
+        waiting, self._waiting = self._waiting, bytearray()
+        if waiting:
+            self._decode_batch(np.frombuffer(waiting, self._form))
+
+    def _decode_batch(self, records: NDArray[Any]) -> None:
+        assert self.take is not None
+        columns = self._decode_columns(records)
+        self.take(TickBatch(records["log_time"], records["sequence"], columns))
+
+    def _decode_columns(self, records: NDArray[Any]) -> dict[str, NDArray[Any]]:
+        layout, bodies = self._layout, records["body"]
+        if layout is not None and bodies.itemsize == layout.dtype.itemsize:
+            octets = records.view(np.uint8).reshape(len(records), records.itemsize)
+            if layout.fits(octets[:, _BODY_AT:]):
+                table = bodies.view(layout.dtype)
+                return {
+                    n: table[n].view(bool) if n in layout.bools else table[n] for n in self.wanted
+                }
+        found = self._decode(body.tobytes() for body in bodies)
+        return {name: found[name] for name in self.wanted}
+
+
 def _kind_of_field(field: FieldDescriptorProto) -> type:
     if field.type == FieldDescriptorProto.TYPE_BOOL:
         return bool
@@ -174,15 +322,12 @@ def _find_fields(descriptor_set: bytes, message: str) -> Sequence[FieldDescripto
     for file in FileDescriptorSet.FromString(descriptor_set).file:
         for candidate in file.message_type:
             if (file.package, candidate.name) == (package, name):
-                return [_require_number(field) for field in candidate.field]
+                for field in candidate.field:
+                    repeated = field.label == FieldDescriptorProto.LABEL_REPEATED
+                    if repeated or field.type in _NO_NUMBERS:
+                        raise UnknownLayout(f"its field {field.name} is not a plain number")
+                return candidate.field
     raise UnknownLayout(f"its descriptor does not describe {message}")
-
-
-def _require_number(field: FieldDescriptorProto) -> FieldDescriptorProto:
-    repeated = field.label == FieldDescriptorProto.LABEL_REPEATED
-    if repeated or field.type in _COMPOSITE or field.type in _TEXT:
-        raise UnknownLayout(f"its field {field.name} is not a plain number")
-    return field
 
 
 def _encode_varint(value: int) -> bytes:

@@ -1,18 +1,56 @@
-"""Write a log: its channels, and the description of the run."""
+"""Write a log as an MCAP file: its description, chunks of messages, their index, the summary.
+
+The writer of the `mcap` package takes messages one by one, which is most of the cost of logging a
+tick. It also describes a channel in the first chunk only: if that chunk and the summary are lost,
+the whole file is unreadable. Here ticks are added by the hundred, and descriptions are repeated.
+A chunk of another log is taken over as it is packed. https://mcap.dev/spec
+
+Measured with 100 000 ticks in chunks of 250: the package's writer needs 3.6 times the processor
+time.
+"""
 
 from __future__ import annotations
 
 import platform
 import sys
-from collections.abc import Mapping
+import zlib
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
 from datetime import UTC, datetime
 from importlib.metadata import version
 from io import BufferedWriter
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zstandard
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
+from numpy.typing import NDArray
 
 import pamctl
 from pamctl.json_text import to_json
-from pamctl.log.container import Container, PackedChunk
+from pamctl.log.framing import (
+    FRAME,
+    MAGIC,
+    FileRecord,
+    encode_record,
+    encode_summary,
+    record_at,
+)
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import (
     JSON_SCHEMAS,
@@ -22,12 +60,141 @@ from pamctl.log.schema import (
     tick_descriptor,
     units_of_columns,
 )
+from pamctl.log.wire import MessageRun, walk_messages
 
 LIBRARY = f"pamctl/{pamctl.__version__}"
+NO_SCHEMA = ("", "", b"")
+DESCRIBED_EVERY = 16
+"""Every 16th chunk repeats all schemas and channels; so does the second chunk."""
+INDEX_ENTRY = np.dtype([("time", "<u8"), ("offset", "<u8")])
 
+_LEVEL = 1
+"""Of zstd: half the time of its default, for files that are 4 % larger."""
 _MEDIA_TYPES = {".json": "application/json", ".yaml": "application/yaml"}
 
-NO_SCHEMA = ("", "", b"")
+
+class FileIndex:
+    """What the end of a file says of its data: descriptions, counts, times and places.
+
+    The writer builds it from what it writes, the check from what it reads.
+    """
+
+    def __init__(self, complain: Callable[[str, str], None] = lambda kind, what: None) -> None:
+        """`complain` is told of descriptions that are missing, or contradict each other."""
+        self._complain = complain
+        self.schemas: dict[int, bytes] = {}
+        """Schema records by number, as they stand in the file."""
+        self.channels: dict[int, bytes] = {}
+        self.counts: Counter[int] = Counter()
+        """Messages by channel."""
+        self.chunks: list[ChunkIndex] = []
+        self.attachments: list[AttachmentIndex] = []
+        self.metadata: list[MetadataIndex] = []
+        self._times: list[int] = []
+        """Of the earliest and the latest message, ns."""
+
+    def take(self, record: FileRecord) -> None:
+        """Take a record of the data that is neither a chunk nor a message."""
+        length = record.end - record.start
+        match record.opcode:
+            case Opcode.SCHEMA | Opcode.CHANNEL:
+                self._describe(record)
+            case Opcode.ATTACHMENT:
+                a = Attachment.read(record.stream())
+                place = (record.start, length, a.create_time, a.log_time, len(a.data))
+                self.attachments.append(AttachmentIndex(*place, a.name, a.media_type))
+            case Opcode.METADATA:
+                name = Metadata.read(record.stream()).name
+                self.metadata.append(MetadataIndex(record.start, length, name))
+
+    def _describe(self, record: FileRecord) -> None:
+        number = int.from_bytes(record.body[:2], "little")
+        what, known = "schema", self.schemas
+        if record.opcode == Opcode.CHANNEL:
+            what, known = "channel", self.channels
+            channel = Channel.read(record.stream())
+            if channel.schema_id and channel.schema_id not in self.schemas:
+                there = f"schema {channel.schema_id}, which does not exist"
+                self._complain(what, f"channel {channel.topic} has {there}")
+        else:
+            Schema.read(record.stream())
+            if number == 0:
+                self._complain(what, f"at byte {record.start}, a schema has the number 0")
+        if known.setdefault(number, record.frame()) != record.frame():
+            self._complain(what, f"{what} {number} is described in two ways")
+
+    def take_messages(self, run: MessageRun) -> tuple[int, int]:
+        """Take messages; return their earliest and latest time."""
+        if run.channel not in self.channels:
+            where = f"messages of channel {run.channel}, which is not yet described"
+            self._complain("channel", f"at byte {run.start}, {where}")
+        times = run.records["log_time"]
+        ends = int(times.min()), int(times.max())
+        self._times = [min([*self._times, ends[0]]), max([*self._times, ends[1]])]
+        self.counts[run.channel] += len(times)
+        return ends
+
+    def take_chunk(
+        self, parts: Iterable[FileRecord | MessageRun]
+    ) -> tuple[tuple[int, int], dict[int, NDArray[Any]]]:
+        """Take what a chunk holds; return its first and last time, and its index by channel."""
+        entries: dict[int, list[NDArray[Any]]] = {}
+        times: list[int] = []
+        for part in parts:
+            if isinstance(part, FileRecord):
+                self.take(part)
+                continue
+            times += self.take_messages(part)
+            found = np.empty(len(part.records), INDEX_ENTRY)
+            found["time"] = part.records["log_time"]
+            found["offset"] = part.start + part.records.itemsize * np.arange(len(found))
+            entries.setdefault(part.channel, []).append(found)
+        span = min(times, default=0), max(times, default=0)
+        return span, {channel: np.concatenate(found) for channel, found in entries.items()}
+
+    def add_chunk(self, chunk: Chunk, offset: int, length: int) -> None:
+        """Note where a chunk stands; its message indexes follow with `add_message_index`."""
+        self.chunks.append(
+            ChunkIndex(
+                chunk_length=length,
+                chunk_start_offset=offset,
+                compression=chunk.compression,
+                compressed_size=len(chunk.data),
+                message_end_time=chunk.message_end_time,
+                message_index_length=0,
+                message_index_offsets={},
+                message_start_time=chunk.message_start_time,
+                uncompressed_size=chunk.uncompressed_size,
+            )
+        )
+
+    def add_message_index(self, channel: int, offset: int, length: int) -> None:
+        """Note where an index of the last chunk stands."""
+        self.chunks[-1].message_index_offsets[channel] = offset
+        self.chunks[-1].message_index_length += length
+
+    def groups(self) -> dict[Opcode, list[bytes]]:
+        """Return the records of the summary by kind, encoded."""
+        start, end = self._times or (0, 0)
+        statistics = Statistics(
+            attachment_count=len(self.attachments),
+            channel_count=len(self.channels),
+            channel_message_counts=dict(self.counts),
+            chunk_count=len(self.chunks),
+            message_count=self.counts.total(),
+            message_end_time=end,
+            message_start_time=start,
+            metadata_count=len(self.metadata),
+            schema_count=len(self.schemas),
+        )
+        return {
+            Opcode.SCHEMA: list(self.schemas.values()),
+            Opcode.CHANNEL: list(self.channels.values()),
+            Opcode.STATISTICS: [encode_record(statistics)],
+            Opcode.CHUNK_INDEX: list(map(encode_record, self.chunks)),
+            Opcode.ATTACHMENT_INDEX: list(map(encode_record, self.attachments)),
+            Opcode.METADATA_INDEX: list(map(encode_record, self.metadata)),
+        }
 
 
 class LogWriter:
@@ -35,15 +202,35 @@ class LogWriter:
 
     def __init__(self, stream: BufferedWriter) -> None:
         """Write the file's header."""
-        self._file = Container(stream, LIBRARY)
+        self._stream = stream
+        self._at = self._crc = 0
+        self._index = FileIndex()
         self._schemas: dict[tuple[str, str, bytes], int] = {NO_SCHEMA: 0}
         self._channels: dict[tuple[str, int], int] = {}
+        self._learnt: dict[int, Channel] = {}
+        """Channels by number."""
         self._attached: set[str] = set()
         self._said: set[tuple[str, bytes]] = set()
-        self.chunks = 0
+        """Metadata by name and content."""
+        self._inside = bytearray()
+        """What will be compressed as the next chunk."""
+        self._has_messages = False
+        self._described_inside: set[int] = set()
+        self._described: set[int] = set()
+        """Channels that a reader of the file so far knows."""
+        self._compressor = zstandard.ZstdCompressor(_LEVEL)
+        self._put(MAGIC)
+        self._put(encode_record(Header("", LIBRARY)))
+
+    @property
+    def chunks(self) -> int:
         """Number of chunks written."""
-        self.add = self._file.messages
-        """`add(channel, records)`: records of equal length; their channel is overwritten."""
+        return len(self._index.chunks)
+
+    @property
+    def pending_bytes(self) -> int:
+        """Bytes that were added since the last chunk."""
+        return len(self._inside)
 
     def channel(
         self,
@@ -52,51 +239,191 @@ class LogWriter:
         schema: tuple[str, str, bytes],
         metadata: Mapping[str, str] | None = None,
     ) -> int:
-        """Return the id of a channel; register it at first use.
+        """Return the number of a channel; register it at first use.
 
         `schema` is name, encoding and data, all empty for no schema.
         """
         if schema not in self._schemas:
-            self._schemas[schema] = self._file.schema(*schema)
+            name, kind, data = schema
+            number = max(self._index.schemas, default=0) + 1
+            self.learn(make_record(Schema(id=number, data=data, encoding=kind, name=name)))
         key = (topic, self._schemas[schema])
         if key not in self._channels:
-            self._channels[key] = self._file.channel(topic, encoding, key[1], metadata or {})
+            number = max(self._index.channels, default=0) + 1
+            self.learn(make_record(Channel(number, topic, encoding, dict(metadata or {}), key[1])))
+            self._describe(number)
         return self._channels[key]
+
+    def learn(self, record: FileRecord) -> None:
+        """Take the description of a schema or a channel over, with its number."""
+        if record.opcode == Opcode.SCHEMA:
+            schema = Schema.read(record.stream())
+            self._schemas.setdefault((schema.name, schema.encoding, schema.data), schema.id)
+        else:
+            channel = Channel.read(record.stream())
+            self._channels.setdefault((channel.topic, channel.schema_id), channel.id)
+            self._learnt.setdefault(channel.id, channel)
+        self._index.take(record)
+
+    def knows(self, channel: int) -> bool:
+        """Tell whether a channel and its schema were described."""
+        found = self._learnt.get(channel)
+        return found is not None and found.schema_id in {0, *self._index.schemas}
+
+    def topic(self, channel: int) -> str:
+        """Return the topic of a known channel."""
+        return self._learnt[channel].topic
 
     def attachment(self, name: str, data: bytes, time_ns: int = 0, media_type: str = "") -> None:
         """Attach a file, unless one of this name is attached; the suffix gives the media type."""
         if name not in self._attached:
             self._attached.add(name)
             known = media_type or _MEDIA_TYPES.get(Path(name).suffix, "text/plain")
-            self._file.attachment(name, data, time_ns, known)
+            self._put_indexed(Attachment(time_ns, time_ns, name, known, data))
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Add a metadata record, unless the same record was added before."""
         said = (name, to_json(values))
         if said not in self._said:
             self._said.add(said)
-            self._file.metadata(name, values)
+            self._put_indexed(Metadata(name=name, metadata=dict(values)))
 
-    def end_chunk(self, packed: PackedChunk | None = None) -> None:
+    def has_metadata(self, name: str) -> bool:
+        """Tell whether there is a metadata record of this name."""
+        return any(name == known for known, _ in self._said)
+
+    def add(self, channel: int, records: NDArray[Any]) -> None:
+        """Add message records of equal length to this channel; their own channel is overwritten."""
+        if len(records):
+            records["channel"] = channel
+            if channel not in self._described:
+                self._describe(channel)
+            self._inside += records.view(np.uint8).data
+            self._has_messages = True
+
+    def _describe(self, channel: int) -> None:
+        """Describe a channel in the next chunk, once."""
+        if channel not in self._described_inside:
+            self._described_inside.add(channel)
+            frame = self._index.schemas.get(self._learnt[channel].schema_id, b"")
+            self._inside += b"" if frame in self._inside else frame
+            self._inside += self._index.channels[channel]
+
+    def end_chunk(self) -> None:
         """Write everything added so far as a chunk, and hand it to the operating system.
 
-        `packed` may hold the same content, compressed. Only the caller ends chunks: if the writer
-        did so by size, the caller would not know which messages are in the file.
+        Only the caller ends chunks: if the writer did so by size, the caller would not know which
+        messages are in the file.
         """
-        self._file.end_chunk(packed)
-        self.chunks += 1
+        if self._has_messages:
+            content, self._inside = self._inside, bytearray()
+            self._described_inside.clear()
+            self._has_messages = False
+            packed = self._compressor.compress(content)
+            crc = zlib.crc32(content)
+            self._put_chunk("zstd", packed, crc, len(content), walk_messages(memoryview(content)))
+            if self.chunks == 1 or self.chunks % DESCRIBED_EVERY == 0:
+                for channel in self._index.channels:
+                    self._describe(channel)
+        self._stream.flush()
+
+    def copy_chunk(self, chunk: Chunk, parts: Iterable[FileRecord | MessageRun]) -> None:
+        """Write a whole chunk of another file as it is packed, `parts` being what it holds.
+
+        Its channels keep their numbers: they must be the writer's. The head of a chunk has no
+        checksum: it is computed again.
+        """
+        if self._has_messages:
+            self.end_chunk()
+        self._inside.clear()
+        self._described_inside.clear()
+        parts = list(parts)
+        inside = _find_described(parts)
+        for part in parts:
+            if isinstance(part, FileRecord):
+                self.learn(part)
+            elif part.channel not in inside:
+                self._put_description(part.channel)
+        size = chunk.uncompressed_size if chunk.compression else len(chunk.data)
+        self._put_chunk(chunk.compression, chunk.data, chunk.uncompressed_crc, size, parts)
+        self._stream.flush()
+
+    def _put_chunk(
+        self,
+        compression: str,
+        data: bytes,
+        crc: int,
+        size: int,
+        parts: Iterable[FileRecord | MessageRun],
+    ) -> None:
+        parts = list(parts)
+        (start, end), entries = self._index.take_chunk(parts)
+        chunk = Chunk(
+            compression=compression,
+            data=data,
+            message_start_time=start,
+            message_end_time=end,
+            uncompressed_crc=crc,
+            uncompressed_size=size,
+        )
+        self._index.add_chunk(chunk, *self._put(encode_record(chunk)))
+        for channel, found in entries.items():
+            body = channel.to_bytes(2, "little") + found.nbytes.to_bytes(4, "little")
+            frame = FRAME.pack(Opcode.MESSAGE_INDEX, len(body) + found.nbytes) + body
+            self._index.add_message_index(channel, *self._put(frame + found.tobytes()))
+        self._described |= _find_described(parts)
 
     def finish(self) -> None:
-        """Write the index and the footer, and hand them to the operating system."""
-        self._file.finish()
+        """Write the last chunk, the summary and the footer."""
+        self.end_chunk()
+        for channel in self._index.channels:  # those without messages
+            self._put_description(channel)
+        self._put(encode_record(DataEnd(self._crc)))
+        groups = self._index.groups().items()
+        self._put(encode_summary(self._at, ((kind, b"".join(group)) for kind, group in groups)))
+        self._stream.flush()
+
+    def _put_description(self, channel: int) -> None:
+        """Describe a channel in no chunk, unless a reader of the file so far knows it."""
+        if channel not in self._described:
+            self._described.add(channel)
+            self._put(self._index.schemas.get(self._learnt[channel].schema_id, b""))
+            self._put(self._index.channels[channel])
+
+    def _put_indexed(self, record: McapRecord) -> None:
+        made = make_record(record, self._at)
+        self._put(made.frame())
+        self._index.take(made)
+
+    def _put(self, data: bytes) -> tuple[int, int]:
+        """Write; return the offset and the length."""
+        offset = self._at
+        self._crc = zlib.crc32(data, self._crc)
+        self._stream.write(data)
+        self._at += len(data)
+        return offset, len(data)
+
+
+def _find_described(parts: Iterable[FileRecord | MessageRun]) -> set[int]:
+    """Return the numbers of the channels that are described in a chunk."""
+    records = (part for part in parts if isinstance(part, FileRecord))
+    return {int.from_bytes(r.body[:2], "little") for r in records if r.opcode == Opcode.CHANNEL}
+
+
+def make_record(record: McapRecord, at: int = 0) -> FileRecord:
+    """Return a record as it stands in a file, at this place."""
+    found = record_at(memoryview(encode_record(record)), 0)
+    return found._replace(start=at, end=at + found.end)
 
 
 def begin_log(writer: LogWriter, meta: RunMeta) -> dict[str, int]:
-    """Write the description of the run; return the channel of each topic."""
+    """Write the description of a run, as far as it is not there; return each topic's channel."""
     # Readers keep one record of each name: the run's own values belong into the same record.
     said = {"pamctl": {}, **meta.metadata}
     for name, values in said.items():
-        writer.metadata(name, {**_describe_origin(meta), **values} if name == "pamctl" else values)
+        if not writer.has_metadata(name):
+            origin = _describe_origin(meta) if name == "pamctl" else {}
+            writer.metadata(name, {**origin, **values})
     writer.attachment("config.json", to_json(meta.config), meta.start_wall_ns)
     for name, text in meta.attachments.items():
         writer.attachment(name, text.encode(), meta.start_wall_ns)

@@ -18,7 +18,6 @@ import numpy as np
 from pamctl.control.experiment import plan_experiment
 from pamctl.diagnose import Diagnosis, Verdict, diagnose
 from pamctl.diagnose.measured.record import Record
-from pamctl.on_rig.retuning_result import Retuning
 from pamctl.on_rig.rig_plan import FULL_PROGRAM, REST_S, RigPlan, require_inside
 from pamctl.on_rig.rig_round import RigRound, compare_repeated_part
 from pamctl.session.pamctl_error import PamctlError, translate_errors
@@ -55,14 +54,11 @@ class Investigation:
     """Why no further program was run."""
     is_decided: bool = False
     """One explanation is left, or nothing is missing."""
-    retuning: Retuning | None = None
-    """What `--then tune` did; None where it was not asked for."""
 
     @property
     def rig_time_s(self) -> float:
-        """Time on the rig so far, that of retuning included."""
-        retuned_s = self.retuning.rig_time_s if self.retuning else 0.0
-        return sum(each.rig_time_s for each in self.rounds) + retuned_s
+        """Time on the rig so far."""
+        return sum(each.rig_time_s for each in self.rounds)
 
     @property
     def programs(self) -> int:
@@ -77,7 +73,6 @@ class Investigation:
             "is_decided": self.is_decided,
             "rig_time_s": round(self.rig_time_s, 3),
             "plan": self.plan.as_dict(),
-            "retuning": self.retuning.as_dict() if self.retuning else None,
         }
 
 

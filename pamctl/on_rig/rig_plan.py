@@ -4,24 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from math import isfinite, isnan
+from math import isnan
 from typing import Any
 
 import numpy as np
 
 from pamctl.control.excitation import HeldCommand
-from pamctl.control.experiment import Experiment, TrackingSettings, plan_experiment
+from pamctl.control.experiment import Experiment, plan_experiment
 from pamctl.diagnose.deciding.drawn_programs import sample_levels
 from pamctl.diagnose.deciding.rig_limits import RigLimits, read_rig_limits
 from pamctl.exit_codes import ExitCode
-from pamctl.log.naming import file_safe_name
+from pamctl.log.run_meta import file_safe_name
 from pamctl.plant.drive import CoupledResponse, drive_coupled
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.session.pamctl_error import PamctlError
 from pamctl.settings.config_files import find_config_file
 from pamctl.settings.resolve import read_section_file, settings_to_data
 from pamctl.settings.table_file import read_tables
-from pamctl.signals import Phase
 
 FULL_PROGRAM = "diagnosis"
 """The shipped program that shows nearly every effect."""
@@ -29,17 +28,6 @@ HOMING_S = 12.0
 """Rig time that homing may take before the first program; later ones need none."""
 REST_S = 2.0
 """Vented rest between two programs."""
-TRACKING = TrackingSettings(
-    kind="tracking",
-    offset_mm=11.8,
-    amplitude_mm=5.4,
-    transition_s=5.0,
-    rest_s=0.0,
-    cycles=1,
-    approach_s=5.0,
-    settle_s=2.0,
-)
-"""One cycle of the paper's experiment 2: what is tracked before and after retuning."""
 _KPA, _MM = 1e-3, 1e3
 
 
@@ -68,13 +56,6 @@ class RigPlan:
     demand: CoupledResponse | None
     """The start model under the first program."""
     period_s: float = 1e-3
-    motion: Experiment = TRACKING
-    """What is tracked before and after retuning."""
-
-    @property
-    def motion_s(self) -> float:
-        """How long that takes."""
-        return plan_experiment(self.motion).duration_s
 
     @property
     def is_first_full(self) -> bool:
@@ -136,13 +117,11 @@ def make_rig_plan(
     start: PlantSettings,
     experiment: str | None,
     budget: Budget,
-    motion: str | None = None,
 ) -> RigPlan:
     """Plan a diagnosis on a rig with these settings; `experiment` is None where logs come first.
 
-    `motion` is the experiment that is tracked before and after retuning. Raises `PamctlError` where
-    the first program does not fit the budget or the rig's limits, by
-    the start model.
+    Raises `PamctlError` where the first program does not fit the budget or the rig's limits, by the
+    start model.
     """
     limits = read_rig_limits(settings, "the daemon's settings")
     backend = str(settings["rig"]["backend"])
@@ -150,8 +129,7 @@ def make_rig_plan(
         reason = f"--on-rig moves a muscle; the plant file says actuator: {start.actuator}"
         raise PamctlError(f"{reason}; give --plant of a muscle", ExitCode.USAGE)
     period_s = 1.0 / float(settings["rig"]["loop"]["rate_hz"])
-    tracked = TRACKING if motion is None else _read_motion(motion)
-    plan = RigPlan(budget, limits, backend, start, None, "", 0.0, None, period_s, tracked)
+    plan = RigPlan(budget, limits, backend, start, None, "", 0.0, None, period_s)
     if experiment is None:
         return plan
     data, keys, lasts_s = _read_experiment(experiment)
@@ -161,17 +139,8 @@ def make_rig_plan(
     return replace(plan, first=keys, first_name=name, first_s=lasts_s, demand=demand)
 
 
-def _read_motion(name: str) -> Experiment:
-    data, _, lasts_s = _read_experiment(name, "--motion")
-    tracks = any(s.phase == Phase.TRACK for s in plan_experiment(data).segments)
-    if not tracks or not isfinite(lasts_s):
-        reason = f"--motion {name} tracks nothing, or has no end; name a motion in closed loop"
-        raise PamctlError(reason, ExitCode.USAGE)
-    return data  # type: ignore[no-any-return]
-
-
-def _read_experiment(name: str, option: str = "--experiment") -> tuple[Any, dict[str, Any], float]:
-    path = find_config_file("experiment", name, option)
+def _read_experiment(name: str) -> tuple[Any, dict[str, Any], float]:
+    path = find_config_file("experiment", name, "--experiment")
     data = read_section_file("experiment", path, (), read_tables)
     return data, settings_to_data(data), plan_experiment(data).duration_s
 

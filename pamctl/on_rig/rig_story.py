@@ -6,14 +6,9 @@ from pathlib import Path
 
 from pamctl.diagnose.report.diagnosis_folder import write_diagnosis
 from pamctl.diagnose.report.phrases import spell_names
-from pamctl.new_file import write_files
 from pamctl.on_rig.decide_on_rig import Investigation, list_logs
 from pamctl.on_rig.rig_round import RigRound
 from pamctl.report.html_page import Page
-from pamctl.settings.yaml12 import dump_yaml
-
-GAINS = "gains.yaml"
-"""The file of the retuned gains."""
 
 
 def write_investigation(investigation: Investigation, out: Path) -> list[str]:
@@ -23,7 +18,7 @@ def write_investigation(investigation: Investigation, out: Path) -> list[str]:
     """
     if investigation.diagnosis is None:
         return []
-    names = write_diagnosis(
+    return write_diagnosis(
         investigation.diagnosis,
         out,
         list_logs(investigation),
@@ -31,12 +26,6 @@ def write_investigation(investigation: Investigation, out: Path) -> list[str]:
         beside={"on_rig": investigation.as_dict()},
         story=lambda page: tell_rounds(page, investigation),
     )
-    done = investigation.retuning
-    if done is None or not done.is_kept:
-        return names
-    head = f"# Gains for the plant that was found.{tell_retuning(investigation)}".replace("\n", " ")
-    write_files({out / GAINS: f"{head}\n{dump_yaml(done.gains)}"})
-    return [*names, GAINS]
 
 
 def tell_rounds(page: Page, investigation: Investigation) -> None:
@@ -58,21 +47,6 @@ def tell_rounds(page: Page, investigation: Investigation) -> None:
         f"{investigation.stopped}.",
     )
     page.points(*map(_tell_round, investigation.rounds))
-    if told := tell_retuning(investigation).strip():
-        page.text(told)
-
-
-def tell_retuning(investigation: Investigation) -> str:
-    """Say what retuning did, on a line of its own; empty where it was not asked for."""
-    done = investigation.retuning
-    if done is None:
-        return ""
-    kept = "The rig goes on with the new gains" if done.is_kept else "The gains are as before"
-    errors = "".join(
-        f" RMS error {name}: {1e6 * run.metrics.rms_error_m:.1f} µm."
-        for name, run in done.runs.items()
-    )
-    return f"\nRetuned: {kept}: {done.why}.{errors}"
 
 
 def _tell_round(each: RigRound) -> str:

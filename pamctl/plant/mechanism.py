@@ -61,14 +61,13 @@ def mechanism_step(
     before: MechanicsState,
     middle_pa: float,
     middle_n: float,
-    extra_n: float,
     age_s: float,
     step_s: float,
 ) -> tuple[float, float, MechanicsState]:
     """Advance (x, v) and the memory of the mechanics by one step.
 
     `middle_pa` is the absolute pressure (Pa) in the middle of the step, `middle_n` the force (N)
-    on a direct mechanism. `extra_n` (N) is added to the pull, by a correction table.
+    on a direct mechanism.
     """
     half_s = 0.5 * step_s
     middle_m = position_m + half_s * velocity_m_per_s
@@ -83,14 +82,12 @@ def mechanism_step(
         # Friction falls with speed: the speed in the middle is predicted twice.
         for _ in range(2):
             forces = mechanism_forces(
-                p, memory, term, middle_m, gauge_pa, middle_n, extra_n, speed, middle_age_s
+                p, memory, term, middle_m, gauge_pa, middle_n, speed, middle_age_s
             )
             _, speed, _ = move_muscle(
                 p, forces, before.bristles, position_m, velocity_m_per_s, half_s
             )
-    forces = mechanism_forces(
-        p, memory, term, middle_m, gauge_pa, middle_n, extra_n, speed, middle_age_s
-    )
+    forces = mechanism_forces(p, memory, term, middle_m, gauge_pa, middle_n, speed, middle_age_s)
     end_m, end_v, bristles = move_muscle(
         p, forces, before.bristles, position_m, velocity_m_per_s, step_s
     )
@@ -115,7 +112,6 @@ def mechanism_forces(
     position_m: float,
     gauge_pa: float,
     force_n: float,
-    extra_n: float,
     velocity_m_per_s: float,
     age_s: float,
 ) -> AxialForces:
@@ -138,7 +134,7 @@ def mechanism_forces(
         grip *= position_factor(e.position_friction, position_m)
         grip = pass_grip_term(p.terms, term, grip, here)
     stiffness = p.paper.stiffness_n_per_m * drift_factor(e.drift.stiffness_per_s, age_s)
-    drive_n = pull_n + extra_n - stiffness * position_m
+    drive_n = pull_n - stiffness * position_m
     drive_n = add_force(e, memory, drive_n, position_m, velocity_m_per_s, gauge_pa, age_s)
     drive_n = add_force_term(p.terms, term, drive_n, here)
     kinetic = FrictionBand(0.0, grip * lever_m)

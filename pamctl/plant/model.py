@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from difflib import get_close_matches
-from itertools import chain, pairwise
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -17,7 +16,6 @@ from pydantic import (
 
 from hal.configured import Configured
 from pamctl.plant.catalogue import CATALOGUE, WITH_TERMS
-from pamctl.plant.correction_tables import Correction, CorrectionTable
 from pamctl.plant.effects.description import (
     ACTUATORS,
     Actuator,
@@ -148,56 +146,6 @@ TermsSettings = create_model(
 )
 
 
-Lines = Annotated[tuple[float, ...], Field(min_length=2, max_length=24)]
-
-
-class TableSettings(Configured):
-    """Values on a grid: linear between its lines, constant beyond them."""
-
-    @model_validator(mode="after")
-    def _check_table_shape(self) -> TableSettings:
-        (first_name, first), (second_name, second), (name, rows) = self.__dict__.items()
-        for axis, lines in ((first_name, first), (second_name, second)):
-            if any(b <= a for a, b in pairwise(lines)):
-                raise ValueError(f"{axis} must increase from each grid line to the next")
-        if len(rows) != len(first) or any(len(row) != len(second) for row in rows):
-            raise ValueError(
-                f"{name} needs {len(first)} rows of {len(second)} values: a row for each line of "
-                f"{first_name}, a value for each of {second_name}"
-            )
-        return self
-
-    def table(self) -> CorrectionTable:
-        """Return the table as the kernels read it."""
-        first, second, rows = self.__dict__.values()
-        return CorrectionTable(first, second, tuple(chain.from_iterable(rows)))
-
-
-class PullSettings(TableSettings):
-    """A force that the model lacks, over the muscle's displacement and its load."""
-
-    displacement_m: Lines
-    load: Annotated[
-        Lines, Field(description="absolute pressure, Pa; a direct mechanism's force, N")
-    ]
-    pull_n: Annotated[tuple[tuple[float, ...], ...], Field(description="added to the pull")]
-
-
-class FlowSettings(TableSettings):
-    """A mass flow that the model lacks, over the valve's opening and the muscle's pressure."""
-
-    opening_v: Lines
-    pressure_pa: Annotated[Lines, Field(description="absolute")]
-    flow_kg_per_s: Annotated[tuple[tuple[float, ...], ...], Field(description="into the muscle")]
-
-
-class CorrectionSettings(Configured):
-    """Tables for errors that no known effect explains; they are not a cause."""
-
-    pull: PullSettings | None = None
-    flow: FlowSettings | None = None
-
-
 Deviation = Annotated[float, Field(ge=0, le=HUGE)]
 
 
@@ -236,10 +184,6 @@ class PlantSettings(Configured):
         TermsSettings,
         Field(description="what no effect of the catalogue is; `pamctl diagnose` describes it"),
     ] = TermsSettings()
-    correction: Annotated[
-        CorrectionSettings | None,
-        Field(description="tables for what no effect explains: --correction of `pamctl diagnose`"),
-    ] = None
     known: Annotated[
         tuple[str, ...],
         Field(
@@ -315,23 +259,13 @@ AXIS = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")
 
 def plant_parameters(settings: PlantSettings) -> PlantParameters:
     """Turn a plant file into the numbers that the kernels use."""
-    p = parameters_of(values_of(settings))
-    if settings.correction is None:
-        return p
-    pull, flow = settings.correction.pull, settings.correction.flow
-    return p._replace(
-        air_acts=p.air_acts or flow is not None,
-        mechanics_act=p.mechanics_act or pull is not None,
-        correction=Correction(
-            None if pull is None else pull.table(), None if flow is None else flow.table()
-        ),
-    )
+    return parameters_of(values_of(settings))
 
 
 def values_of(settings: PlantSettings) -> dict[str, float]:
     """Return a plant file as a flat mapping, without the effects that it leaves out.
 
-    The tables of a correction, and the names of known numbers, are not part of the mapping.
+    The names of known numbers are not part of the mapping.
     """
     values: dict[str, float] = settings.parameters.model_dump()
     if settings.actuator != "muscle":

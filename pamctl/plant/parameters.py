@@ -13,7 +13,6 @@ from pamctl.plant.chains import (
     add_force,
     make_rest_memories,
 )
-from pamctl.plant.correction_tables import Correction
 from pamctl.plant.effects.air.supply_ripple import ripple_pa
 from pamctl.plant.effects.friction.presliding import Bristles
 from pamctl.plant.terms.air_terms import LOWEST_SUPPLY_PA, pass_supply_term
@@ -69,7 +68,6 @@ class PlantParameters(NamedTuple):
     sensors_act: bool
     direct: bool
     """A measured force, and a piston if there is one, drive the mechanics instead of the muscle."""
-    correction: Correction = Correction()
     terms: Terms | None = None
     """None: a plant without terms does not compile them."""
 
@@ -88,7 +86,7 @@ class AirNow(NamedTuple):
     """What acts on the air over one step."""
 
     extra_kg_per_s: float
-    """Extra flow into the muscle, from effects and from the correction table."""
+    """Extra flow into the muscle, from effects and terms."""
     tank_pa: float
     """Absolute pressure of the supply, before it droops."""
 

@@ -6,7 +6,6 @@ import math
 
 from pamctl.plant.chains import add_flow
 from pamctl.plant.chamber import AirBegin, chamber_middle_pa, chamber_step
-from pamctl.plant.correction_tables import interpolate_table
 from pamctl.plant.mechanism import mechanism_step
 from pamctl.plant.paper.mechanics import mechanics_step
 from pamctl.plant.paper.pressure import middle_pressure_pa, pressure_step
@@ -93,19 +92,8 @@ def mechanics_block_step(
     the force (N).
     """
     if p.mechanics_act:
-        middle_m = position_m + 0.5 * step_s * velocity_m_per_s
-        load = middle_n if p.direct else middle_pa
-        extra_n = interpolate_table(p.correction.pull, middle_m, load)
         return mechanism_step(
-            p,
-            position_m,
-            velocity_m_per_s,
-            mechanics,
-            middle_pa,
-            middle_n,
-            extra_n,
-            age_s,
-            step_s,
+            p, position_m, velocity_m_per_s, mechanics, middle_pa, middle_n, age_s, step_s
         )
     end_m, end_v = mechanics_step(p.paper, position_m, velocity_m_per_s, middle_pa, step_s)
     return end_m, end_v, mechanics
@@ -143,8 +131,7 @@ def find_air_now(
 ) -> AirNow:
     """Return what acts on the air, with the extra flow at a point of the step."""
     opening_v = begin.opening_v
-    extra = interpolate_table(p.correction.flow, opening_v, begin.pressure_pa)
-    extra = add_flow(p.effects.air, extra, opening_v, pressure_pa, position_m, age_s)
+    extra = add_flow(p.effects.air, 0.0, opening_v, pressure_pa, position_m, age_s)
     gauge_pa = pressure_pa - p.paper.atmospheric_pressure_pa
     extra = add_flow_term(p.terms, extra, opening_v, gauge_pa, position_m, age_s)
     return AirNow(extra, find_tank_pa(p, age_s))

@@ -6,8 +6,8 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,9 +19,8 @@ from pamctl.control.filters import warp_cutoff
 from pamctl.control.law_registry import describe_law, law_of
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.kernel import build
-from pamctl.log.annotate.annotation import NOTHING_SAID, Annotation, annotate_meta
-from pamctl.log.naming import bare_name
-from pamctl.log.run_meta import RunMeta
+from pamctl.log.annotation import NOTHING_SAID, Annotation, annotate_meta
+from pamctl.log.run_meta import RunMeta, bare_name
 from pamctl.plain_text import escape_name
 from pamctl.processes.backends import (
     SHARED_MEMORY,
@@ -49,9 +48,6 @@ from pamctl.settings.resolve import RunSettings, resolve, settings_to_json, sett
 from pamctl.signals import list_tick_fields
 from pamctl.simulate.many_ticks import find_many_ticks
 
-LiveView = Callable[..., AbstractContextManager[None]]
-"""Serves live values inside a `with` block; `live_view("--ring", path)` names their source."""
-
 
 class FinishedRun(NamedTuple):
     """A run whose log is on disk."""
@@ -73,7 +69,6 @@ def run_once(
     names: dict[str, str],
     log: Path | None,
     progress: ProgressLine,
-    live_view: LiveView,
     *,
     quiet: bool,
     said: Annotation = NOTHING_SAID,
@@ -102,7 +97,6 @@ def run_once(
         finish_orphans(SHARED_MEMORY, quiet=quiet)
         with (
             Ring.create(new_ring_path(), meta, settings.rig.loop.ring_rows) as ring,
-            live_view("--ring", str(ring.path)),
             # Without a clock there is no moment to mark.
             open_mark_desk(path, wanted=not settings.fast) as desk,
             nullcontext("") if settings.fast else keep_awake() as risk,
@@ -238,8 +232,8 @@ def _compute_figures(
     figures = summarise_run(log, _find_shipped_experiment(settings, names["experiment"]))
     text = format_run_summary(figures, settings.controller.law)
     if ending.code in (ExitCode.SAFETY_TRIP, ExitCode.OVERRUNS):
-        from pamctl.log.flight import dump_last_seconds
-        from pamctl.log.paging.read_paged import read_paged
+        from pamctl.log.moments import dump_last_seconds
+        from pamctl.log.reader import read_paged
         from pamctl.new_file import NewFileError
 
         try:

@@ -7,9 +7,9 @@
         act(rig, decision)                     what a simulated rig does with the output
         rows[k] = ...                          the row of the ring
 
-The types of `rig` and `guide` choose `sense`, `act` and `ask`, in Python and in C. The loop calls
-it with n = 1 on the card, `--fast` and batches with many ticks of a simulated rig, a replay with
-all ticks of a stretch. As Python and as machine code it gives the same bits.
+The type of `rig` chooses `sense` and `act`, in Python and in C. The loop calls it with n = 1 on the
+card, `--fast` and batches with many ticks of a simulated rig, a replay with all ticks of a stretch.
+As Python and as machine code it gives the same bits.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def run_ticks(
     rig: Any,
     inner: Any,
     outer: Any,
-    guide: Any,
+    guide: Guide,
     rows: Any,
     n: int,
 ) -> tuple[LoopState, Any, Any, int]:
@@ -138,12 +138,6 @@ def act(
 ) -> tuple[Any, TickOutcome, Truth, bool]:
     """Return what the rig was told, what is known of it, and whether the run ends."""
     raise TypeError(f"{type(rig).__name__} is no rig for `run_ticks`")
-
-
-@singledispatch
-def ask(guide: Any, place: CoursePlace, t_s: float, k: int) -> tuple[CoursePlace, Reference]:
-    """Return the reference of tick `k`."""
-    raise TypeError(f"{type(guide).__name__} is no guide for `run_ticks`")
 
 
 # --- a rig that others read and write: one tick a call -----------------------------------------
@@ -310,62 +304,25 @@ def find_logged_output(
 # --- references --------------------------------------------------------------------------------
 
 
-class CourseGuide(NamedTuple):
-    """The course of `LoopState.place`, or a reference where there is none."""
+class Guide(NamedTuple):
+    """Where the references come from: the course of `LoopState.place`, a table, or outside."""
 
     given: Reference
+    """The reference of every tick where there is neither course nor table."""
     table: Any
-    """Rows of `pamctl.control.course_table`, one after the other."""
+    """The rows of a course, as `pamctl.control.course_table` packs them; or of each tick."""
+    has_each_tick: bool
+    """The table has the six numbers of a reference for each tick, one after the other."""
 
 
-@ask.register
-def follow_course(
-    guide: CourseGuide, place: CoursePlace, t_s: float, k: int
-) -> tuple[CoursePlace, Reference]:
-    """Kernel: follow the course; without one, return the reference that is given."""
+def ask(guide: Guide, place: CoursePlace, t_s: float, k: int) -> tuple[CoursePlace, Reference]:
+    """Kernel: return the reference of tick `k`, and the place in the course."""
+    table = guide.table
+    if guide.has_each_tick:
+        i = 6 * k
+        return place, Reference(
+            int(table[i]), table[i + 1], table[i + 2], table[i + 3], table[i + 4], table[i + 5]
+        )
     if place.segments == 0:
         return place, guide.given
-    return find_course_reference(place, guide.table, t_s)
-
-
-class TableGuide(NamedTuple):
-    """The reference of each tick, as columns of shape (n,)."""
-
-    phase: Any
-    reference_m: Any
-    reference_velocity_m_per_s: Any
-    reference_acceleration_m_per_s2: Any
-    reference_jerk_m_per_s3: Any
-    reference_valve_v: Any
-
-
-@ask.register
-def read_reference(
-    guide: TableGuide, place: CoursePlace, t_s: float, k: int
-) -> tuple[CoursePlace, Reference]:
-    """Kernel: read the reference of a tick."""
-    return place, Reference(
-        guide.phase[k],
-        guide.reference_m[k],
-        guide.reference_velocity_m_per_s[k],
-        guide.reference_acceleration_m_per_s2[k],
-        guide.reference_jerk_m_per_s3[k],
-        guide.reference_valve_v[k],
-    )
-
-
-class RowsGuide(NamedTuple):
-    """The reference of each tick, as an array of shape (n, 6)."""
-
-    rows: Any
-
-
-@ask.register
-def read_row(
-    guide: RowsGuide, place: CoursePlace, t_s: float, k: int
-) -> tuple[CoursePlace, Reference]:
-    """Kernel: read the reference of a tick."""
-    rows = guide.rows
-    return place, Reference(
-        int(rows[k, 0]), rows[k, 1], rows[k, 2], rows[k, 3], rows[k, 4], rows[k, 5]
-    )
+    return find_course_reference(place, table, t_s)

@@ -21,7 +21,7 @@ from pamctl.realtime.clock import Wake
 from pamctl.realtime.keyframe import freeze_state
 from pamctl.realtime.run_ticks import (
     NOWHERE,
-    CourseGuide,
+    Guide,
     LoopState,
     Nothing,
     OpenRig,
@@ -73,7 +73,7 @@ class TickRunner:
         self.setup = setup
         """The set-up of the last tick, or of the next one."""
         self._course: Course | None = None
-        self.guide = CourseGuide(NOWHERE, _NO_TABLE)
+        self.guide = Guide(NOWHERE, _NO_TABLE, False)
         """Where the references come from."""
         self._wake = Wake(0, 0, 0, 0)
         self.follows = False
@@ -182,7 +182,7 @@ class TickRunner:
             self._take_course(
                 course, CoursePlace(len(course.segments), 0, begin_s, course.duration_s)
             )
-            self._put_guide(CourseGuide(NOWHERE, course.table))
+            self._put_guide(Guide(NOWHERE, course.table, False))
         self._use_setup(setup)
         self.follows = True
 
@@ -199,14 +199,14 @@ class TickRunner:
         self._use_setup(setup)
         if self._course is not None:
             self._take_course(None, NO_COURSE)
-        self._put_guide(CourseGuide(reference, _NO_TABLE))
+        self._put_guide(Guide(reference, _NO_TABLE, False))
         self._run(wake, raw)
 
     def _take_course(self, course: Course | None, place: CoursePlace) -> None:
         self._course = course
         self.call.put("loop", self.loop._replace(place=place))
 
-    def _put_guide(self, guide: CourseGuide) -> None:
+    def _put_guide(self, guide: Guide) -> None:
         self.guide = guide
         self.call.put("guide", guide)
 

@@ -15,8 +15,8 @@ from pathlib import Path
 from time import monotonic_ns
 from typing import NamedTuple
 
-from pamctl.log.framing import LogError, map_log_file
-from pamctl.log.repair.recover import LogCopy, Recovery, sign_recovery
+from pamctl.log.framing import LogError
+from pamctl.log.recover import LogCopy, Recovery, sign_recovery
 from pamctl.log.writer import LogWriter
 from pamctl.recording.ring import RecorderFlag, Ring
 from pamctl.recording.rows import RowLogger
@@ -97,10 +97,9 @@ def _finish(ring: Ring) -> Recovery:
         target = _unused(target)
     with _replacing(target, ring) as stream:
         writer = LogWriter(stream)
+        copy = LogCopy(target if has_part and target.stat().st_size else None)
+        copy.write(writer)
         rows = RowLogger(writer, ring.meta)
-        copy = LogCopy(writer)
-        if has_part and target.stat().st_size:
-            copy.file(map_log_file(target))
         rows.last_tick, rows.last_row = copy.last_tick, copy.last_row
         rest = ring.drain(ring.rows)
         rows.write(rest)

@@ -6,7 +6,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from pamctl.exit_codes import ExitCode
-from pamctl.log.naming import bare_name, make_dated_path
+from pamctl.log.run_meta import bare_name, make_dated_path
 
 _LOG_DIRECTORY = Path("logs")
 

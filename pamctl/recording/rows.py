@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.json_text import from_json, to_json
-from pamctl.log.container import make_message_record, make_message_records
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import EVENT_TOPIC, GAINS_TOPIC, KEYFRAME_TOPIC, TICK_TOPIC
-from pamctl.log.wire import TickLayout
+from pamctl.log.wire import TickLayout, make_message_record, make_message_records
 from pamctl.log.writer import LogWriter, begin_log
 from pamctl.recording.ring import ROW_BYTES, ROW_HEADER, Entry, RowBatch, RowKind
 from pamctl.signals import Field

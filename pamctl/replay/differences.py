@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.replay.tolerance import Tolerance, Tolerances
+from pamctl.replay.tolerance import Tolerances
 
 Floats = NDArray[np.float64]
 
@@ -28,7 +28,6 @@ STAGES = (
 """
 
 _AROUND = 3
-_EXACTLY = Tolerance(0.0)
 
 
 class StageField(NamedTuple):
@@ -74,7 +73,7 @@ class Differences:
     def take(self, place: StageField, tick: int, logged: Floats, replayed: Floats) -> None:
         """Compare a field from tick `tick` on; both arrays have shape (n,)."""
         self.compared[place] = None
-        wrong = find_differing(logged, replayed, self._tolerances.get(place.name, _EXACTLY))
+        wrong = find_differing(logged, replayed, self._tolerances.get(place.name, 0.0))
         if wrong is not None:
             self._note(place, tick, logged, replayed, wrong)
         else:
@@ -116,7 +115,7 @@ class Differences:
 
 
 def find_differing(
-    logged: Floats, replayed: Floats, tolerance: Tolerance = _EXACTLY
+    logged: Floats, replayed: Floats, tolerance: float = 0.0
 ) -> NDArray[np.bool_] | None:
     """Tell for each of n values whether the two are too far apart; None if none are."""
     same_bits = logged.view(np.int64) == replayed.view(np.int64)
@@ -124,10 +123,9 @@ def find_differing(
         return None
     both_nan = np.isnan(logged) & np.isnan(replayed)
     wrong = ~(same_bits | both_nan)
-    if tolerance != _EXACTLY:
+    if tolerance:
         with np.errstate(invalid="ignore"):
-            apart = np.abs(logged - replayed)
-            wrong &= ~(apart <= tolerance.absolute + tolerance.relative * np.abs(logged))
+            wrong &= ~(np.abs(logged - replayed) <= tolerance)
     return wrong if wrong.any() else None
 
 
@@ -146,8 +144,8 @@ def _make_pairs(
 
 
 def are_within_tolerance(tolerances: Tolerances, differences: Iterable[Difference]) -> bool:
-    """Tell whether these absolute tolerances would accept all of the differences."""
+    """Tell whether these tolerances would accept all of the differences."""
     return all(
-        difference.largest <= tolerances.get(difference.place.name, _EXACTLY).absolute
+        difference.largest <= tolerances.get(difference.place.name, 0.0)
         for difference in differences
     )

@@ -15,7 +15,7 @@ from pamctl.log.schema import CUT
 from pamctl.realtime.keyframe import thaw_state
 from pamctl.realtime.tick import TickState, first_state
 from pamctl.replay.replay_source import GainChange, NotReplayable, ReplaySource
-from pamctl.replay.stretch import REPLAYED_FIELDS, TickInputs
+from pamctl.replay.stretch import REPLAY_INPUTS, REPLAYED_FIELDS
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.problems import ConfigError
 from pamctl.settings.resolve import (
@@ -83,7 +83,7 @@ def _require_law(log: Log) -> None:
 
 
 def _require_columns(log: Log) -> None:
-    needed = (*TickInputs._fields, "valve_v", "applied_v")
+    needed = (*REPLAY_INPUTS, "valve_v", "applied_v")
     missing = [name for name in needed if name not in log.columns]
     if missing:
         raise NotReplayable(

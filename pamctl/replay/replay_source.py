@@ -10,6 +10,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hal.calibration import Zero
 from hal.converter import Output
@@ -18,7 +19,7 @@ from pamctl.exit_codes import ExitCode
 from pamctl.log import Log
 from pamctl.realtime.gain_ramp import GainRamp
 from pamctl.realtime.tick import TickSetup, TickState, first_state, rezero_state
-from pamctl.replay.stretch import TickInputs, slice_inputs
+from pamctl.replay.stretch import REPLAY_INPUTS
 from pamctl.settings.build import build_tick_setup, output_of
 from pamctl.settings.resolve import RunSettings
 
@@ -71,7 +72,7 @@ class ReplaySource:
     law_change: str
     """How the law's source differs from the one that made the log; empty if it does not."""
     cut: Mapping[str, str]
-    """Of what the log is a piece (`pamctl.log.cutting`); empty for a whole log."""
+    """Of what the log is a piece (`pamctl.log.cut`); empty for a whole log."""
     losses: frozenset[int]
     """Ticks with a loss before them: the run did not miss those ticks, but the log lost them."""
 
@@ -79,9 +80,9 @@ class ReplaySource:
         """Return the number of ticks."""
         return len(self.log)
 
-    def inputs(self, begin: int, end: int) -> TickInputs:
-        """Return the inputs of the ticks from `begin` to before `end`."""
-        return slice_inputs(self.log.columns, begin, end)
+    def inputs(self, begin: int, end: int) -> dict[str, NDArray[Any]]:
+        """Return the columns `REPLAY_INPUTS` of the ticks from `begin` to before `end`."""
+        return {name: self.log.columns[name][begin:end] for name in REPLAY_INPUTS}
 
     def cut_stretches(self, begin: int) -> list[tuple[int, int]]:
         """Cut the ticks from `begin` on wherever state or gains change, or a state is known."""

@@ -9,7 +9,7 @@ from pamctl.control.filters import UNPRIMED
 from pamctl.control.law_registry import installed_laws
 from pamctl.realtime.keyframe import freeze_state, keyframe_fields
 from pamctl.realtime.tick import TickState
-from pamctl.replay.differences import Differences, Floats, StageField, find_differing
+from pamctl.replay.differences import Differences, Floats, StageField
 from pamctl.replay.program_replay import ProgramAnswer, ProgramReplay
 from pamctl.replay.replay_source import ReplaySource
 from pamctl.replay.stretch import APPLIED_ROW, REPLAYED_FIELDS, replay_stretch
@@ -53,7 +53,6 @@ class TickReplay:
         self._program = ProgramReplay(recording, begin, plain=plain)
         self._state = recording.keyframes.get(begin - 1)
         self._plain = plain
-        self._parted = False
 
     def take(self, begin: int, end: int) -> None:
         """Replay a stretch and compare it with the log."""
@@ -80,28 +79,12 @@ class TickReplay:
         inputs = recording.inputs(begin, end)
         after, rows = replay_stretch(setup, recording.output, state, inputs, plain=self._plain)
         self._forget_failed_writes(rows, begin, end)
-        if not self._plain and not self._parted and self._differs(after, rows, begin, end):
-            after, rows = replay_stretch(setup, recording.output, state, inputs, plain=True)
-            self._forget_failed_writes(rows, begin, end)
-            # After the first real difference, the compiled tick is exact enough.
-            self._parted = self._differs(after, rows, begin, end)
         return after, rows
 
     def _forget_failed_writes(self, rows: Floats, begin: int, end: int) -> None:
         """Set the output of failed writes to NaN, as in the log: what was applied is unknown."""
         failed = np.isnan(self._read_logged("applied_v", begin, end))
         rows[APPLIED_ROW, failed] = np.nan
-
-    def _differs(self, after: TickState, rows: Floats, begin: int, end: int) -> bool:
-        keyframe = self._recording.keyframes.get(end - 1)
-        return any(
-            find_differing(self._read_logged(field.name, begin, end), row) is not None
-            for field, row in zip(REPLAYED_FIELDS, rows, strict=True)
-            if field.name in self._recording.log.columns
-        ) or (
-            keyframe is not None
-            and find_differing(self._read_memory(keyframe), self._read_memory(after)) is not None
-        )
 
     def _compare_answer(self, answer: ProgramAnswer, begin: int, end: int) -> None:
         for name, row in zip(_REFERENCE, answer.references, strict=True):

@@ -1,4 +1,4 @@
-"""How far a replayed field may differ from the log: not at all, unless the user allows it.
+"""How far a replayed field may differ from the log: not at all, or by another CPU's rounding.
 
 On the machine that made a log, every field must be equal to the bit. Another CPU or C library
 may round `tan`, `pow` and `acos` differently in the last bit: IEEE 754 prescribes only the four
@@ -14,26 +14,10 @@ flags.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from difflib import get_close_matches
-from pathlib import Path
-from typing import Annotated, NamedTuple
+from collections.abc import Mapping
 
-from pydantic import Field, TypeAdapter
-
-from hal.configured import Configured
-from pamctl.settings.problems import ConfigError, Problem
-from pamctl.settings.resolve import RawSettings, validate_settings
-
-
-class Tolerance(NamedTuple):
-    """A replayed value may differ by `absolute + relative * |logged|` from the logged one."""
-
-    absolute: float
-    relative: float = 0.0
-
-
-Tolerances = Mapping[str, Tolerance]
+Tolerances = Mapping[str, float]
+"""The largest permitted difference by field, in its unit."""
 
 EXACT: Tolerances = {}
 """Every field equal to the bit; NaN equals NaN."""
@@ -42,68 +26,33 @@ OTHER_CPU_NAME = "default-for-other-cpu"
 """The name of `OTHER_CPU` on the command line."""
 
 OTHER_CPU: Tolerances = {
-    name: Tolerance(absolute)
-    for name, absolute in {
-        "position_filtered_m": 1e-14,
-        "error_m": 1e-14,
-        "error_rate_m_per_s": 1e-11,
-        "error_acceleration_m_per_s2": 1e-8,
-        "surface_m_per_s2": 1e-8,
-        "command_v": 1e-9,
-        "equivalent_v": 1e-9,
-        "robust_v": 1e-9,
-        "valve_v": 1e-9,
-        # A command between two codes of the output may be rounded to either.
-        "applied_v": 20.0 / 65536.0,
-        "filters.position.pole": 1e-14,
-        "filters.position.pair_rate": 1e-14,
-        "filters.position.pair_level": 1e-14,
-        "filters.rate.pole": 1e-11,
-        "filters.rate.pair_rate": 1e-11,
-        "filters.rate.pair_level": 1e-11,
-        "filters.acceleration.pole": 1e-8,
-        "filters.acceleration.pair_rate": 1e-8,
-        "filters.acceleration.pair_level": 1e-8,
-        "filters.error_m": 1e-14,
-        "filters.error_rate_m_per_s": 1e-11,
-        "law.absement_m_s": 1e-15,
-        "safety.valve_v": 1e-9,
-        "safety.model_pressure_pa": 1e-6,
-    }.items()
+    "position_filtered_m": 1e-14,
+    "error_m": 1e-14,
+    "error_rate_m_per_s": 1e-11,
+    "error_acceleration_m_per_s2": 1e-8,
+    "surface_m_per_s2": 1e-8,
+    "command_v": 1e-9,
+    "equivalent_v": 1e-9,
+    "robust_v": 1e-9,
+    "valve_v": 1e-9,
+    # A command between two codes of the output may be rounded to either.
+    "applied_v": 20.0 / 65536.0,
+    "filters.position.pole": 1e-14,
+    "filters.position.pair_rate": 1e-14,
+    "filters.position.pair_level": 1e-14,
+    "filters.rate.pole": 1e-11,
+    "filters.rate.pair_rate": 1e-11,
+    "filters.rate.pair_level": 1e-11,
+    "filters.acceleration.pole": 1e-8,
+    "filters.acceleration.pair_rate": 1e-8,
+    "filters.acceleration.pair_level": 1e-8,
+    "filters.error_m": 1e-14,
+    "filters.error_rate_m_per_s": 1e-11,
+    "law.absement_m_s": 1e-15,
+    "safety.valve_v": 1e-9,
+    "safety.model_pressure_pa": 1e-6,
 }
 """About a thousand times the effect of one wrong last bit in each of these functions, in runs of
 40 s under every law. For comparison: a hundredth of an encoder count is 3e-8 m.
 `tests/replay/test_replay.py` checks the golden logs with such functions.
 """
-
-
-class ToleranceSettings(Configured):
-    """One field of a tolerance file."""
-
-    absolute: Annotated[float, Field(ge=0, description="in the field's unit")] = 0.0
-    relative: Annotated[float, Field(ge=0, description="of the logged value")] = 0.0
-
-
-_FILE: TypeAdapter[dict[str, ToleranceSettings]] = TypeAdapter(dict[str, ToleranceSettings])
-
-
-def read_tolerances(path: Path, fields: Collection[str]) -> Tolerances:
-    """Read a tolerance file: `field: {absolute: 1e-9, relative: 0}`, for these fields.
-
-    Raises ConfigError.
-    """
-    raw = RawSettings.read(path)
-    unknown = [name for name in raw.data if name not in fields]
-    if unknown:
-        raise ConfigError(
-            Problem(raw.origin((name,)), name, _explain_not_compared(name, fields))
-            for name in unknown
-        )
-    found = validate_settings(_FILE, raw)
-    return {name: Tolerance(one.absolute, one.relative) for name, one in found.items()}
-
-
-def _explain_not_compared(name: str, fields: Collection[str]) -> str:
-    near = get_close_matches(name, fields, n=1)
-    hint = f"; did you mean '{near[0]}'?" if near else ""
-    return f"a replay compares no field of this name{hint}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pamctl.log import Log
+from pamctl.log.measured_signals import judge_ticks
 from pamctl.report.filter_section import write_filtering
 from pamctl.report.frequency_section import write_frequency_response
 from pamctl.report.html_page import Page
@@ -21,11 +22,25 @@ from pamctl.report.summary_section import write_summary
 from pamctl.report.timing_section import write_timing
 
 
-def compose_report(logs: Sequence[Log]) -> Page:
-    """Return the page of at least one log; missing data are left out or mentioned."""
+def find_doubts(log: Log) -> list[str]:
+    """Return what is doubtful in the ticks of a log; raise LogError if a page would be wrong."""
+    if len(log) > 1:
+        return judge_ticks(log, may_lack=True)
+    return [f"holds {'one tick' if len(log) else 'no ticks'}: the run ended at once"]
+
+
+def compose_report(logs: Sequence[Log], doubts: Sequence[Sequence[str]] | None = None) -> Page:
+    """Return the page of at least one log; missing data are left out or mentioned.
+
+    `doubts` has what `find_doubts` says of each log, if it is known.
+    """
+    doubts = [find_doubts(log) for log in logs] if doubts is None else doubts
     runs = name_runs(logs)
     page = Page(_make_title(runs), ", ".join(str(run.log.path.name) for run in runs))
     write_summary(page, runs)
+    for run, found in zip(runs, doubts, strict=True):
+        for doubt in found if len(run) > 1 else ():
+            page.note(f"Doubtful in {run.name}: {doubt}.", kind="bad")
     if len(runs) > 1:
         write_differences(page, runs)
     measured = [run for run in runs if len(run)]

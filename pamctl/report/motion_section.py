@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from pamctl.log.annotate.moments import Moment
+from pamctl.log.moments import Moment
 from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot, plot_apart
 from pamctl.report.html_page import Page
 from pamctl.report.reported_run import ReportedRun, law_name, paper_rows

@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 
 from pamctl.json_text import to_json
-from pamctl.log.changed_gains import list_gain_changes
+from pamctl.log.moments import list_gain_changes
 from pamctl.plain_text import clean_text
 from pamctl.report.html_page import Page
 from pamctl.report.reported_run import ReportedRun

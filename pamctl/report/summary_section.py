@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from pamctl.exit_codes import ExitCode
-from pamctl.log.annotate.annotation import ANNOTATION, Annotation
-from pamctl.log.changed_gains import describe_running_changes, spell_controller
+from pamctl.log.annotation import ANNOTATION, Annotation
+from pamctl.log.moments import describe_running_changes, spell_controller
 from pamctl.report.html_page import Page
 from pamctl.report.reported_run import ReportedRun, law_name, paper_rows
 from pamctl.simulate.merit import Merit, compute_merit

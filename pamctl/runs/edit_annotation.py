@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from pamctl.log.annotate.annotation import Annotation
-from pamctl.log.annotate.append_metadata import write_annotation
-from pamctl.log.annotate.read_annotation import read_annotation
+from pamctl.log.annotate import read_annotation, write_annotation
+from pamctl.log.annotation import Annotation
 from pamctl.runs.run_index import RunIndex
 from pamctl.runs.run_row import read_row
 

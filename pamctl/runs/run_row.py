@@ -15,13 +15,11 @@ from typing import Any
 import numpy as np
 
 from pamctl.exit_codes import EMERGENCY_STOP, ExitCode
-from pamctl.log.annotate.annotation import ANNOTATION, SWEEP, Annotation
-from pamctl.log.contents import Contents
+from pamctl.log.annotation import ANNOTATION, SWEEP, Annotation
 from pamctl.log.framing import LogError
-from pamctl.log.naming import bare_name
-from pamctl.log.reader import scan_log
+from pamctl.log.reader import Scan
+from pamctl.log.run_meta import bare_name
 from pamctl.log.schema import EVENT_TOPIC, TICK_TOPIC
-from pamctl.log.ticks import TickColumns
 from pamctl.plain_text import clean_text, escape_name
 from pamctl.safety import explain_verdicts
 from pamctl.signals import find_followed_m
@@ -107,14 +105,13 @@ def read_row(path: Path) -> RunRow:
     """
     stat = path.stat()
     bare = RunRow(path.name, stat.st_size, stat.st_mtime_ns, when_s=_date_file(path, stat.st_mtime))
-    ticks = TickColumns()
-    contents = Contents((TICK_TOPIC, EVENT_TOPIC), ticks.take, _FIELDS)
     try:
-        damage = scan_log(path, contents)
-        if contents.ticks is None:
+        scan = Scan(path, (TICK_TOPIC, EVENT_TOPIC), _FIELDS).run()
+        if scan.ticks is None:
+            damage = scan.damage
             why = f"it has no ticks: {damage}" if damage else f"it has no channel {TICK_TOPIC}"
             return replace(bare, reason=why)
-        return _describe_run(bare, contents, ticks, str(damage or ""))
+        return _describe_run(bare, scan)
     except LogError as error:
         return replace(bare, reason=escape_name(str(error)))
     # A foreign file may be wrong in any way; it must not hide the others.
@@ -122,26 +119,24 @@ def read_row(path: Path) -> RunRow:
         return replace(bare, reason=escape_name(f"{type(error).__name__}: {error}"))
 
 
-def _describe_run(bare: RunRow, contents: Contents, ticks: TickColumns, damage: str) -> RunRow:
-    assert contents.ticks is not None
-    columns = ticks.columns({n: c for n, c in contents.ticks.none.items() if n in _FIELDS})
-    run, said = contents.metadata.get("run", {}), contents.metadata.get(ANNOTATION, {})
-    events = contents.values[EVENT_TOPIC]
+def _describe_run(bare: RunRow, scan: Scan) -> RunRow:
+    run, said = scan.metadata.get("run", {}), scan.metadata.get(ANNOTATION, {})
+    events = scan.values[EVENT_TOPIC]
     config: dict[str, Any] = {}
     with suppress(LogError):
-        config = contents.config()
+        config = scan.config()
     words: dict[str, Any] = {key: bare_name(clean_text(run.get(key, ""))) for key in _NAMES}
-    row = replace(bare, **words, **_measure(columns), **_judge_ending(events, contents, damage))
+    row = replace(bare, **words, **_measure(scan.columns()), **_judge_ending(scan))
     annotation = Annotation.from_metadata(said)
     return replace(
         row,
-        when_s=_find_start_s(contents, bare.when_s),
+        when_s=_find_start_s(scan, bare.when_s),
         tags=annotation.tags,
         note=annotation.note,
         operator=annotation.operator,
         sample=annotation.sample,
         marks=_join_marks(events),
-        sweep=_read_sweep(contents.metadata.get(SWEEP, {})),
+        sweep=_read_sweep(scan.metadata.get(SWEEP, {})),
         gains=_collect_gains(config),
     )
 
@@ -168,12 +163,12 @@ def _measure(columns: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _judge_ending(events: list[dict[str, Any]], contents: Contents, damage: str) -> dict[str, Any]:
-    if damage:
-        return {"ending": UNFINISHED, "reason": damage}
-    if contents.is_imported:
+def _judge_ending(scan: Scan) -> dict[str, Any]:
+    if scan.damage:
+        return {"ending": UNFINISHED, "reason": str(scan.damage)}
+    if scan.is_imported:
         return {"ending": IMPORTED}
-    outcome = next((e for e in reversed(events) if e.get("event") == "outcome"), None)
+    outcome = scan.outcome
     if outcome is None:
         return {"ending": UNFINISHED, "reason": "the log does not say how the run ended"}
     code = int(outcome["code"])
@@ -188,12 +183,12 @@ def _join_marks(events: list[dict[str, Any]]) -> str:
     return "; ".join(texts[:_MOST_MARKS])
 
 
-def _find_start_s(contents: Contents, otherwise_s: float) -> float:
-    start = contents.metadata.get("pamctl", {}).get("start", "")
+def _find_start_s(scan: Scan, otherwise_s: float) -> float:
+    start = scan.metadata.get("pamctl", {}).get("start", "")
     with suppress(ValueError):
         began = datetime.fromisoformat(start)
         began_s = (began if began.tzinfo else began.replace(tzinfo=UTC)).timestamp()
-        if began_s > _OWN_CLOCK_S and not contents.is_imported:
+        if began_s > _OWN_CLOCK_S and not scan.is_imported:
             return began_s
     return otherwise_s
 

@@ -174,13 +174,8 @@ class DaemonRig(SteeredRig):
         gains: dict[str, Any] = self._ask("set", changes=changes, ramp_s=float(ramp_s))
         return gains
 
-    def _load_gains(
-        self, data: dict[str, Any], name: str, ramp_s: float, trial_s: float | None
-    ) -> dict[str, Any]:
-        asked = {"controller": data, "name": name, "ramp_s": float(ramp_s)}
-        if trial_s is not None:
-            asked["trial_s"] = float(trial_s)
-        gains: dict[str, Any] = self._ask("load", **asked)
+    def _load_gains(self, data: dict[str, Any], name: str, ramp_s: float) -> dict[str, Any]:
+        gains: dict[str, Any] = self._ask("load", controller=data, name=name, ramp_s=float(ramp_s))
         return gains
 
     def _wait_for_end(self) -> Path:

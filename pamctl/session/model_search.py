@@ -64,7 +64,7 @@ def find_gains(
     from pamctl.tune.gains_trial import GainsTrial
 
     with translate_errors():
-        jury = Jury((), 1.0, tuple(make_fixed_members([("plant", _read_plant(plant))])))
+        jury = Jury((), tuple(make_fixed_members([("plant", _read_plant(plant))])))
         near = None if start is None else dict(start)
         search = GainsSearch(law, jury, seed, near, trial=GainsTrial("short"))
         for generation in range(max(1, generations)):

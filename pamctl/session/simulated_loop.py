@@ -16,7 +16,7 @@ from queue import SimpleQueue
 from typing import Any, NamedTuple
 
 from pamctl.exit_codes import EMERGENCY_STOP, Ending, ExitCode
-from pamctl.log.naming import bare_name, make_dated_path
+from pamctl.log.run_meta import bare_name, make_dated_path
 from pamctl.processes.backends import build_clock, build_rig, require_backend
 from pamctl.processes.run_once import make_run_meta, new_ring_path
 from pamctl.realtime.loop import ControlLoop

@@ -21,7 +21,7 @@ from pamctl.daemon.requested_settings import (
 )
 from pamctl.daemon.service import DaemonState
 from pamctl.exit_codes import EMERGENCY_STOP, ExitCode
-from pamctl.log.naming import file_safe_name
+from pamctl.log.run_meta import file_safe_name
 from pamctl.new_file import require_folder
 from pamctl.session.pamctl_error import PamctlError, translate_errors
 from pamctl.session.simulated_loop import SimulatedLoop, is_at_rest_at, is_resting
@@ -248,9 +248,7 @@ class SimulatedRig(SteeredRig):
     def _change_gains(self, changes: list[str], ramp_s: float) -> dict[str, Any]:
         return self._tune(change_gains(self._settings, changes), ramp_s)
 
-    def _load_gains(
-        self, data: dict[str, Any], name: str, ramp_s: float, _: float | None
-    ) -> dict[str, Any]:
+    def _load_gains(self, data: dict[str, Any], name: str, ramp_s: float) -> dict[str, Any]:
         gains = self._tune(load_controller(self._settings, data, name), ramp_s)
         self._names["controller"] = name
         return gains

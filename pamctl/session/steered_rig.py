@@ -120,21 +120,18 @@ class SteeredRig(ABC):
         controller: str | Path | Mapping[str, Any],
         *,
         ramp_s: float = DEFAULT_RAMP_S,
-        trial_s: float | None = None,
     ) -> dict[str, Any]:
         """Take the gains of a controller: a shipped name, a file, or its keys; return all gains.
 
-        Another law can be loaded only between runs. With `trial_s` a daemon takes the gains from
-        before again as soon as nothing has run for that long, unless gains are loaded or changed
-        meanwhile: also if this process is killed.
+        Another law can be loaded only between runs.
         """
-        from pamctl.log.naming import file_safe_name
+        from pamctl.log.run_meta import file_safe_name
 
         with translate_errors():
             if isinstance(controller, Mapping):
-                return self._load_gains(dict(controller), "session", ramp_s, trial_s)
+                return self._load_gains(dict(controller), "session", ramp_s)
             data = _read_section("controller", str(controller))
-            return self._load_gains(data, file_safe_name(str(controller)), ramp_s, trial_s)
+            return self._load_gains(data, file_safe_name(str(controller)), ramp_s)
 
     @property
     def gains(self) -> dict[str, Any]:
@@ -220,9 +217,7 @@ class SteeredRig(ABC):
     def _change_gains(self, changes: list[str], ramp_s: float) -> dict[str, Any]: ...
 
     @abstractmethod
-    def _load_gains(
-        self, data: dict[str, Any], name: str, ramp_s: float, trial_s: float | None
-    ) -> dict[str, Any]: ...
+    def _load_gains(self, data: dict[str, Any], name: str, ramp_s: float) -> dict[str, Any]: ...
 
     @abstractmethod
     def _stop_own_run(self) -> None:
@@ -230,7 +225,7 @@ class SteeredRig(ABC):
 
     def _read(self, experiment: AskedExperiment, name: str | None) -> tuple[dict[str, Any], str]:
         """Return the checked keys of an experiment, and its name."""
-        from pamctl.log.naming import file_safe_name
+        from pamctl.log.run_meta import file_safe_name
 
         if isinstance(experiment, str | Path):
             with translate_errors():

@@ -209,8 +209,17 @@ def _explain_key(kind: str, parent: _Place, key: str | int, title: str) -> _Comp
     if (title, *at) in {(key, key), ("", key, key)}:
         message = f"unknown key; the keys of a {key} file have no heading"
         return _Complaint(at, message=message)
+    if gone := _GONE.get((title, *at) if title else at):
+        return _Complaint(at, message=f"unknown key: {gone}")
     meant, hint = _guess_key(key, parent.names())
     return _Complaint(at, message=f"unknown key{hint}", meant=(*parent.at, meant))
+
+
+_GONE: Mapping[KeyPath, str] = {
+    ("plant", "correction"): "tables without a name are gone; run `pamctl diagnose` again, which "
+    "describes what no effect explains as a term, or delete the key to go on without the table",
+}
+"""What to do about keys that older versions had, by section and key."""
 
 
 def _explain_tag(place: _Place, tag: str, given: Any) -> _Complaint:

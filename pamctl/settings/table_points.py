@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.control.references.forms import MOST_ROWS
-from pamctl.log.importing.csv_table import read_csv
+from pamctl.log.importing.file_formats import read_table
 from pamctl.log.importing.measured_table import ImportRefused, MeasuredTable
 from pamctl.log.importing.quantities import TIME, UNITS, ColumnReading, parse_column_name
 from pamctl.regular_file import describe_irregular_file
@@ -38,8 +38,8 @@ def _put_points(table: dict[str, Any], path: Path) -> None:
     )
     every = table.get("every", 1)
     step = every if isinstance(every, int) and every > 0 else 1
-    t_s = time.to_si(columns[time.column])
-    values = value.to_si(columns[value.column]) / UNITS[quantity][unit]
+    t_s = time.to_si(_read_numbers(columns, time))
+    values = value.to_si(_read_numbers(columns, value)) / UNITS[quantity][unit]
     if len(t_s) != len(values):
         raise ValueError(f"{path}: {len(t_s)} times, but {len(values)} values")
     _require_points(path, t_s, values, columns.rows)
@@ -67,12 +67,7 @@ def _read_columns(path: Path) -> MeasuredTable:
             f"{path} has {size_mb:.0f} MB, more than {LARGEST_FILE / 1e6:.0f}; a table takes "
             f"{MOST_ROWS} points at most"
         )
-    if path.suffix.lower() == ".csv":
-        return read_csv(path)
-    # SciPy is slow to load, and a CSV file does not need it.
-    from pamctl.log.importing.mat_table import read_mat
-
-    return read_mat(path)
+    return read_table(path)
 
 
 def _choose_column(
@@ -83,20 +78,30 @@ def _choose_column(
     if unit is not None and unit not in units:
         raise ValueError(f"the unit {unit!r} is none of {', '.join(units)}")
     if wanted is not None:
-        _ = columns[wanted]
+        _ = columns.find(wanted)
         named = parse_column_name(wanted)
         if unit is None and named is not None and named.quantity == quantity:
             return named
         if unit is None and quantity != TIME:
             raise ValueError(f"the name of {wanted!r} states no unit; give unit")
         return ColumnReading(quantity, wanted, unit or "s")
-    named_so = [parse_column_name(name, columns.called.get(name, "")) for name in columns.columns]
+    named_so = [
+        parse_column_name(one.name) or parse_column_name(one.name, one.called)
+        for one in columns.columns
+    ]
     found = [reading for reading in named_so if reading and reading.quantity == quantity]
     if len(found) != 1:
-        listed = ", ".join(columns.columns)
+        listed = ", ".join(one.name for one in columns.columns)
         how_many = "no column's name states" if not found else "more than one column's name states"
         raise ValueError(f"{how_many} this quantity with its unit: {listed}; give {key}")
     return found[0] if unit is None else ColumnReading(quantity, found[0].column, unit)
+
+
+def _read_numbers(columns: MeasuredTable, reading: ColumnReading) -> Floats:
+    column = columns.find(reading.column)
+    if column.bad_cell or column.is_text:
+        raise ValueError(f"{column.bad_cell or column.name + ' holds words'}, but must be a number")
+    return column.values
 
 
 def _require_points(path: Path, t_s: Floats, values: Floats, rows: NDArray[np.int64]) -> None:

@@ -23,7 +23,8 @@ from pamctl.kernel.layout import Rows
 from pamctl.plant.parameters import PlantParameters, vented_state
 from pamctl.plant.simulated import LONGEST_STEP_S, OnTheWay, make_line
 from pamctl.realtime.run_ticks import (
-    RowsGuide,
+    NOWHERE,
+    Guide,
     SimulatedOutput,
     SimulatedState,
     VirtualRig,
@@ -35,6 +36,7 @@ from pamctl.realtime.tick_runner import UPDATES
 from pamctl.recording.ring import TickRow, make_rows
 from pamctl.recording.rows import row_dtype
 from pamctl.signals import Reference, list_tick_fields
+from pamctl.simulate.many_ticks import draw_deviates
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -88,8 +90,7 @@ def tabulate_references(
 
 def draw_sensor_noise(ticks: int, seed: int) -> Floats:
     """Draw the same noise as a simulated rig with this seed."""
-    gauss = random.Random(seed).gauss
-    return np.array([gauss(0.0, 1.0) for _ in range(ticks)])
+    return np.array(draw_deviates(random.Random(seed), ticks))
 
 
 def simulate(
@@ -109,7 +110,7 @@ def simulate(
     """
     ticks, period_ns = len(reference), round(period_s * 1e9)
     rows = np.empty((ticks, len(BatchRow._fields)))
-    reference = np.ascontiguousarray(reference)
+    references = np.ascontiguousarray(reference).ravel()
     buffer = make_rows(setup.compensation is not None, _CHUNK, None)
     zero = chain.zero._replace(encoder_zero_counts=math.floor(chain.zero[1]) + 0.0)
     output = quantise_v(
@@ -126,7 +127,7 @@ def simulate(
             "rig": rig,
             "inner": SimulatedState(0, 0, vented_state(plant), OnTheWay()),
             "outer": SimulatedOutput(valve_v(chain.calibration, output), output),
-            "guide": RowsGuide(reference),
+            "guide": Guide(NOWHERE, references[:0], True),
             "rows": buffer,
             "n": 0,
         },
@@ -136,7 +137,7 @@ def simulate(
     while done < ticks:
         end = min(done + _CHUNK, ticks)
         call.put("rig", rig._replace(deviates=noise[done:end]))
-        call.put("guide", RowsGuide(reference[done:end]))
+        call.put("guide", Guide(NOWHERE, references[6 * done : 6 * end], True))
         call.put("n", end - done)
         call.run()
         ran: int = call.get("n")

@@ -6,17 +6,19 @@ rows are those of the loop, to the bit.
 
 from __future__ import annotations
 
+import math
 from array import array
+from random import Random
 from typing import Any
 
 from hal.sim.sim_rig import SimMoment, SimRig
-from pamctl.kernel.calls import prepare
+from pamctl.kernel.calls import machine, prepare
 from pamctl.plant.simulated import LONGEST_STEP_S, SimulatedPlant
 from pamctl.realtime.clock import Clock, VirtualClock
 from pamctl.realtime.loop import RowsJournal
 from pamctl.realtime.run_ticks import (
     NOWHERE,
-    CourseGuide,
+    Guide,
     SimulatedOutput,
     SimulatedState,
     VirtualRig,
@@ -28,6 +30,28 @@ from pamctl.realtime.tick_runner import UPDATES, TickRunner
 from pamctl.recording.ring import ROW_BYTES, make_rows
 
 MOST_TICKS = 1000
+
+
+def draw_deviates(random: Random, n: int) -> array[float]:
+    """Draw n standard normal deviates, those of n calls of `random.gauss(0.0, 1.0)` to the bit."""
+    left: float | None = random.gauss_next  # type: ignore[attr-defined]
+    deviates = array("d", () if left is None else (0.0 + left,))
+    missing = n - len(deviates)
+    if missing > 0:
+        uniforms = array("d", [random.random() for _ in range(missing + missing % 2)])
+        machine(fill_deviates)(uniforms)
+        deviates += uniforms
+    random.gauss_next = deviates.pop() if len(deviates) > n else None  # type: ignore[attr-defined]
+    return deviates
+
+
+def fill_deviates(numbers: Any) -> None:
+    """Kernel: make uniform numbers normal, pair by pair, as Python's `Random.gauss` does."""
+    for k in range(len(numbers) // 2):
+        angle = numbers[2 * k] * (2.0 * math.pi)
+        radius = math.sqrt(-2.0 * math.log(1.0 - numbers[2 * k + 1]))
+        numbers[2 * k] = 0.0 + math.cos(angle) * radius
+        numbers[2 * k + 1] = 0.0 + math.sin(angle) * radius
 
 
 def find_many_ticks(setup: TickSetup, rig: Any, clock: Clock) -> SimulatedTicks | None:
@@ -56,7 +80,7 @@ class SimulatedTicks:
                 "rig": self._describe_rig(table),
                 "inner": SimulatedState(0, 0, plant.state, plant.on_way),
                 "outer": SimulatedOutput(0.0, 0.0),
-                "guide": CourseGuide(NOWHERE, table),
+                "guide": Guide(NOWHERE, table, False),
                 "rows": self._rows,
                 "n": 0,
             },
@@ -84,11 +108,11 @@ class SimulatedTicks:
         ticks = min(ticks, MOST_TICKS)
         if ticks <= 0 or not call.fits("setup", tick.setup):
             return 0
-        before, gauss = random.getstate(), random.gauss
+        before, deviates = random.getstate(), draw_deviates(random, ticks)
         self._plant.give_room(ticks)
         call.put("setup", tick.setup)
         call.put("loop", tick.loop)
-        call.put("rig", self._describe_rig(array("d", [gauss(0.0, 1.0) for _ in range(ticks)])))
+        call.put("rig", self._describe_rig(deviates))
         plant, moment = self._plant, self._rig.freeze()
         state = SimulatedState(first_tick, moment.plant_t_ns, plant.state, plant.on_way)
         call.put("inner", state)
@@ -103,8 +127,7 @@ class SimulatedTicks:
         done: int = call.get("n")
         if done < ticks:
             random.setstate(before)
-            for _ in range(done):
-                gauss(0.0, 1.0)
+            draw_deviates(random, done)
         if done:
             after: SimulatedState = call.get("inner")
             plant.put(after.muscle, after.on_way)

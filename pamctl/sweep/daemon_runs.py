@@ -14,7 +14,7 @@ from pamctl.daemon.client import Client, DaemonDeclinedError
 from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.daemon.requested_settings import change_gains, load_controller
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.log.annotate.annotation import Annotation
+from pamctl.log.annotation import Annotation
 from pamctl.runs.run_row import read_row
 from pamctl.settings.resolve import RunSettings, settings_to_data
 from pamctl.sweep.run_sweep import SweepPlan

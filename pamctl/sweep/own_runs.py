@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.log.annotate.annotation import SWEEP, Annotation
-from pamctl.log.naming import bare_name, make_dated_path
+from pamctl.log.annotation import SWEEP, Annotation
+from pamctl.log.run_meta import bare_name, make_dated_path
 from pamctl.processes.front import restore_signals
 from pamctl.processes.run_once import run_once
 from pamctl.report.progress_line import ProgressLine
 from pamctl.settings.resolve import RunSettings, settings_to_data
 from pamctl.sweep.run_sweep import SweepPlan
 from pamctl.sweep.sweep_plan import SweepRequest, SweepRun, list_runs
-
-
-@contextmanager
-def _serve_nothing(*_source: str) -> Iterator[None]:
-    yield
 
 
 class OwnRunner:
@@ -67,7 +61,6 @@ class OwnRunner:
                 self._names,
                 make_dated_path(self._folder, what),
                 self._progress(),
-                _serve_nothing,
                 quiet=True,
                 said=said,
                 records={SWEEP: record},

@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.json_text import to_json
-from pamctl.log.annotate.annotation import Annotation
+from pamctl.log.annotation import Annotation
 from pamctl.runs.run_index import RunIndex
 from pamctl.runs.run_row import RunRow
 from pamctl.sweep.sweep_plan import SweepError, SweepRun

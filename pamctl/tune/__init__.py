@@ -4,7 +4,7 @@
     plant_ensemble  which plants
     gains_trial     how well one set of gains does on one plant, against Table IV
     search_space    which gains a law has, and their bounds in the search
-    gains_search    the search itself: repeatable, resumable, parallel
+    gains_search    the search itself: repeatable, parallel
     tune_gains      search or score in worker processes
     gains_file      the result, with how it was made; tune_text: the same for people
 

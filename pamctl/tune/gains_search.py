@@ -1,32 +1,25 @@
 """The search: differential evolution (current-to-pbest), a generation at a time.
 
 Every generation has a random generator of its own, made of the seed and its number, and starts
-from the population before it. An interrupted search therefore goes on exactly as if it had not
-been interrupted, and the same seed gives the same gains on any number of processes.
+from the population before it: the same seed gives the same gains on any number of processes.
 
 A short trial does not see everything: gains that are calm through its one cycle may oscillate in
-a whole experiment, or on a plant that is easy for others. So a rival that would come among the
-best is tried a second time: longer, and on every plant.
+a whole experiment. So a rival that would come among the best is tried a second time, longer.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.exit_codes import ExitCode
-from pamctl.new_file import NewFileError, write_files
 from pamctl.tune.gains_trial import GainsTrial
 from pamctl.tune.plant_ensemble import Member
 from pamctl.tune.search_space import find_space
@@ -42,10 +35,12 @@ _CROSSOVER_RATE = 0.8
 _COST_LIMIT = 10.0
 """Larger costs are not computed exactly: an oscillation, or a safety trip."""
 _NO_GAINS = 1e3
+QUANTILE = 0.95
+"""Quantile of the drawn plants that counts: the worst twentieth may be beyond any law."""
 
 
 class SearchError(Exception):
-    """A search cannot begin or continue. The message says why."""
+    """A search has no gains yet. The message says why."""
 
     exit_code = ExitCode.USAGE
 
@@ -66,23 +61,14 @@ class Jury(NamedTuple):
     """The plants that judge."""
 
     drawn: tuple[Member, ...]
-    quantile: float
-    """Quantile of the drawn ones that counts: 1 is the worst one, 0.95 leaves out the worst 5 %."""
     named: tuple[Member, ...]
     """Plants beside the drawn ones. The worst of them counts as much as all drawn ones."""
-    easy: tuple[Member, ...] = ()
-    """Drawn plants that are run for the best gains only: for all others they count as easy."""
 
     @property
     def allowed_outliers(self) -> int:
         """How many drawn plants may exceed a limit that the quantile keeps."""
-        last = len(self.drawn) + len(self.easy) - 1
-        return last - math.floor(self.quantile * last)
-
-    @property
-    def whole(self) -> Jury:
-        """The jury in which the easy ones are run as well, after the others."""
-        return self._replace(drawn=(*self.drawn, *self.easy), easy=())
+        last = len(self.drawn) - 1
+        return last - math.floor(QUANTILE * last)
 
 
 class Cost(NamedTuple):
@@ -100,8 +86,7 @@ def compute_cost(
 ) -> Cost:
     """Return the cost of gains: the largest error over its bound, named plants plus drawn ones.
 
-    The quantile of the drawn ones counts. They run in the given order, which may go on to plants
-    that the jury does not have. As soon as the gains are
+    The quantile of the drawn ones counts. They run in the given order. As soon as the gains are
     known to exceed the limit, the other plants are left out.
     """
     if controller is None:  # these gains contradict each other
@@ -112,14 +97,12 @@ def compute_cost(
         if worst_named > limit:
             return Cost(worst_named, runs)
     ratios = np.full(len(jury.drawn), math.nan)
-    own = [at for at in order if at < len(ratios)]
-    for runs, at in enumerate(own, len(jury.named) + 1):
+    for runs, at in enumerate(order, len(jury.named) + 1):
         ratios[at] = trial.verdict(controller, jury.drawn[at]).cost
         beyond = ratios[worst_named + ratios > limit]
         if len(beyond) > jury.allowed_outliers:
             return Cost(worst_named + float(beyond.min()), runs)
-    all_drawn = np.concatenate([np.zeros(len(jury.easy)), ratios])
-    of_drawn = float(np.quantile(all_drawn, jury.quantile)) if jury.drawn else 0.0
+    of_drawn = float(np.quantile(ratios, QUANTILE)) if jury.drawn else 0.0
     return Cost(worst_named + of_drawn, len(jury.named) + len(jury.drawn), tuple(ratios.tolist()))
 
 
@@ -132,24 +115,20 @@ class GainsSearch:
     seed: int
     start: dict[str, Any] | None = None
     """Gains, in mm, near which the search begins; by default the usual ones."""
-    state: Path | None = None
-    """File that keeps the search after each generation, so that it can be resumed."""
     trial: GainsTrial = field(default_factory=GainsTrial)
     elite_trial: GainsTrial | None = None
-    """Longer trial that gains must also stand to be among the best, on the whole jury; or None."""
+    """Longer trial that gains must also stand to be among the best; or None."""
     compensate: tuple[str, ...] = ()
     """Effects that every candidate undoes; the gains name them."""
 
     def __post_init__(self) -> None:
-        """Begin, or resume the search in `state`; raise `SearchError` if that is another one."""
+        """Draw the first population."""
         self._space = find_space(self.law, self.compensate)
-        self._order = list(range(len(self.jury.whole.drawn)))
+        self._order = list(range(len(self.jury.drawn)))
         self._generation = 0
         self._runs = self._longer_runs = 0
         self._population = self._draw_population()
         self._costs = np.full(len(self._population), np.inf)
-        if self.state is not None and self.state.exists():
-            self._resume(self.state)
 
     def _draw_population(self) -> Floats:
         from scipy.stats import qmc  # a second to import, and no worker process needs it
@@ -170,7 +149,7 @@ class GainsSearch:
         points = self._population if self._generation == 0 else self._make_offspring()
         controllers = [self._controller(point) for point in points]
         everybody = np.arange(len(points))
-        tried = self._try_gains(self.jury, self.trial, controllers, everybody, executor)
+        tried = self._try_gains(self.trial, controllers, everybody, executor)
         self._runs += sum(each.runs for each in tried)
         if self.elite_trial is not None:
             self._confirm_elite(tried, self.elite_trial, controllers, executor)
@@ -184,19 +163,17 @@ class GainsSearch:
             ratios = np.array(tried[int(np.argmin(self._costs))].ratios)
             if len(ratios):
                 self._order = np.argsort(-ratios, kind="stable").tolist()
-        self._save_state()
         return self.best
 
     def _try_gains(
         self,
-        jury: Jury,
         trial: GainsTrial,
         controllers: Sequence[Any],
         rivals: NDArray[np.int64],
         executor: Executor | None,
     ) -> list[Cost]:
         """Return the cost of some rivals, each up to that of the gains it would replace."""
-        cost = partial(compute_cost, jury=jury, trial=trial, order=self._order)
+        cost = partial(compute_cost, jury=self.jury, trial=trial, order=self._order)
         limits = np.minimum(self._costs[rivals], _COST_LIMIT).tolist()
         share_out = map if executor is None else executor.map
         return list(share_out(cost, [controllers[at] for at in rivals], limits))
@@ -208,7 +185,7 @@ class GainsSearch:
         controllers: Sequence[Any],
         executor: Executor | None,
     ) -> None:
-        """Try rivals that would be among the best on the whole jury; raise their cost in `tried`.
+        """Try rivals that would be among the best for longer; raise their cost in `tried`.
 
         Who falls behind makes room for another, which is tried too. The worst of the best never
         gets worse, so whoever is among them in a later generation has been tried.
@@ -220,7 +197,7 @@ class GainsSearch:
             asked = best[~sure[best] & (costs[best] < self._costs[best])]
             if not len(asked):
                 return
-            longer = self._try_gains(self.jury.whole, trial, controllers, asked, executor)
+            longer = self._try_gains(trial, controllers, asked, executor)
             for at, found in zip(asked, longer, strict=True):
                 tried[at] = found._replace(value=max(tried[at].value, found.value))
                 self._longer_runs += found.runs
@@ -270,64 +247,3 @@ class GainsSearch:
             self._runs,
             self._longer_runs,
         )
-
-    # --- interrupted, and taken up again -------------------------------------------------
-
-    def _identity(self) -> dict[str, Any]:
-        return {
-            "law": self.law,
-            "seed": self.seed,
-            "quantile": self.jury.quantile,
-            "easy": [member.name for member in self.jury.easy],
-            "trial": self.trial.length,
-            "elite_trial": self.elite_trial and self.elite_trial.length,
-            "drawn": [member.name for member in self.jury.drawn],
-            "named": [member.name for member in self.jury.named],
-            "digest": self._digest(),
-            "start": self.start,
-        }
-
-    def _digest(self) -> str:
-        """Tell plants and spaces apart that changed and kept their names."""
-        plants = (*self.jury.whole.drawn, *self.jury.named)
-        text = [repr(self._space.space[:2]), *(repr(plant.__reduce__()[1]) for plant in plants)]
-        return hashlib.sha256("\n".join(text).encode()).hexdigest()[:16]
-
-    def _save_state(self) -> None:
-        if self.state is None:
-            return
-        kept = {
-            **self._identity(),
-            "generation": self._generation,
-            "runs": self._runs,
-            "longer_runs": self._longer_runs,
-            "order": self._order,
-            "population": self._population.tolist(),
-            "costs": self._costs.tolist(),
-        }
-        with suppress(NewFileError):  # the search goes on: only an interrupted one needs the file
-            write_files({self.state: json.dumps(kept)}, replaces="{")
-
-    def _resume(self, state: Path) -> None:
-        try:
-            kept = json.loads(state.read_text())
-            mine = {name: kept[name] for name in self._identity()}
-            population = np.array(kept["population"], dtype=np.float64)
-            costs = np.array(kept["costs"], dtype=np.float64)
-            generation = int(kept["generation"])
-            runs, longer_runs = int(kept["runs"]), int(kept["longer_runs"])
-            order = [int(at) for at in kept["order"]]
-        except (ValueError, KeyError, TypeError) as error:
-            raise SearchError(f"{state} is no search that could be resumed: {error}") from error
-        if (
-            mine != self._identity()
-            or population.shape != self._population.shape
-            or costs.shape != self._costs.shape
-            or sorted(order) != sorted(self._order)
-        ):
-            raise SearchError(
-                f"{state} belongs to another search (law, plants, bounds, seed or start differ); "
-                "remove it, or ask for the same again"
-            )
-        self._generation, self._runs, self._longer_runs = generation, runs, longer_runs
-        self._population, self._costs, self._order = population, costs, order

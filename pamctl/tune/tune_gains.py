@@ -6,10 +6,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Executor
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from pamctl.cluster.worker_processes import start_workers
 from pamctl.new_file import NewFileError, write_files
@@ -31,8 +28,6 @@ class FoundGains(NamedTuple):
     took_s: float
     interrupted: bool
     """Stopped by Ctrl-C; the best gains so far are written all the same."""
-    state: Path
-    """Where an interrupted search goes on from."""
     text: str
     """The gains file."""
     failure: NewFileError | None
@@ -59,21 +54,19 @@ def search_gains(
 
     `command` goes into the file as its origin; `progress` is called after each generation with
     the seconds so far. The plants run in `jobs` processes of this machine, or on the Dask cluster
-    at the address `cluster`. Raises `SearchError`, `ClusterError`, and `KeyboardInterrupt` where
+    at the address `cluster`. Raises `ClusterError`, and `KeyboardInterrupt` where
     that comes before the end of the first generation.
     """
     assert task.out is not None
-    state = task.out.with_suffix(".search.json")
     began_s = time.monotonic()
     interrupted = False
     scores: dict[str, Scores]
     with start_workers(jobs, cluster) as executor:
         search = GainsSearch(
             task.law,
-            _choose_jury(executor, task),
+            Jury(tuple(task.drawn), tuple(task.named)),
             task.seed,
             task.start,
-            state,
             task.trial,
             task.elite_trial,
             task.compensate,
@@ -98,22 +91,7 @@ def search_gains(
         write_files({task.out: text})
     except NewFileError as error:
         failure = error
-    if not interrupted and failure is None:
-        state.unlink(missing_ok=True)
-    return FoundGains(best, scores, time.monotonic() - began_s, interrupted, state, text, failure)
-
-
-def _choose_jury(executor: Executor, task: TuningTask) -> Jury:
-    """Return the plants that judge: of the drawn ones, those that are hardest for the first gains.
-
-    Most drawn plants are far inside with sensible gains. Only the best gains are run on them.
-    """
-    if task.hardest is None:
-        return task.jury
-    verdicts = executor.map(partial(_judge_member, task.first_gains), task.drawn)
-    order = np.argsort([-verdict.worst for verdict in verdicts], kind="stable")
-    sorted_ = tuple(task.drawn[at] for at in order)
-    return task.jury._replace(drawn=sorted_[: task.hardest], easy=sorted_[task.hardest :])
+    return FoundGains(best, scores, time.monotonic() - began_s, interrupted, text, failure)
 
 
 def _score_gains(executor: Executor, controller: Any, task: TuningTask) -> dict[str, Scores]:

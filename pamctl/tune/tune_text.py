@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pamctl.tune.gains_file import Scores
-from pamctl.tune.gains_search import BestGains
+from pamctl.tune.gains_search import QUANTILE, BestGains
 from pamctl.tune.tuning_task import TuningTask
 
 _SHOWN_FAILURES = 8
@@ -16,10 +16,7 @@ _PLANT_SET_NAMES = {"fresh": "fresh plants", "named": "named plants"}
 
 def describe_effort(task: TuningTask, best: BestGains) -> str:
     """Return how the gains were found, for the gains file."""
-    kind = f"the quantile {task.quantile:g}" if task.quantile < 1.0 else "the worst"
-    drawn = f"{kind} of {len(task.drawn)} drawn plants" if task.drawn else ""
-    if task.hardest is not None:
-        drawn += f" (the {task.hardest} hardest for the first gains for all, the rest for the best)"
+    drawn = f"the quantile {QUANTILE:g} of {len(task.drawn)} drawn plants" if task.drawn else ""
     named = " and ".join(member.name for member in task.named)
     judges = ", and for ".join(filter(None, [drawn, named]))
     runs = f"{best.evaluations} runs of {task.trial.duration_s:g} s"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pamctl.control.law_registry import installed_laws
-from pamctl.log.naming import bare_name
+from pamctl.log.run_meta import bare_name
 from pamctl.new_file import require_place
 from pamctl.settings.config_files import find_config_file
 from pamctl.settings.known_effects import build_compensation
@@ -19,7 +19,6 @@ from pamctl.settings.resolve import (
     resolve,
     settings_to_data,
 )
-from pamctl.tune.gains_search import Jury
 from pamctl.tune.gains_trial import GainsTrial
 from pamctl.tune.plant_ensemble import Member, draw_ensemble, make_fixed_members
 from pamctl.tune.search_space import find_space
@@ -42,15 +41,12 @@ class TuningTask:
     fresh: list[Member]
     """Drawn plants for the score, none of which the search sees."""
     seed: int
-    quantile: float
     out: Path | None
     checked: Any
     """Controller to score; None to seek one."""
     start: dict[str, Any] | None
     compensate: tuple[str, ...] = ()
     """Effects that the gains undo, each with the numbers of the plant that it is judged on."""
-    hardest: int | None = None
-    """How many drawn plants all gains run on, those hardest for the first ones; None for all."""
 
     @property
     def trial(self) -> GainsTrial:
@@ -62,17 +58,6 @@ class TuningTask:
         """What the best gains of a search on drawn plants must stand as well."""
         return GainsTrial("whole") if self.drawn else None
 
-    @property
-    def jury(self) -> Jury:
-        """The plants that judge in a search, if all of them do."""
-        return Jury(tuple(self.drawn), self.quantile, tuple(self.named))
-
-    @property
-    def first_gains(self) -> Any:
-        """The gains that the search begins near, as a controller's settings."""
-        space = find_space(self.law, self.compensate)
-        return space.controller(space.usual if self.start is None else space.point(self.start))
-
     @classmethod
     def of(
         cls,
@@ -80,13 +65,11 @@ class TuningTask:
         plants: Sequence[str],
         size: int | None,
         seed: int,
-        quantile: float,
         held_out: int | None,
         out: Path | None,
         check: str | None,
         start: str | None,
         compensate: Sequence[str] = (),
-        hardest: int | None = None,
     ) -> TuningTask:
         """Make a task of the options of `pamctl tune`; raise `ConfigError`."""
         checked = None if check is None else _read("controller", check, "--check")
@@ -114,14 +97,13 @@ class TuningTask:
             message = "there are no fresh plants: with --plant, give --ensemble too"
             raise _option_error(f"--held-out {held_out}", message)
         drawn = draw_ensemble(size or _DEFAULT_SIZE, seed) if draws else []
-        _require_enough(hardest, drawn, quantile)
         judges = held_out or _DEFAULT_HELD_OUT
         fresh = draw_ensemble(judges, seed + _FRESH_SEED_OFFSET) if draws else []
         begun = None if began is None else settings_to_data(began)
         if checked is not None and compensate:
             checked = checked.model_copy(update={"compensate": tuple(compensate)})
         names = tuple(compensate)
-        return cls(law, drawn, named, fresh, seed, quantile, out, checked, begun, names, hardest)
+        return cls(law, drawn, named, fresh, seed, out, checked, begun, names)
 
 
 def _option_error(where: str, message: str) -> ConfigError:
@@ -137,21 +119,6 @@ def _require_undoable(names: Sequence[str], members: Sequence[Member]) -> None:
             build_compensation(member.plant, base.rig, controller)
         except ValueError as error:
             raise _option_error(f"--compensate {' '.join(names)}", str(error)) from None
-
-
-def _require_enough(hardest: int | None, drawn: Sequence[Member], quantile: float) -> None:
-    """Refuse so few plants that the quantile of all would lie among those that are not run."""
-    if hardest is None:
-        return
-    fewest = Jury(tuple(drawn), quantile, ()).allowed_outliers + 2
-    if not fewest <= hardest <= len(drawn):
-        raise _option_error(
-            f"--hardest {hardest}",
-            f"must be {fewest} to {len(drawn)}: the quantile {quantile:g} of the drawn plants "
-            "must lie among the plants that are run"
-            if drawn
-            else "needs drawn plants: give --ensemble too",
-        )
 
 
 def _require_space(law: str) -> None:

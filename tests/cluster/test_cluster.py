@@ -40,7 +40,7 @@ def address(two_workers: Any) -> str:
 
 def start_search() -> GainsSearch:
     plants = make_fixed_members([("paper", resolve().plant)])
-    return GainsSearch("pid", Jury((), 1.0, tuple(plants)), seed=1)
+    return GainsSearch("pid", Jury((), tuple(plants)), seed=1)
 
 
 @pytest.mark.long

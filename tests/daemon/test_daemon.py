@@ -27,7 +27,7 @@ from support.processes.daemons import (
 
 from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
 from pamctl.log import Log, read
-from pamctl.log.check.check_log import check_log
+from pamctl.log.check import check_log
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
 from pamctl.replay import replay_log
 from pamctl.settings.resolve import resolve

@@ -119,27 +119,14 @@ def test_experiment_2_is_within_a_micrometre_of_ours_in_an_independent_importer(
     assert np.abs(pressure_pa - ours["true_pressure_pa"]).max() < 1e-3
 
 
-def test_every_effect_and_table_moves_in_the_unit_as_in_our_plant(tmp_path):
+def test_every_effect_moves_in_the_unit_as_in_our_plant(tmp_path):
     values = {
         f"{effect.name}.{number.name}": number.start
         for effect in CATALOGUE.values()
         if "muscle" in effect.actuators
         for number in effect.parameters
     }
-    tables = {
-        "pull": {
-            "displacement_m": [0.0, 0.01, 0.03],
-            "load": [1e5, 3e5, 6e5],
-            "pull_n": [[0.0, 1.0, 2.0], [0.0, 2.0, 3.0], [1.0, 1.0, 1.0]],
-        },
-        "flow": {
-            "opening_v": [-5.0, 0.0, 5.0],
-            "pressure_pa": [1e5, 6e5],
-            "flow_kg_per_s": [[0.0, 1e-6], [0.0, 0.0], [1e-6, 0.0]],
-        },
-    }
-    data = settings_of(values).model_dump(exclude_none=True) | {"correction": tables}
-    settings = PlantSettings.model_validate(data)
+    settings = settings_of(values)
     assert plant_parameters(settings).effects.timing.command_delay.delay_s > 0.0
     random = np.random.default_rng(3)
     commands_v = np.repeat(random.uniform(-3.0, 4.0, 12), 50)

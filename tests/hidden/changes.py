@@ -90,11 +90,10 @@ def exchange(handed: Handed, plant: Plant, _: float) -> Made:
 
 def units(handed: Handed, plant: Plant, _: float) -> Made:
     """Write CSV files in ms, mV, bar of gauge pressure, mm and kN, and import them."""
-    with tempfile.TemporaryDirectory() as folder:
-        return _each(lambda r: [_through_file(r, Path(folder))], handed), plant
+    return _each(lambda r: [_through_file(r)], handed), plant
 
 
-def _through_file(record: Record, folder: Path) -> Record:
+def _through_file(record: Record) -> Record:
     from pamctl.diagnose import record_of
 
     columns = dict(record.columns())
@@ -102,11 +101,12 @@ def _through_file(record: Record, folder: Path) -> Record:
         columns["pressure_pa"] = columns["pressure_pa"] - 101.3e3
     names = [SCALES[name][0] for name in columns]
     table = np.stack([column * SCALES[name][1] for name, column in columns.items()], axis=1)
-    path, column_map = folder / f"{record.name}.csv", folder / f"{record.name}.yaml"
-    np.savetxt(path, table, "%.10g", ",", header=",".join(names), comments="")
     lines = COLUMN_MAP.strip().splitlines()
-    column_map.write_text("\n".join(x for x in lines if any(name in x for name in names)) + "\n")
-    read = record_of(import_file(path, column_map))
+    with tempfile.TemporaryDirectory() as folder:
+        path, column_map = Path(folder) / "run.csv", Path(folder) / "map.yaml"
+        np.savetxt(path, table, "%.10g", ",", header=",".join(names), comments="")
+        column_map.write_text("\n".join(x for x in lines if any(n in x for n in names)) + "\n")
+        read = record_of(import_file(path, column_map))
     return Record(record.name, read.t_s, read.valve_v, read.pressure_pa, read.position_m,
                   read.force_n)  # fmt: skip
 

@@ -261,6 +261,9 @@ class DirtyRig:
     def causes(self) -> list[Cause]:
         """The hidden effect, at the rung that its data carry; and the dirt, which may be said."""
         dirt = [d.cause for d in self.dirts]
+        if {d.kind.name for d in self.dirts} >= {"late_pressure", "late_position"}:
+            # Two late columns are one that is early: that of the command.
+            dirt.append(named_cause("command_delay", "none", "skew.valve_v"))
         return [named_cause(self.effect, self.rung), *dirt] if self.is_hidden else dirt
 
     @property

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from hidden.hostile.causes import NOISE_WORDS
 from hidden.rungs import Said
 
 TERM_PLACES = {
@@ -35,7 +37,22 @@ def read_document(document: Mapping[str, Any]) -> Said:
         place = TERM_PLACES.get(term["location"], "force")
         kind = TERM_KINDS.get(term["operator"], "time" if term["driver"] == "time" else "curve")
         places.add((place, kind))
-    return Said(frozenset(names - frozenset().union(*sets)), sets, frozenset(places), numbers)
+    return Said(
+        frozenset(names - frozenset().union(*sets)), sets, frozenset(places), numbers,
+        noise=frozenset(_faults_of(document.get("noise") or {})),
+        admits=document["verdict"] == "none_known",
+    )  # fmt: skip
+
+
+def _faults_of(noise: Mapping[str, Any]) -> Iterator[str]:
+    for about in noise.values():
+        if about.get("source") == "unknown":  # what was filtered has no noise to be measured
+            yield "noise.filtered"
+        for fault in about.get("faults") or ():
+            said = fault if isinstance(fault, str) else " ".join(map(str, fault.values()))
+            for word, pattern in NOISE_WORDS.items():
+                if re.search(pattern, said, re.IGNORECASE):
+                    yield f"noise.{word}"
 
 
 def _call(finding: Mapping[str, Any]) -> str:

@@ -13,8 +13,9 @@ from typing import Literal
 from hidden.examination.oracle import SURE
 from hidden.examination.scoring import oracle_of
 
-Rung = Literal["none", "place", "kind", "name"]
-RUNGS: tuple[Rung, ...] = ("none", "place", "kind", "name")
+Rung = Literal["none", "set", "place", "kind", "name"]
+RUNGS: tuple[Rung, ...] = ("none", "set", "place", "kind", "name")
+"""`set`: one of several names at several places, of which one is true."""
 
 Where = tuple[str, str]
 """A place and a kind; an empty kind is not said."""
@@ -96,29 +97,36 @@ def named_cause(name: str, rung: Rung = "name", *equal: str) -> Cause:
     return Cause(name, where_of(name), rung, frozenset({name, *equal}))
 
 
-def carried_rung(name: str, multiple: float, program: str, beside: float = 0.0) -> Rung:
-    """Return how far up the data carry an effect: from what a rival leaves of it (`oracle.json`).
+def find_twins(name: str, multiple: float, program: str, beside: float = 0.0) -> frozenset[str]:
+    """Return the rivals that a program does not tell from an effect of this size.
 
-    What is beside it, as a share of what it leaves itself, may hide what tells a rival from it.
-    What such rivals have in common with it, kind or place, can still be said.
+    `beside` is what else is there, as a share of what the effect leaves: it may hide what tells a
+    rival from it. Raises ValueError where the effect itself leaves less than can be seen.
     """
     rows = oracle_of(program).get(name)
     if not rows:
-        return "name"
-    size = max(
-        (float(s) for s in rows if float(s) <= multiple), default=float(min(rows, key=float))
-    )
-    row = {rival: left * multiple / size for rival, left in rows[f"{size:g}"].items()}
+        return frozenset()
+    sizes = sorted(map(float, rows))
+    size = max((s for s in sizes if s <= multiple), default=sizes[0])
+    row = {rival: left * min(multiple / size, 1.0) for rival, left in rows[f"{size:g}"].items()}
     alone = row.pop("alone")
     if alone < SURE:
+        raise ValueError(f"nobody can see {name} at {multiple:g} with {program}")
+    return frozenset(rival for rival, left in row.items() if left < max(beside * alone, SURE))
+
+
+def carried_rung(name: str, multiple: float, program: str, beside: float = 0.0) -> Rung:
+    """Return how far up the data carry an effect: to what it has in common with its twins."""
+    try:
+        twins = find_twins(name, multiple, program, beside)
+    except ValueError:
         return "none"
-    near = [rival for rival, left in row.items() if left < max(beside * alone, SURE)]
     mine, places = where_of(name), {at for at, _ in where_of(name)}
-    if not near:
+    if not twins:
         return "name"
-    if all(where_of(rival) & mine for rival in near):
+    if all(where_of(twin) & mine for twin in twins):
         return "kind"
-    return "place" if all({at for at, _ in where_of(r)} & places for r in near) else "none"
+    return "place" if all({at for at, _ in where_of(t)} & places for t in twins) else "set"
 
 
 @dataclass(frozen=True)
@@ -133,16 +141,21 @@ class Said:
     """Said without a name."""
     numbers: dict[str, tuple[float, float, float]] = field(default_factory=dict)
     """Value, and its interval."""
+    noise: frozenset[str] = frozenset()
+    """What is said of the columns' noise: `noise.hum`."""
     refusal: str = ""
     """Why the data are refused; empty: they are not."""
-    seconds: float = 0.0
+    admits: bool = False
+    """It says that something is missing which it cannot name or place."""
 
     def words(self) -> str:
         """Return it in one line."""
         parts = [*sorted(self.names)]
         parts += [f"{{{' | '.join(sorted(group))}}}" for group in self.sets]
         parts += [f"<{' '.join(w).strip()}>" for w in sorted(self.places)]
-        return " ".join(parts) or (f"refused: {self.refusal}" if self.refusal else "nothing")
+        if self.refusal:
+            return f"refused: {self.refusal}"
+        return " ".join(parts) or ("something" if self.admits else "nothing")
 
 
 def mark(
@@ -150,29 +163,29 @@ def mark(
 ) -> tuple[str, list[str]]:
     """Return the verdict of a case, and the false statements in it.
 
-    right at NAME, KIND or PLACE (the least of what had to be said), or silent where nothing had to
-    be; low (said, but at a lower rung than the data carry); missed; refused; wrong name; wrong
-    place. `ignored` are findings that are neither asked for nor false.
+    right at NAME, KIND, PLACE or SET (the least of what had to be said); silent (nothing had to
+    be said, and nothing was); low (a lower rung than the data carry); admitted (only that something
+    is missing); missed; refused; wrong name; wrong place. `ignored` are neither asked nor false.
     """
     if said.refusal:
         return "refused", []
-    names = said.names - frozenset(ignored)
-    true = frozenset[str]().union(*(cause.names for cause in causes))
+    names, true = said.names - frozenset(ignored), frozenset[str]()
+    for cause in causes:
+        true |= cause.names
     false = sorted(name for name in names if not _is_true(name, true, causes))
     if false:
         return "wrong name", false
-    astray = [group for group in said.sets if not group & true and not _is_near(group, causes)]
-    false = [" | ".join(sorted(group)) for group in astray]
+    false = [" | ".join(sorted(g)) for g in said.sets if not g & true and not _is_near(g, causes)]
     false += [" ".join(w) for w in sorted(said.places) if not _is_at(w[0], causes)]
     if false:
         return "wrong place", false
     asked = [cause for cause in causes if cause.rung != "none"]
-    if not asked:
-        return ("right at " + ("name" if names else "place")) if said.words() != "nothing" and (
-            names or said.sets or said.places) else "silent", []  # fmt: skip
     reached = [_reached(cause, said) for cause in asked]
+    if not asked:
+        rungs = [_reached(c, said) for c in causes if _reached(c, said) != "none"]
+        return (f"right at {max(rungs, key=RUNGS.index)}" if rungs else "silent"), []
     if any(r == "none" for r in reached):
-        return "missed", []
+        return ("admitted" if said.admits and not names else "missed"), []
     if any(RUNGS.index(r) < RUNGS.index(c.rung) for r, c in zip(reached, asked, strict=True)):
         return "low", []
     return f"right at {min(reached, key=RUNGS.index)}", []
@@ -194,11 +207,16 @@ def _is_near(group: frozenset[str], causes: Iterable[Cause]) -> bool:
 
 
 def _reached(cause: Cause, said: Said) -> Rung:
-    """Return how far up a cause was said."""
-    if said.names & cause.names:
+    """Return how far up a cause was said; a set of which all are true is a name."""
+    if (said.names | said.noise) & cause.names or any(g <= cause.names for g in said.sets):
         return "name"
     found = set(said.places).union(*(where_of(name) for name in said.names if "." in name))
-    if found & cause.where or any(group & cause.names for group in said.sets):
+    shared = [frozenset[Where].intersection(*map(where_of, g)) for g in said.sets]
+    found = found.union(*shared)
+    if found & cause.where:
         return "kind"
-    found = found.union(*(where_of(name) for group in said.sets for name in group))
-    return "place" if {at for at, _ in found} & {at for at, _ in cause.where} else "none"
+    places = {at for at, _ in cause.where}
+    common = [set.intersection(*({at for at, _ in where_of(n)} for n in g)) for g in said.sets]
+    if {at for at, _ in found}.union(*common) & places:
+        return "place"
+    return "set" if any(group & cause.names for group in said.sets) else "none"

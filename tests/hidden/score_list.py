@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -21,9 +22,9 @@ from hidden.examination.cases import PAIRS, Case
 from hidden.examination.oracle import SURE
 from hidden.examination.scoring import SAME_SETUP, oracle_of
 from hidden.hostile import trial
-from hidden.hostile.marking import FITTED
+from hidden.hostile.causes import FITTED
 from hidden.hostile.misread import NULLS, NullCase
-from hidden.hostile.situations import HostileCase, all_situations
+from hidden.hostile.situations import HostileCase, Situation, all_cases, all_situations
 from hidden.hostile.visible import is_hopeless
 from hidden.rig import Record
 from hidden.rungs import NAMES, Cause, Said, Where, carried_rung, named_cause, where_of
@@ -75,7 +76,12 @@ def draw_nulls(seed: int) -> list[ScoredCase]:
     return [_misread(kind, seed) for kind in NULLS]
 
 
-LISTS = {"short": draw_list, "nulls": draw_nulls}
+def draw_hostile(seed: int) -> list[ScoredCase]:
+    """Return each situation of a laboratory at two sizes over three excitations."""
+    return [_hostile_case(c.situation, c.size, c.excitation, seed) for c in all_cases()]
+
+
+LISTS = {"short": draw_list, "nulls": draw_nulls, "hostile": draw_hostile}
 
 CATALOGUE = (*SINGLES, *CALLED, "slewing_driver")
 TO_CATALOGUE = {**CALLED, "slewing_driver": "valve_slew"}
@@ -160,9 +166,13 @@ def _hostile(seed: int) -> Iterator[ScoredCase]:
     situations = {s.name: s for s in all_situations() if s.group not in ("null", "noise")}
     ways = ("open", ("closed", "random")[seed % 2])
     for way, name in zip(ways, _in_turn(situations, seed, 2), strict=True):
-        case = _DrawnHostile(situations[name], "large", way, seed)
-        yield ScoredCase(f"hostile/{case.id}#{seed}", "hostile", partial(_from_hostile, case),
-                         partial(_hostile_causes, case), refusal=case.answer.refusal)  # fmt: skip
+        yield _hostile_case(situations[name], "large", way, seed)
+
+
+def _hostile_case(situation: Situation, size: str, excitation: str, seed: int) -> ScoredCase:
+    case = _DrawnHostile(situation, size, excitation, seed)
+    return ScoredCase(f"hostile/{case.id}#{seed}", situation.group, partial(_from_hostile, case),
+                      partial(_hostile_causes, case), refusal=case.answer.refusal)  # fmt: skip
 
 
 def _from_hostile(case: HostileCase) -> Made:
@@ -180,6 +190,9 @@ def _hostile_causes(case: HostileCase) -> list[Cause]:
         causes.append(Cause(label, where_of(label), "name" if is_asked else "none",
                             frozenset({label, *answer.equal})))  # fmt: skip
     causes += [named_cause(name, "none") for name in answer.beside]
+    for word in answer.noise:
+        label = f"noise.{word}"
+        causes.append(Cause(label, frozenset(), "none" if is_free else "name", frozenset({label})))
     if answer.unknown:  # the one without a name: a spring that engages late
         causes.append(Cause("second_spring", frozenset({("force", "curve")}), "place"))
     return causes
@@ -243,11 +256,16 @@ def _seal_causes() -> list[Cause]:
 
 def _from_bench(name: str) -> Made:
     """Import the files as a user does; each part is records."""
-    from measured_set import read_set, write_pieces
+    from measured_set import VARIABLE, SetRefused, read_set, write_pieces
 
     from pamctl.diagnose import record_of
 
-    measured = read_set(ROOT / "tests/real_data" / name, Path("/work/shared/data"))
+    stated = os.environ.get(VARIABLE)
+    measured = read_set(ROOT / "tests/real_data" / name, Path(stated) if stated else None)
+    if measured.missing:
+        raise SetRefused(
+            f"{name}: no {', '.join(measured.missing)}; state the folder by {VARIABLE}"
+        )
     with tempfile.TemporaryDirectory() as folder:
         parts = {
             part: [record_of(import_file(path, measured.folder / "map.yaml")) for path in paths]

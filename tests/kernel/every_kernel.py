@@ -45,10 +45,9 @@ from pamctl.kernel.c_source import (
     c_name,
 )
 from pamctl.kernel.calls import make_frame
+from pamctl.kernel.expressions import NotInC
 from pamctl.kernel.layout import NotKernelData
-from pamctl.kernel.translate import NotInC
 from pamctl.plant.catalogue import CATALOGUE, WITH_TERMS
-from pamctl.plant.correction_tables import Correction, CorrectionTable
 from pamctl.plant.delayed_command import advance_delayed_plant
 from pamctl.plant.flat import PAPER, parameters_of
 from pamctl.plant.parameters import PlantParameters, vented_state
@@ -96,7 +95,7 @@ def begin(setup: TickSetup) -> TickState:
 
 
 def make_plant(chance: random.Random, *, with_terms: bool) -> PlantParameters:
-    """Make a plant with some effects of the catalogue, in their ranges; with terms and tables."""
+    """Make a plant with some effects of the catalogue, in their ranges, some with terms."""
     values = dict(PAPER)
     for effect in CATALOGUE.values():
         if chance.random() < 0.5:
@@ -114,9 +113,8 @@ def make_plant(chance: random.Random, *, with_terms: bool) -> PlantParameters:
         values[f"{name}.operator"] = float(chance.randrange(len(OPERATORS)))
         values[f"{name}.driver"] = float(chance.randrange(len(DRIVERS)))
         values[f"{name}.inner"] = chance.choice((1.0, 0.01, 1e5))
-    table = CorrectionTable((0.0, 0.01), (1e5, 2e5, 3e5), (0.0, 1e-6, 2e-6, 1e-6, 0.0, -1e-6))
     p = parameters_of(values)
-    return p._replace(terms=p.terms or Terms(), correction=Correction(table, table))
+    return p._replace(terms=p.terms or Terms())
 
 
 def run_all(chance: random.Random, ticks: int) -> Iterator[tuple[Kernel, tuple[Any, ...]]]:

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from pamctl.kernel.calls import Machine, machine, prepare
-from pamctl.kernel.translate import NotInC
+from pamctl.kernel.expressions import NotInC
 
 INF, NAN = math.inf, math.nan
 

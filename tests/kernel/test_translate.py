@@ -25,7 +25,7 @@ from support.patience import PATIENCE_S
 from pamctl.kernel.build import find_compiler
 from pamctl.kernel.c_source import CSource
 from pamctl.kernel.calls import NotKernelData, machine, make_frame, prepare, write_source
-from pamctl.kernel.translate import NotInC
+from pamctl.kernel.expressions import NotInC
 
 Kernel = Callable[..., Any]
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="there is no C compiler")

@@ -17,18 +17,17 @@ from typer.testing import CliRunner
 
 from pamctl.cli.app import app
 from pamctl.log import LogError, info
-from pamctl.log.annotate.annotation import (
+from pamctl.log.annotate import append_metadata, read_annotation, write_annotation
+from pamctl.log.annotation import (
     ANNOTATION,
     Annotation,
     AnnotationError,
     make_annotation,
 )
-from pamctl.log.annotate.append_metadata import append_metadata, write_annotation
-from pamctl.log.annotate.read_annotation import read_annotation
-from pamctl.log.check.check_log import check_log
-from pamctl.log.cutting.cut_log import cut_log
+from pamctl.log.check import check_log
+from pamctl.log.cut import cut_log
 from pamctl.log.framing import map_log_file, walk_records
-from pamctl.log.repair.recover import recover_file
+from pamctl.log.recover import recover_file
 from pamctl.plain_text import clean_text
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "qsmc.mcap"

@@ -22,7 +22,7 @@ from scipy.io import savemat
 from test_log_import import ATMOSPHERE_PA, Outcome
 
 import pamctl.log
-from pamctl.log.importing import parse_apart
+from pamctl.log.importing import file_formats
 from pamctl.log.importing.column_map import ForceMap, PositionMap, PressureMap, TimeMap, ValveMap
 from pamctl.units import find_units
 
@@ -284,9 +284,9 @@ PRESSURE = {"Pressure [kPa abs]": ABSOLUTE_KPA}
     [
         (
             {"P1 [bar]": GAUGE_BAR, "P2 [bar]": GAUGE_BAR},
-            "pressure: {column: 'P2 [bar]', unit: bar, gauge: true or false}",
+            "# pressure: {column: 'P2 [bar]', unit: bar, gauge: true}  # or gauge: false",
         ),
-        ({"Pressure [bar]": GAUGE_BAR + 1.5}, "Pressure [bar] may be gauge or absolute"),
+        ({"Pressure [bar]": GAUGE_BAR + 1.5}, "'Pressure [bar]' may be gauge or absolute"),
         ({"Hose pressure [bar]": GAUGE_BAR}, "may be pressure_pa, or something else"),
         ({"Valve position [mm]": POSITION_MM}, "position: {column: 'Valve position [mm]'"),
         ({"Position [mm]": POSITION_MM, "x [mm]": POSITION_MM}, "may each be position_m"),
@@ -301,12 +301,15 @@ def test_a_header_that_leaves_a_doubt_is_refused_with_the_map_to_write(tmp_path,
     assert not done.path.exists()
 
 
+def save_shown_map(folder: Path, stderr: str) -> str:
+    text = "\n".join(line for line in stderr.splitlines() if line.startswith("  "))
+    (folder / "map.yaml").write_text(text)
+    return text
+
+
 def test_the_map_that_a_refusal_shows_is_one_that_works(tmp_path):
-    named = {**TIME, "P1 [bar]": GAUGE_BAR, "P2 [bar]": GAUGE_BAR + 0.5}
-    shown = import_columns(tmp_path, **named).stderr.splitlines()
-    kept = [line for line in shown if line.startswith("  ") and "P1" not in line]
-    text = "\n".join(kept).replace("true or false", "true")
-    (tmp_path / "map.yaml").write_text(text)
+    named = {**TIME, "P1 [bar]": GAUGE_BAR + 0.5, "P2 [bar]": GAUGE_BAR}
+    save_shown_map(tmp_path, import_columns(tmp_path, **named).stderr)
     done = Outcome(tmp_path / "a.csv", "--map", str(tmp_path / "map.yaml"))
     measured_pa = done.signals.pressure_pa
     np.testing.assert_allclose(measured_pa, (GAUGE_BAR + 0.5) * 1e5 + ATMOSPHERE_PA, atol=1.0)
@@ -314,13 +317,11 @@ def test_the_map_that_a_refusal_shows_is_one_that_works(tmp_path):
 
 @pytest.mark.parametrize("named", [{}, {"P1 [bar]": GAUGE_BAR, "P2 [bar]": GAUGE_BAR}])
 def test_a_time_column_of_a_strange_name_stands_in_the_map_to_write(tmp_path, named):
-    shown = import_columns(tmp_path, x=POSITION_MM, zeit=T_S, **named).stderr.splitlines()
-    kept = [line for line in shown if line.startswith("  ") and "P1" not in line]
-    assert kept[0] == "  time: {column: 'zeit', unit: s or ms}"
-    text = "\n".join([*kept, "  position: {column: x, unit: mm}"])
-    text = text.replace("true or false", "true").replace("s or ms", "s")
-    (tmp_path / "map.yaml").write_text(text)
+    columns = {"row": POSITION_MM, "zeit": T_S * 1e3, "Position [mm]": POSITION_MM, **named}
+    shown = save_shown_map(tmp_path, import_columns(tmp_path, **columns).stderr)
+    assert shown.startswith("  time: {column: 'zeit', unit: ms}")
     done = Outcome(tmp_path / "a.csv", "--map", str(tmp_path / "map.yaml"))
+    np.testing.assert_allclose(done.signals.t_s, T_S, atol=1e-9)
     np.testing.assert_allclose(done.signals.position_m, POSITION_MM * 1e-3, atol=1e-9)
 
 
@@ -333,7 +334,7 @@ def test_a_column_for_something_else_is_left_out(tmp_path):
     assert done.code == 0
     assert done.signals.position_m is None
     for name in others:
-        assert name in done.said["note", "ignored"]
+        assert name in [column["name"] for column in done.report["columns"] if column["left_out"]]
 
 
 def test_an_unnamed_sense_of_a_pressure_is_told_and_kept_in_the_log(tmp_path):
@@ -380,7 +381,7 @@ def test_what_labview_wrote_before_it_ended_early_is_kept_with_a_warning(tmp_pat
         writer.write_segment([ChannelObject("Log", "Position", POSITION_MM, properties)])
     path.write_bytes(path.read_bytes()[:-800])
     done = Outcome(path)
-    assert "the file is damaged" in done.said["warning", "incomplete"]
+    assert "the file is damaged" in done.said["warning", "file"]
     np.testing.assert_allclose(done.signals.position_m, POSITION_MM[:200] * 1e-3)
 
 
@@ -402,7 +403,7 @@ def test_an_array_that_claims_all_memory_is_refused(tmp_path):
 def test_a_huge_file_is_refused_by_its_size(tmp_path):
     path = tmp_path / "huge.tdms"
     with path.open("wb") as file:
-        file.truncate(parse_apart.LARGEST_BYTES + 1)
+        file.truncate(file_formats.LARGEST_BYTES + 1)
     assert "the limit is 4 GB" in refuse(path)
 
 
@@ -418,7 +419,8 @@ def test_a_missing_package_is_one_line_with_the_command(tmp_path, monkeypatch):
     files = tdms_waveforms(tmp_path), matlab_73_arrays(tmp_path)
     monkeypatch.setenv("PYTHONPATH", f"{blocked}:{Path(pamctl.__file__).parents[1]}")
     for path in files:
-        assert "pip install '.[labfiles]'" in refuse(path)
+        package = "nptdms" if path.suffix == ".tdms" else "h5py"
+        assert f"-m pip install {package}" in refuse(path)
 
 
 def test_an_old_excel_file_is_refused_with_what_to_do(tmp_path):
@@ -434,7 +436,9 @@ def test_sheets_that_both_hold_numbers_are_refused_by_name(tmp_path):
 
 def test_waveforms_of_different_times_are_refused(tmp_path):
     with TdmsWriter(tmp_path / "a.tdms") as writer:
-        for name, step_s in (("Pressure", 1e-3), ("Position", 2e-3)):
-            properties = {"wf_increment": step_s, "unit_string": "bar"}
+        for name, unit, step_s in (("Pressure", "bar", 1e-3), ("Position", "mm", 2e-3)):
+            properties = {"wf_increment": step_s, "unit_string": unit}
             writer.write_segment([ChannelObject("G", name, GAUGE_BAR, properties)])
-    assert "the waveforms differ" in refuse(tmp_path / "a.tdms")
+    done = Outcome(tmp_path / "a.tdms")
+    assert done.code == 65
+    assert "the waveforms differ" in done.stderr

@@ -37,12 +37,11 @@ from support.runs import pack_row
 
 from pamctl.json_text import from_json, to_json
 from pamctl.log import LogError, info, read
-from pamctl.log.check.check_log import check_log
+from pamctl.log.check import check_log
 from pamctl.log.framing import map_log_file, walk_records
 from pamctl.log.importing.imported_log import write_imported
-from pamctl.log.repair.recover import recover_file
+from pamctl.log.recover import recover_file
 from pamctl.log.schema import SCHEMA_VERSION, TICK_TOPIC, tick_descriptor, unit_of_column
-from pamctl.new_file import NewFileError
 from pamctl.recording.ring import Ring
 from pamctl.signals import TICK_FIELDS, Field
 
@@ -67,12 +66,6 @@ def test_every_column_of_every_tick_is_read_as_it_was_put(log_path):
     assert list(log.columns) == [field.name for field in TICK_FIELDS]
     for name, column in log.columns.items():
         assert column.tolist() == [row[name] for row in expected], name
-
-
-def test_a_column_has_the_type_of_its_field(log_path):
-    kinds = {float: np.float64, int: np.int64, bool: np.bool_}
-    for field in TICK_FIELDS:
-        assert read(log_path)[field.name].dtype == kinds[field.kind]
 
 
 def test_ticks_carry_the_wall_time_of_their_sample(log_path):
@@ -348,34 +341,6 @@ def proto_class(descriptor: bytes) -> Any:
     return GetMessageClass(pool.FindMessageTypeByName("pamctl.Tick"))
 
 
-def test_a_log_whose_columns_are_in_another_order_is_read_by_name(tmp_path):
-    fields = [Field("later_m", float, "x"), *reversed(TICK_FIELDS)]
-    descriptor = tick_descriptor(fields)
-    message = proto_class(descriptor)
-    rows = [{**columns(tick(index)), "later_m": 0.5} for index in range(20)]
-    write_ticks(tmp_path / "a.mcap", descriptor, [message(**r).SerializeToString() for r in rows])
-    log = read(tmp_path / "a.mcap")
-    for name in rows[0]:
-        assert log[name].tolist() == [row[name] for row in rows]
-
-
-def test_a_log_with_fields_of_other_widths_or_missing_floats_is_read_by_its_descriptor(tmp_path):
-    files = FileDescriptorSet.FromString(tick_descriptor(TICK_FIELDS))
-    by_name = {field.name: field for field in files.file[0].message_type[0].field}
-    by_name["tick"].type = FieldDescriptorProto.TYPE_INT32
-    descriptor = files.SerializeToString()
-    message = proto_class(descriptor)
-    rows = [columns(tick(index)) for index in range(300)]
-    for row in rows[10:]:
-        del row["position_m"]
-    write_ticks(tmp_path / "a.mcap", descriptor, [message(**r).SerializeToString() for r in rows])
-    log = read(tmp_path / "a.mcap")
-    assert log["tick"].tolist() == list(range(300))
-    assert log["position_m"][:10].tolist() == [row["position_m"] for row in rows[:10]]
-    assert np.isnan(log["position_m"][10:]).all()
-    assert log["saturated"].tolist() == [row["saturated"] for row in rows]
-
-
 def test_fields_in_another_order_on_the_wire_are_not_taken_for_each_other(tmp_path):
     fields = [Field("a_m", float, "x"), Field("b_m", float, "x")]
     descriptor = tick_descriptor(fields)
@@ -494,26 +459,9 @@ def test_recovery_of_a_zero_filled_tail_saves_what_is_before_it(log_path, tmp_pa
     assert recovery.bytes_lost >= 30_000 - 2000
 
 
-def test_recovery_never_overwrites_a_file(log_path, tmp_path):
-    (tmp_path / "b.mcap").write_bytes(b"precious")
-    with pytest.raises(NewFileError, match="never overwritten"):
-        recover_file(log_path, tmp_path / "b.mcap")
-    assert (tmp_path / "b.mcap").read_bytes() == b"precious"
-
-
-def test_recovery_of_a_whole_log_changes_nothing_that_can_be_read(log_path, tmp_path):
-    recovery = recover_file(log_path, tmp_path / "b.mcap")
-    before, after = read(log_path), read(tmp_path / "b.mcap")
-    assert recovery.lossless
-    assert recovery.damage == ()
-    assert before.events == after.events
-    assert before.attachments == after.attachments
-    assert all((before[name] == after[name]).all() for name in before.columns)
-
-
 def test_reading_and_recovering_need_nothing_that_only_linux_has():
     import sys
 
-    code = "import sys, pamctl.log.reader, pamctl.log.repair.recover; print(*sys.modules)"
+    code = "import sys, pamctl.log.reader, pamctl.log.recover; print(*sys.modules)"
     loaded = subprocess.check_output([sys.executable, "-c", code], text=True).split()
     assert "pamctl.recording.ring" not in loaded

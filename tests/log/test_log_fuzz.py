@@ -13,9 +13,9 @@ from mcap.opcode import Opcode
 from support.small_log import CHUNK_TICKS, rewritten, write_small
 
 from pamctl.log import Log, LogError, info, read
-from pamctl.log.check.check_log import check_log
+from pamctl.log.check import check_log
 from pamctl.log.framing import map_log_file, walk_records
-from pamctl.log.repair.recover import Recovery, recover_file
+from pamctl.log.recover import Recovery, recover_file
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,12 @@ from support.made_up import log_run
 import pamctl.log
 from hal.calibration import CalibrationSettings
 from pamctl.log.importing.imported_log import write_imported
+from pamctl.log.measured_signals import SIGNAL_FIELDS, Signals
+from pamctl.log.reader import read_some
+from pamctl.report.run_figures import FIGURE_FIELDS, summarise_run
 from pamctl.signals import Phase
+
+GOLDEN = Path(__file__).parents[1] / "golden"
 
 TICKS = 300
 
@@ -171,3 +176,17 @@ def test_the_package_costs_the_loop_nothing_until_a_log_is_read():
     assert set(pamctl.log.__all__) == {
         name for name in pamctl.log.__all__ if hasattr(pamctl.log, name)
     }
+
+
+@pytest.mark.parametrize("name", ["qsmc", "missed", "card", "card-clocked"])
+def test_some_columns_suffice_for_figures_and_signals(name: str) -> None:
+    path = GOLDEN / f"{name}.mcap"
+    whole = pamctl.log.read(path)
+    figures = read_some(path, FIGURE_FIELDS)
+    assert len(figures.columns) < len(whole.columns)
+    np.testing.assert_equal(
+        summarise_run(figures, "tracking-1"), summarise_run(whole, "tracking-1")
+    )
+    some = pamctl.log.signals(read_some(path, SIGNAL_FIELDS))
+    for field in Signals.__dataclass_fields__:
+        np.testing.assert_equal(getattr(some, field), getattr(pamctl.log.signals(whole), field))

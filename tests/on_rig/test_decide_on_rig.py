@@ -16,7 +16,7 @@ from support.patience import PATIENCE_S
 from support.processes.daemons import daemon
 
 import pamctl
-from pamctl.cli.analyse.on_rig import OnRigTask, diagnose_on_rig
+from pamctl.cli.analyse.on_rig import OnRigTask, diagnose_on_rig, end_on_signals
 from pamctl.diagnose import Verdict
 from pamctl.diagnose.deciding.explanations import list_explanations
 from pamctl.diagnose.deciding.separation import ProgramTrial
@@ -186,7 +186,7 @@ def test_a_daemon_that_ends_within_a_program_takes_no_round_with_it(
         ending.start()
         task = OnRigTask(
             [given], tmp_path / "out", PlantSettings(), "diagnosis", 3, 2.0, up.socket,
-            then=None, motion=None, dry_run=False, yes=True,
+            dry_run=False, yes=True,
         )  # fmt: skip
         with pytest.raises(typer.Exit) as left:
             diagnose_on_rig(task, None, as_json=False)
@@ -198,6 +198,40 @@ def test_a_daemon_that_ends_within_a_program_takes_no_round_with_it(
     document = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert [each["verdict"] for each in document["on_rig"]["rounds"]] == ["ambiguous"]
     assert document["on_rig"]["stopped"].startswith("the run failed")
+
+
+def test_signals_are_as_before_after_the_rounds() -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    with end_on_signals():
+        assert signal.getsignal(signal.SIGTERM) is not before
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+@pytest.mark.usefixtures("found_before")
+def test_a_fault_of_the_program_leaves_the_document_as_far_as_it_is(
+    done: Investigation,
+    rig: SimulatedRig,
+    logs: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (given,) = logs.glob(f"{done.records[0].name}*")
+
+    def fail(_: object) -> None:
+        raise ZeroDivisionError("a fault")
+
+    monkeypatch.setattr("pamctl.session.daemon_rig.connect", lambda _: rig)
+    monkeypatch.setattr(rig, "close", lambda: None)
+    monkeypatch.setattr("pamctl.on_rig.decide_on_rig._choose_next", fail)
+    task = OnRigTask(
+        [given], tmp_path / "out", PlantSettings(), "diagnosis", 3, 2.0, None,
+        dry_run=False, yes=True,
+    )  # fmt: skip
+    with pytest.raises(ZeroDivisionError):
+        diagnose_on_rig(task, None, as_json=False)
+    document = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert document["on_rig"]["stopped"] == "the program failed: ZeroDivisionError: a fault"
+    assert document["next_experiment"]["do"] == "pamctl start next-experiment.yaml"
 
 
 def test_a_first_program_beyond_the_limits_or_the_budget_is_refused(squares: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,8 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from support.runs import MS, MemoryJournal, ScriptedSupervisor, pack_row, parts, run_settings
 
 from hal.calibration import Zero
@@ -21,7 +18,7 @@ from hal.rig import RawSample
 from pamctl.control.law import answer
 from pamctl.exit_codes import Ending
 from pamctl.kernel.calls import NativeCall, PlainCall
-from pamctl.kernel.translate import NotInC
+from pamctl.kernel.expressions import NotInC
 from pamctl.log.reader import read
 from pamctl.realtime.clock import Wake
 from pamctl.realtime.cued_helm import CuedHelm
@@ -208,7 +205,7 @@ def replay_golden(source: Any) -> int:
     """Run a log's ticks on its raw samples and references; return how many were compared."""
     log, seen, after = source.log, 0, None
     inputs = source.inputs(0, len(source))
-    columns = [column.tolist() for column in inputs]
+    columns = [column.tolist() for column in inputs.values()]
     for begin, end in source.cut_stretches(source.find_begin()):
         state = source.state_at(begin, after)
         if state is None:
@@ -238,54 +235,6 @@ COMPARED = [
     for field in TICK_FIELDS
     if field.stage in ("measurement", "estimate", "command", "decision")
 ]
-
-anything = st.floats(allow_nan=True, allow_infinity=True)
-usual = st.floats(-1e3, 1e3)
-numbers = st.one_of(anything, usual, st.just(math.nan), st.sampled_from([math.inf, -math.inf]))
-volts = st.one_of(st.floats(0.0, 5.0), anything)
-counts = st.one_of(st.integers(-10_000, 10_000), st.integers(-(2**40), 2**40))
-lengths_ns = st.one_of(st.just(MS), st.integers(-MS, 60 * MS), st.integers(-(10**12), 10**12))
-
-
-def bits(values: Sequence[float]) -> list[bytes]:
-    """Return the bits of each number; all NaN are one."""
-    return [struct.pack("<d", math.nan if value != value else value) for value in values]
-
-
-@given(
-    samples=st.lists(
-        st.tuples(volts, counts, lengths_ns, st.integers(0, 200)), min_size=1, max_size=12
-    ),
-    reference=st.one_of(
-        st.tuples(st.floats(0, 0.02), usual, usual, usual, st.just(math.nan)),
-        st.tuples(*[numbers] * 5),
-    ),
-    phase=st.integers(0, 5),
-)
-def test_any_input_gives_the_same_bits_or_the_same_error(
-    samples: list[tuple[float, int, int, int]], reference: Any, phase: int
-) -> None:
-    compiled, plain = TickRunner(SETUP, NativeCall), plain_tick()
-    for tick in (compiled, plain):
-        tick.begin(first_state(SETUP, Zero(0.215, 0.0)), 0, -MS)
-    t_ns = 0
-    for at, (pressure_v, encoder, dt_ns, missed) in enumerate(samples):
-        raw = RawSample(pressure_v, encoder, t_ns, t_ns)
-        wake, asked = Wake(at, t_ns, t_ns + 1000, missed), Reference(phase, *reference)
-        try:
-            plain.run(SETUP, wake, raw, asked)
-        except (ArithmeticError, ValueError) as error:
-            with pytest.raises(type(error)):
-                compiled.run(SETUP, wake, raw, asked)
-            return
-        compiled.run(SETUP, wake, raw, asked)
-        records = [MemoryJournal(), MemoryJournal()]
-        for tick, journal in zip((plain, compiled), records, strict=True):
-            tick.record(journal, NO_OUTCOME, NO_TRUTH)
-        ours, theirs = (list_numbers(journal.ticks[0]) for journal in records)
-        assert bits(ours) == bits(theirs)
-        assert bits(plain.frozen) == bits(compiled.frozen)
-        t_ns += dt_ns
 
 
 def test_where_machine_code_fails_plain_python_says_why(compiled: TickRunner) -> None:

@@ -19,7 +19,7 @@ from support.made_up import START_MONO_NS, columns, end, meta, put, recording, t
 from support.patience import PATIENCE_S
 
 from pamctl.log import info, read
-from pamctl.log.repair.recover import recover_file
+from pamctl.log.recover import recover_file
 from pamctl.recording.finish_from_ring import finish_from_ring, recover_orphans
 from pamctl.recording.recorder import RecorderError, await_recorder, spawn_recorder
 from pamctl.recording.ring import RecorderFlag, Ring, RingError

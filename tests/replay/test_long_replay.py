@@ -11,9 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pamctl.log import Log, LogError, read
-from pamctl.log.paging import pages, read_paged
-from pamctl.log.paging.grid_rows import GridRows
-from pamctl.log.repair.recover import recover_file
+from pamctl.log import columns as log_columns
+from pamctl.log.columns import GridRows, Pages
+from pamctl.log.reader import read_paged
+from pamctl.log.recover import recover_file
 from pamctl.replay import Replay, read_replay_source, replay_log, replay_source
 from pamctl.replay.tolerance import OTHER_CPU
 from pamctl.replay.what_if import replace_law, run_what_if
@@ -25,14 +26,14 @@ NAMES = sorted(path.stem for path in GOLDEN.glob("*.mcap"))
 @pytest.fixture(autouse=True)
 def small_pages(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let a log of seconds have many pages and many stretches."""
-    monkeypatch.setattr(read_paged, "PAGE_TICKS", 300)
+    monkeypatch.setattr(log_columns, "PAGE_TICKS", 300)
     monkeypatch.setattr(replay_source, "LONGEST_STRETCH", 700)
-    monkeypatch.setattr(pages, "_KEPT_PAGES", 2)
+    monkeypatch.setattr(log_columns, "_KEPT_PAGES", 2)
 
 
 def open_paged(path: Path) -> Log:
-    log = read_paged.read_paged(path)
-    assert isinstance(log.columns, pages.Pages)
+    log = read_paged(path)
+    assert isinstance(log.columns, Pages)
     return log
 
 

@@ -15,9 +15,8 @@ from typer.testing import CliRunner
 
 from pamctl.cli.app import app
 from pamctl.log import read
-from pamctl.log.annotate.annotation import SWEEP, make_annotation
-from pamctl.log.annotate.append_metadata import append_metadata, write_annotation
-from pamctl.log.annotate.read_annotation import read_annotation
+from pamctl.log.annotate import append_metadata, read_annotation, write_annotation
+from pamctl.log.annotation import make_annotation
 from pamctl.runs.edit_annotation import edit_annotations
 from pamctl.runs.index_finished import INDEX_NAME, index_quietly
 from pamctl.runs.run_index import RunIndex, RunsError
@@ -185,38 +184,18 @@ def test_runs_are_tagged_noted_found_and_listed(folder: Path) -> None:
     invoke("runs", "untag", "good", pid)
     invoke("runs", "note", "new \x1b[31mhose", qsmc)
     assert invoke(*there, "--tag", "good", "--paths") == f"{qsmc}\n"
-    assert invoke(*there, "--note-text", "HOSE", "--paths") == f"{qsmc}\n"
-    assert invoke(*there, "--law", "p*", "--ending", "ok", "--paths") == f"{pid}\n"
-    assert invoke(*there, "--without-tag", "good", "--ending", "ok", "--paths") == f"{pid}\n"
-    table = invoke(*there, "--ending", "ok")
+    assert invoke(*there, "--where", "note=*HOSE*", "--paths") == f"{qsmc}\n"
+    ended_well = ("--where", "ending=ok")
+    assert invoke(*there, "--where", "law=p*", *ended_well, "--paths") == f"{pid}\n"
+    table = invoke(*there, *ended_well)
     assert "[good]  new hose" in table
     assert table.endswith("2 of 6 runs\n")
     (one,) = json.loads(invoke(*there, "--tag", "good", "--json"))["runs"]
     assert one["path"] == "qsmc.mcap"
     assert one["note"] == "new hose"
-    csv = invoke(*there, "--ending", "ok", "--csv").splitlines()
+    csv = invoke(*there, *ended_well, "--csv").splitlines()
     assert len(csv) == 3
     assert "controller.law" in csv[0].split(",")
-
-
-def test_a_page_shows_errors_against_a_setting(folder: Path, tmp_path: Path) -> None:
-    for number, gain in enumerate((20.0, 20.0, 40.0)):
-        log = shutil.copy(GOLDEN / "qsmc.mcap", folder / f"run{number}.mcap")
-        point = json.dumps({"controller.lambda_per_s": gain})
-        place = {"name": "s", "base": "", "point": point, "repeat": str(number % 2)}
-        append_metadata(Path(log), SWEEP, place)
-    page = tmp_path / "page.html"
-    key = "controller.lambda_per_s"
-    where = ("--where", f"{key}>=20", "--ending", "ok", "--page", page)
-    invoke("runs", "--logs", folder, *where)
-    text = page.read_text()
-    assert text.count("<svg") >= 2
-    assert f">{key}</h2>" in text
-    refused = CliRunner().invoke(
-        app, ["runs", "--logs", str(folder), "--page", str(page), "--against", "no.such"]
-    )
-    assert refused.exit_code == 2
-    assert "no.such" in refused.stderr
 
 
 def test_a_hostile_log_writes_no_control_character_to_the_terminal(folder: Path) -> None:

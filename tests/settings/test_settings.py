@@ -477,6 +477,13 @@ def test_a_file_with_the_heading_of_its_section_is_refused_with_the_fix() -> Non
     )
 
 
+def test_a_plant_file_with_a_correction_table_is_refused_with_what_to_do() -> None:
+    Path("plant").mkdir()
+    Path("plant/old.yaml").write_text("correction: {pull: {displacement_m: [0, 0.02]}}\n")
+    with pytest.raises(ConfigError, match=r"old.yaml:1:1: plant.correction: .*`pamctl diagnose`"):
+        check_config_file(Path("plant/old.yaml"))
+
+
 def test_settings_load_without_the_heavy_packages() -> None:
     heavy = ["numpy", "scipy", "matplotlib", "mcap", "nidaqmx"]
     code = f"import sys, pamctl.settings.resolve; print([m for m in {heavy} if m in sys.modules])"

@@ -6,11 +6,15 @@ simulated rig and a journal in memory; the batch is what tuning and diagnosis ru
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
+from random import Random
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from support.runs import MemoryJournal, ScriptedSupervisor
 
@@ -30,6 +34,7 @@ from pamctl.simulate.closed_loop import (
     simulate,
     tabulate_references,
 )
+from pamctl.simulate.many_ticks import draw_deviates
 
 TRACKING = """
     kind: tracking
@@ -183,6 +188,15 @@ def test_a_trip_ends_batch_and_loop_in_the_same_tick(folder: Path) -> None:
 def test_the_noise_depends_on_the_seed_and_on_nothing_else() -> None:
     np.testing.assert_array_equal(draw_sensor_noise(100, 3), draw_sensor_noise(200, 3)[:100])
     assert not np.array_equal(draw_sensor_noise(100, 3), draw_sensor_noise(100, 4))
+
+
+@given(seed=st.integers(0, 2**32), counts=st.lists(st.integers(0, 9), max_size=6))
+def test_deviates_are_those_of_the_simulated_rig_one_by_one(seed: int, counts: list[int]) -> None:
+    many, single = Random(seed), Random(seed)
+    for n in counts:
+        ours, theirs = draw_deviates(many, n), [single.gauss(0.0, 1.0) for _ in range(n)]
+        assert ours.tobytes() == struct.pack(f"{n}d", *theirs)
+        assert many.getstate() == single.getstate()
 
 
 def test_finer_steps_of_the_plant_move_the_result_by_less_than_a_micrometre(folder: Path) -> None:

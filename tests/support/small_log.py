@@ -12,7 +12,6 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
 from pamctl.json_text import to_json
-from pamctl.log.container import make_message_record, make_message_records
 from pamctl.log.framing import FRAME, FileRecord, map_log_file, walk_records
 from pamctl.log.schema import (
     EVENT_TOPIC,
@@ -23,7 +22,7 @@ from pamctl.log.schema import (
     tick_descriptor,
     units_of_columns,
 )
-from pamctl.log.wire import TickLayout
+from pamctl.log.wire import TickLayout, make_message_record, make_message_records
 from pamctl.log.writer import NO_SCHEMA, LogWriter
 from pamctl.new_file import create_new_file
 

@@ -10,6 +10,7 @@ import typer
 from pamctl.cli.options import InteractiveOption, JsonOption
 from pamctl.cli.output import PAGE_BEGIN, print_json, print_result
 from pamctl.new_file import NewFileError, require_place, write_files
+from pamctl.plain_text import escape_name
 
 
 def compare(
@@ -44,10 +45,15 @@ def compare(
         require_place(plot, replaces=PAGE_BEGIN)
     from pamctl.compare.compare_plants import compare_plants
     from pamctl.compare.compare_text import format_comparison, make_comparison_document
-    from pamctl.log.measured_signals import SIGNAL_FIELDS
+    from pamctl.log.measured_signals import SIGNAL_FIELDS, judge_ticks
     from pamctl.log.reader import read, read_some
 
-    found = [(path, compare_plants(read_some(path, SIGNAL_FIELDS), plants or [])) for path in paths]
+    found = []
+    for path in paths:
+        log = read_some(path, SIGNAL_FIELDS)
+        for doubt in judge_ticks(log):
+            typer.echo(f"warning: {escape_name(str(path))}: {doubt}", err=True)
+        found.append((path, compare_plants(log, plants or [])))
     if len(found) > 1:
         if as_json:
             print_json([{**make_comparison_document(*one), "plot": None} for one in found])

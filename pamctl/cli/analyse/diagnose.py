@@ -76,13 +76,6 @@ def diagnose(
             show_default="none",
         ),
     ] = None,
-    correction: Annotated[
-        bool,
-        typer.Option(
-            "--correction",
-            help="Add to the model what no effect explains, as a table without a name",
-        ),
-    ] = False,
     noise: Annotated[
         list[str] | None,
         typer.Option(
@@ -120,24 +113,6 @@ def diagnose(
         float,
         typer.Option("--minutes", metavar="M", min=0.3, max=120.0, help="Most time on the rig"),
     ] = 5.0,
-    then: Annotated[
-        str | None,
-        typer.Option(
-            "--then",
-            metavar="tune",
-            help="After the decision: retune, and track before and after on the rig",
-            show_default="nothing",
-        ),
-    ] = None,
-    motion: Annotated[
-        str | None,
-        typer.Option(
-            "--motion",
-            metavar="NAME|FILE",
-            help="Experiment in closed loop that --then tune should track better",
-            show_default="one cycle of tracking-2",
-        ),
-    ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print the plan on the rig and stop")
     ] = False,
@@ -156,8 +131,6 @@ def diagnose(
     logs = logs or []
     require_one_place(cluster, jobs)
     _require_one_kind(context, logs, on_rig=on_rig)
-    if then not in (None, "tune"):
-        raise typer.BadParameter(f"'{then}' is not known; give tune", param_hint="--then")
     if out is not None:
         require_empty_folder(out)
     elif not dry_run:
@@ -176,8 +149,6 @@ def diagnose(
             runs,
             minutes,
             socket,
-            then=then,
-            motion=motion,
             dry_run=dry_run,
             yes=yes,
         )
@@ -198,6 +169,9 @@ def diagnose(
     stated = _parse_noise(noise or [])
     train = [record_of(path) for path in logs]
     held = [record_of(path) for path in holdout or []]
+    for record in (*train, *held):
+        for note in record.notes:
+            typer.echo(f"warning: {record.name}: {note}", err=True)
     if not held:
         how = "the runs are split" if len(train) > 1 else "long stretches of it are held out"
         if len(train) > 1 and any(map(read_forecast, train)):
@@ -209,7 +183,6 @@ def diagnose(
             held,
             start,
             without=without or (),
-            correction=correction,
             accept=accepted,
             noise=stated,
             executor=executor,
@@ -227,8 +200,8 @@ def diagnose(
     raise typer.Exit(ExitCode.BAD_DATA if diagnosis.reason else ExitCode.OK)
 
 
-_FOR_RIG = ("experiment", "runs", "minutes", "then", "motion", "dry_run", "yes", "socket")
-_FOR_LOGS = ("holdout", "without", "accept", "correction", "noise", "interactive")
+_FOR_RIG = ("experiment", "runs", "minutes", "dry_run", "yes", "socket")
+_FOR_LOGS = ("holdout", "without", "accept", "noise", "interactive")
 
 
 def _require_one_kind(context: typer.Context, logs: Sequence[Path], *, on_rig: bool) -> None:

@@ -31,8 +31,6 @@ class OnRigTask:
     runs: int
     minutes: float
     socket: Path | None
-    then: str | None
-    motion: str | None
     dry_run: bool
     yes: bool
 
@@ -50,7 +48,7 @@ def diagnose_on_rig(task: OnRigTask, executor: Executor | None, *, as_json: bool
     with connect(task.socket) as rig:
         first = None if records else task.experiment
         budget = Budget(task.runs, task.minutes)
-        plan = make_rig_plan(rig.settings(), task.start, first, budget, task.motion)
+        plan = make_rig_plan(rig.settings(), task.start, first, budget)
         if task.dry_run:
             if as_json:
                 print_json(plan.as_dict())
@@ -87,10 +85,6 @@ def _run_rounds(
             rig,
         ):  # a daemon that cannot be left well ends the rounds, and loses none of them
             decide_on_rig(rig, investigation, executor=executor, progress=progress)
-            if task.then == "tune" and investigation.is_decided:
-                from pamctl.on_rig.retune import retune_on_rig
-
-                retune_on_rig(rig, investigation, progress)
     except KeyboardInterrupt as interrupt:
         investigation.stopped = "it was interrupted"
         code = ExitCode.SIGTERM if isinstance(interrupt, _Terminated) else ExitCode.SIGINT
@@ -128,7 +122,7 @@ def _finish(
     from pamctl.diagnose import summary
     from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
     from pamctl.new_file import NewFileError
-    from pamctl.on_rig.rig_story import tell_retuning, write_investigation
+    from pamctl.on_rig.rig_story import write_investigation
 
     assert task.out is not None
     found = investigation.diagnosis
@@ -145,7 +139,7 @@ def _finish(
     )
     stopped = f"stopped after {investigation.rig_time_s:.0f} s on the rig: {investigation.stopped}"
     document = {**build_diagnosis_document(found), "on_rig": investigation.as_dict()}
-    text = f"{summary(found)}\n\n{told}\n{stopped}{tell_retuning(investigation)}{end}"
+    text = f"{summary(found)}\n\n{told}\n{stopped}{end}"
     print_result(document, lambda: text, failure, as_json=as_json)
     if reason:
         print_error(reason)

@@ -15,7 +15,6 @@ from pamctl.new_file import NewFileError, require_place
 
 if TYPE_CHECKING:
     from pamctl.log import Log
-    from pamctl.replay.tolerance import Tolerances
 
 
 def replay(
@@ -33,8 +32,8 @@ def replay(
         str | None,
         typer.Option(
             "--tolerance",
-            metavar="FILE|default-for-other-cpu",
-            help="Permitted difference of each field",
+            metavar="default-for-other-cpu",
+            help="Permit the rounding of another CPU or C library",
             show_default="none, bit for bit",
         ),
     ] = None,
@@ -85,11 +84,14 @@ def replay(
     if tolerance is not None and is_what_if:
         message = "belongs to a comparison: without --controller and --set"
         raise typer.BadParameter(message, param_hint="--tolerance")
+    if tolerance not in (None, "default-for-other-cpu"):
+        message = "must be default-for-other-cpu; files of tolerances are gone"
+        raise typer.BadParameter(message, param_hint="--tolerance")
     if csv is not None:
         require_place(csv)
     if from_s is not None and not 0.0 <= from_s < math.inf:
         raise typer.BadParameter("must be seconds, 0 or more", param_hint="--from")
-    from pamctl.log.paging.read_paged import read_paged
+    from pamctl.log.reader import read_paged
     from pamctl.settings.resolve import use_law_file
 
     if controller_from is not None:
@@ -107,24 +109,15 @@ def _compare_with_log(
 ) -> ExitCode:
     from pamctl.replay import replay_log
     from pamctl.replay.replay_text import format_replay, make_replay_document
+    from pamctl.replay.tolerance import EXACT, OTHER_CPU
 
-    found = replay_log(log, from_s=from_s, plain=plain, tolerances=_choose_tolerances(tolerance))
+    tolerances = EXACT if tolerance is None else OTHER_CPU
+    found = replay_log(log, from_s=from_s, plain=plain, tolerances=tolerances)
     if as_json:
         print_json(make_replay_document(found, tolerance))
     else:
         typer.echo(format_replay(found))
     return ExitCode.OK if found.is_equal else ExitCode.CHECK_FAILED
-
-
-def _choose_tolerances(name: str | None) -> Tolerances:
-    from pamctl.replay import list_compared_fields
-    from pamctl.replay.tolerance import EXACT, OTHER_CPU, OTHER_CPU_NAME, read_tolerances
-
-    if name is None:
-        return EXACT
-    return (
-        OTHER_CPU if name == OTHER_CPU_NAME else read_tolerances(Path(name), list_compared_fields())
-    )
 
 
 def _run_what_if(

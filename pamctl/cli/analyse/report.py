@@ -10,6 +10,7 @@ import typer
 from pamctl.cli.options import InteractiveOption, JsonOption
 from pamctl.cli.output import PAGE_BEGIN, print_json
 from pamctl.new_file import require_place, write_files
+from pamctl.plain_text import escape_name
 
 
 def report(
@@ -28,13 +29,17 @@ def report(
 ) -> None:
     """Write one self-contained HTML page with figures and plots of these logs."""
     from pamctl.log.reader import read_some
-    from pamctl.report.compose import compose_report
+    from pamctl.report.compose import compose_report, find_doubts
     from pamctl.report.reported_run import REPORT_FIELDS
 
     logs = [read_some(path, REPORT_FIELDS) for path in paths]
+    doubts = [find_doubts(log) for log in logs]
+    for path, found in zip(paths, doubts, strict=True):
+        for doubt in found:
+            typer.echo(f"warning: {escape_name(str(path))}: {doubt}", err=True)
     target = out or paths[0].with_suffix(".html")
     require_place(target, replaces=PAGE_BEGIN)
-    html = compose_report(logs).html(interactive=interactive)
+    html = compose_report(logs, doubts).html(interactive=interactive)
     write_files({target: html}, replaces=PAGE_BEGIN)
     if as_json:
         print_json({"page": str(target), "bytes": len(html.encode()), "logs": paths})

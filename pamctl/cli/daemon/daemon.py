@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -10,18 +9,13 @@ import typer
 
 from pamctl.cli.backend_option import BackendOption
 from pamctl.cli.options import (
-    DEFAULT_LIVE_PORT,
     ControllerOption,
-    LiveOption,
-    LiveOriginOption,
-    LivePortOption,
     PlantOption,
     RigOption,
     RtOption,
     SeedOption,
     SetOption,
     SocketOption,
-    choose_live_port,
     require_linux,
     seconds_option,
 )
@@ -82,9 +76,6 @@ def daemon(
         bool,
         typer.Option("--monitor-trips", help="Stop at the safe voltage at the monitor's alarm"),
     ] = False,
-    live: LiveOption = False,
-    live_port: LivePortOption = DEFAULT_LIVE_PORT,
-    live_origins: LiveOriginOption = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print each event as one line of JSON")
     ] = False,
@@ -96,22 +87,17 @@ def daemon(
     if (monitor_plant is not None or monitor_trips) and not monitor:
         raise typer.BadParameter("--monitor-plant and --monitor-trips go with --monitor")
     del names["experiment"]  # each start names its own
-    port = choose_live_port(live, live_port, live_origins)
     watched = _choose_watched_plant(settings, monitor_plant) if monitor else None
     require_linux()
     from pamctl.daemon.client import own_socket
     from pamctl.daemon.serving import ServiceOptions, serve_daemon  # no other verb waits for it
-    from pamctl.live.live_view import require_foxglove, serve_live_view
 
-    if live:
-        require_foxglove()
     options = ServiceOptions(
         socket or own_socket(),
         group,
         logs,
         keep,
         idle_after_s,
-        partial(serve_live_view, port, live_origins or ()),
         announce=as_json,
         watched=watched,
         monitor_trips=monitor_trips,

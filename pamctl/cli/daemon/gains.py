@@ -8,7 +8,7 @@ import typer
 
 from pamctl.cli.daemon.ask import ask, print_gains, ramp_option, read_section
 from pamctl.cli.options import JsonOption, SocketOption
-from pamctl.log.naming import file_safe_name
+from pamctl.log.run_meta import file_safe_name
 from pamctl.realtime.gain_ramp import DEFAULT_RAMP_S
 
 gains_app = typer.Typer(no_args_is_help=True, help="Load and show the daemon's gains.")

@@ -18,8 +18,8 @@ from pamctl.cli.options import (
     TagOption,
     seconds_option,
 )
-from pamctl.log.annotate.annotation import make_annotation
-from pamctl.log.naming import file_safe_name
+from pamctl.log.annotation import make_annotation
+from pamctl.log.run_meta import file_safe_name
 
 
 def start(

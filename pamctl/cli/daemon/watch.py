@@ -53,7 +53,7 @@ def watch(
     from pamctl.daemon.client import default_socket
 
     where = socket or default_socket()
-    # However it ends, the terminal gets its cursor and its lines back.
+    # However it ends, the terminal gets its cursor back.
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     if as_json:
         from pamctl.live.terminal import watch_as_json

@@ -10,17 +10,18 @@ import typer
 from pamctl.cli.options import JsonOption
 from pamctl.cli.output import print_json
 from pamctl.exit_codes import ExitCode
+from pamctl.plain_text import escape_name
 from pamctl.settings.problems import ConfigError
 
 if TYPE_CHECKING:
-    from pamctl.log.check.check_log import LogCheckReport
+    from pamctl.log.check import LogCheckReport
 
 
 def check_logs(
     paths: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Logs to check")],
     as_json: JsonOption = False,
 ) -> None:
-    """Check files, checksums, indexes, tick numbers, times, units and configuration.
+    """Check files, checksums, indexes, tick numbers, times, signals, units and configuration.
 
     Exits with 3 if there is an error in any of them, 65 if a file is no log at all.
     """
@@ -34,7 +35,7 @@ def check_logs(
 
 def _check_log(path: Path) -> tuple[ExitCode, dict[str, Any]]:
     from pamctl.log import LogError
-    from pamctl.log.check.check_log import check_log
+    from pamctl.log.check import check_log
 
     try:
         report = check_log(path, _find_config_problems)
@@ -60,10 +61,27 @@ def _find_config_problems(text: str) -> list[str]:
 
 
 def _format_report(report: dict[str, Any]) -> list[str]:
+    name = escape_name(report["path"])
     if "reason" in report:
-        return [f"{report['path']}: no log", f"  error    {report['reason']}"]
+        return [f"{name}: no log", f"  error    {report['reason']}"]
     verdict = f"{'ok' if report['ok'] else 'not ok'}, {report['ticks']} ticks"
+    kinds = {f["kind"] for f in report["findings"] if f["severity"] == "error"}
+    fixes = dict.fromkeys(fix for kind, fix in _FIXES.items() if kind in kinds)
     return [
-        f"{report['path']}: {verdict}",
+        f"{name}: {verdict}",
         *(f"  {f['severity']:<9}{f['kind']:<12}{f['message']}" for f in report["findings"]),
+        *(f"  way on   {fix.format(name)}" for fix in fixes),
     ]
+
+
+_RECOVER = "save all that is whole: pamctl log recover {} NEW.mcap"
+_CUT = "cut a sound part out: pamctl log cut {} --out PART.mcap --from-s ... --to-s ..."
+_ANEW = "make a log of what was measured anew: pamctl log export {} T.csv, then log import"
+_FIXES = {
+    **dict.fromkeys(("damage", "index", "summary", "chunk", "order"), _RECOVER),
+    **dict.fromkeys(("backwards", "duplicated", "phase", "empty", "missing"), _CUT),
+    **dict.fromkeys(("tick-order", "clock", "gap", "sequence", "reversed", "columns"), _ANEW),
+    "schema": "export the ticks for other tools: pamctl log export {} NEW.csv",
+    "config": "replay it with the version that wrote it, which pamctl log info {} names",
+}
+"""What to do about errors, by their kind."""

@@ -10,9 +10,10 @@ import typer
 
 from pamctl.cli.options import JsonOption, seconds_option
 from pamctl.cli.output import print_json
+from pamctl.plain_text import escape_name
 
 if TYPE_CHECKING:
-    from pamctl.log.cutting.cut_log import CutLog
+    from pamctl.log.cut import CutLog
 
 _WHOLE = "the whole log"
 
@@ -64,7 +65,7 @@ def cut_file(
             "say what to cut: --from-s, --to-s, --from-row, --to-row or --at-gaps",
             param_hint="--out",
         )
-    from pamctl.log.cutting.cut_log import cut_log
+    from pamctl.log.cut import cut_log
 
     done = cut_log(
         source,
@@ -83,8 +84,9 @@ def cut_file(
 
 def _format_cut(done: CutLog) -> list[str]:
     lines = [
-        f"{piece.destination}: {piece.last_row - piece.first_row + 1} rows, {piece.first_row} to "
-        f"{piece.last_row} of {done.rows}, {piece.from_s:.6g} to {piece.to_s:.6g} s"
+        f"{escape_name(piece.destination)}: {piece.last_row - piece.first_row + 1} rows, "
+        f"{piece.first_row} to {piece.last_row} of {done.rows}, "
+        f"{piece.from_s:.6g} to {piece.to_s:.6g} s"
         for piece in done.pieces
     ]
     if done.left_out:

@@ -10,6 +10,7 @@ import typer
 
 from pamctl.cli.options import JsonOption
 from pamctl.cli.output import print_json
+from pamctl.plain_text import escape_name
 
 
 def export_log(
@@ -56,7 +57,9 @@ def export_log(
     if as_json:
         print_json(asdict(done))
     else:
-        typer.echo(f"{done.destination}: {done.ticks} ticks, {len(done.fields)} columns")
+        typer.echo(
+            f"{escape_name(done.destination)}: {done.ticks} ticks, {len(done.fields)} columns"
+        )
 
 
 def _parse_names(fields: str | None) -> list[str] | None:

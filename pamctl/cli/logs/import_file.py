@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,13 +14,12 @@ from pamctl.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from pamctl.log.importing.column_map import ImportMap
-    from pamctl.log.importing.pipeline import ImportSummary
 
 
 def import_file(
     source: Annotated[
         Path,
-        typer.Argument(metavar="IN", help="Measurement: CSV or other text, MAT, TDMS, LVM, Excel"),
+        typer.Argument(metavar="IN", help="Measurement: text, MAT, TDMS, LVM, Excel, HDF5, NPZ"),
     ],
     destination: Annotated[Path, typer.Argument(metavar="OUT", help="New log")],
     map_path: Annotated[
@@ -52,6 +51,7 @@ def import_file(
     A header says quantity and unit: position_mm, pressure_gauge_kpa, `Position [mm]`.
     Errors stop the import (65); warnings go into the log.
     """
+    from pamctl.log.importing.import_page import format_page
     from pamctl.log.importing.pipeline import import_log
 
     done = import_log(
@@ -62,9 +62,14 @@ def import_file(
         accept_units=accept_units,
     )
     if as_json:
-        print_json(_make_document(done))
+        print_json({**asdict(done), "findings": [finding._asdict() for finding in done.findings]})
     else:
-        typer.echo("\n".join(_format_lines(done)))
+        head = f"{done.source}: not imported; {done.form}"
+        if done.written:
+            rate = f"one every {done.period_s:.6g} s, over {done.lasts_s:.6g} s"
+            head = f"{done.destination}: {done.ticks} ticks, {rate}; {done.form}"
+        page = format_page(head, done.columns, done.findings, done.map_text)
+        typer.echo("\n".join(page))
     raise typer.Exit(ExitCode.OK if done.written else ExitCode.BAD_DATA)
 
 
@@ -75,29 +80,3 @@ def _read_map(path: Path) -> ImportMap:
     from pamctl.settings.resolve import RawSettings, validate_settings
 
     return validate_settings(TypeAdapter(ImportMap), RawSettings.read(path))
-
-
-def _make_document(done: ImportSummary) -> dict[str, Any]:
-    return {**asdict(done), "findings": [finding._asdict() for finding in done.findings]}
-
-
-def _format_lines(done: ImportSummary) -> list[str]:
-    if done.written:
-        head = f"{done.destination}: {done.ticks} ticks, one every {done.period_s:.6g} s"
-    else:
-        head = f"{done.source}: not imported"
-    return [
-        head,
-        *(
-            f"  {reading.quantity:<12}from {_format_reading(asdict(reading))}"
-            for reading in done.readings
-        ),
-        *(f"  {f.severity:<9}{f.kind:<12}{f.message}" for f in done.findings),
-    ]
-
-
-def _format_reading(reading: dict[str, Any]) -> str:
-    scaled = f" x {reading['gain']:g}" if reading["gain"] != 1.0 else ""
-    moved = f" {reading['offset']:+g}" if reading["offset"] else ""
-    gauge = ", gauge" if reading["gauge"] else ""
-    return f"{reading['column']}{scaled}{moved} in {reading['unit']}{gauge}"

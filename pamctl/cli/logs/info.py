@@ -11,6 +11,7 @@ from pamctl.cli.failure import print_error
 from pamctl.cli.options import JsonOption
 from pamctl.cli.output import print_json
 from pamctl.exit_codes import ExitCode
+from pamctl.plain_text import escape_name
 
 
 def show_info(
@@ -22,12 +23,13 @@ def show_info(
     Of a damaged or unfinished log it shows what stands before the damage, and exits with 3.
     """
     from pamctl.log import info
-    from pamctl.log.changed_gains import CHANGES, spell_controller
+    from pamctl.log.moments import CHANGES, spell_controller
 
     found = info(path)
     if as_json:
         print_json(found)
     else:
+        found["path"] = escape_name(found["path"])
         if found["outcome"]:
             found["outcome"] = f"{found['outcome']['code']}: {found['outcome']['reason']}"
         if str(found["start"]).startswith("1970-01-01"):

@@ -11,9 +11,10 @@ import typer
 from pamctl.cli.options import JsonOption
 from pamctl.cli.output import print_json
 from pamctl.exit_codes import ExitCode
+from pamctl.plain_text import escape_name
 
 if TYPE_CHECKING:
-    from pamctl.log.repair.recover import Recovery
+    from pamctl.log.recover import Recovery
 
 
 def recover_log(
@@ -22,7 +23,7 @@ def recover_log(
     as_json: JsonOption = False,
 ) -> None:
     """Save all that is whole of a damaged log into a new file; exits with 3 if anything is lost."""
-    from pamctl.log.repair.recover import recover_file
+    from pamctl.log.recover import recover_file
 
     recovery = recover_file(source, destination)
     if as_json:
@@ -34,7 +35,7 @@ def recover_log(
 
 def _format_recovery(recovery: Recovery) -> list[str]:
     saved = ", ".join(f"{count} of {topic}" for topic, count in recovery.messages.items())
-    lines = [f"{recovery.destination}: saved {saved}"]
+    lines = [f"{escape_name(recovery.destination)}: saved {saved}"]
     lines += [f"  damage   {what}" for what in recovery.damage]
     if not recovery.lossless:
         lines.append(f"  lost     {recovery.bytes_lost} bytes that nothing could be made of")

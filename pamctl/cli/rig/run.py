@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -12,16 +11,12 @@ import typer
 from pamctl.cli.backend_option import BackendOption
 from pamctl.cli.failure import print_error
 from pamctl.cli.options import (
-    DEFAULT_LIVE_PORT,
     ControllerFromOption,
     ControllerOption,
     DurationOption,
     ExperimentOption,
     FastOption,
     JsonOption,
-    LiveOption,
-    LiveOriginOption,
-    LivePortOption,
     NoteOption,
     OperatorOption,
     PlantOption,
@@ -31,13 +26,12 @@ from pamctl.cli.options import (
     SeedOption,
     SetOption,
     TagOption,
-    choose_live_port,
     require_linux,
 )
 from pamctl.cli.output import print_json
 from pamctl.cli.settings_from_options import resolve_options
 from pamctl.exit_codes import ExitCode
-from pamctl.log.annotate.annotation import make_annotation
+from pamctl.log.annotation import make_annotation
 from pamctl.settings.resolve import settings_to_json, settings_to_yaml
 
 
@@ -75,9 +69,6 @@ def run(
         bool, typer.Option("--dry-run", help="Print the resolved configuration and stop")
     ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print no progress line")] = False,
-    live: LiveOption = False,
-    live_port: LivePortOption = DEFAULT_LIVE_PORT,
-    live_origins: LiveOriginOption = None,
 ) -> None:
     """Move the muscle, log every tick, and show how well it tracked."""
     said = make_annotation(tags or (), note, operator, sample)
@@ -98,25 +89,18 @@ def run(
     if dry_run:
         typer.echo(settings_to_json(settings) if as_json else settings_to_yaml(settings).rstrip())
         return
-    if live and settings.fast:
-        raise typer.BadParameter("without a clock there is nothing live", param_hint="--live")
-    port = choose_live_port(live, live_port, live_origins)
     if not settings.fast:
         require_linux()
     from pamctl.control.experiment import plan_experiment
-    from pamctl.live.live_view import require_foxglove, serve_live_view
     from pamctl.processes.front import ignore_signals, restore_signals
     from pamctl.processes.run_once import run_once
     from pamctl.report.progress_line import ProgressLine
 
-    if live:
-        require_foxglove()
-    view = partial(serve_live_view, port, live_origins or ())
     length_s = plan_experiment(settings.experiment).duration_s
     length_s = min(length_s, settings.duration_s or length_s)
     progress = ProgressLine(quiet=quiet or as_json, length_s=length_s)
     with restore_signals():
-        done = run_once(settings, names, log, progress, view, quiet=quiet, said=said)
+        done = run_once(settings, names, log, progress, quiet=quiet, said=said)
         if done.note:
             print(f"warning: {done.note}", file=sys.stderr)
         if as_json:

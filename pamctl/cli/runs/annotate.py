@@ -13,7 +13,7 @@ from pamctl.cli.options import JsonOption
 from pamctl.cli.output import print_json
 
 if TYPE_CHECKING:
-    from pamctl.log.annotate.annotation import Annotation
+    from pamctl.log.annotation import Annotation
 
 _Logs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="Finished logs")]
 
@@ -33,7 +33,7 @@ def untag_logs(
     as_json: JsonOption = False,
 ) -> None:
     """Take a tag away from logs."""
-    from pamctl.log.annotate.annotation import check_tag
+    from pamctl.log.annotation import check_tag
 
     known = check_tag(tag)
     _edit(paths, lambda said: said.drop_tag(known), as_json=as_json)
@@ -45,7 +45,7 @@ def note_logs(
     as_json: JsonOption = False,
 ) -> None:
     """Write a note into logs, in the place of the one before."""
-    from pamctl.log.annotate.annotation import make_annotation
+    from pamctl.log.annotation import make_annotation
 
     note = make_annotation(note=text).note
     _edit(paths, lambda said: replace(said, note=note), as_json=as_json)

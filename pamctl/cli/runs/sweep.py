@@ -33,8 +33,8 @@ from pamctl.cli.options import (
 from pamctl.cli.output import PAGE_BEGIN, print_json
 from pamctl.cli.runs.runs import LogsOption
 from pamctl.cli.settings_from_options import resolve_options
-from pamctl.log.annotate.annotation import make_annotation
-from pamctl.log.naming import file_safe_name
+from pamctl.log.annotation import make_annotation
+from pamctl.log.run_meta import file_safe_name
 from pamctl.new_file import require_folder, write_files
 from pamctl.settings.config_files import DEFAULT_NAMES
 from pamctl.sweep.sweep_plan import parse_sweep, require_end
@@ -169,11 +169,11 @@ def _conclude(plan: SweepPlan, end: SweepEnd, *, as_json: bool) -> None:
     points = summarise_points(end.rows)
     saved: dict[str, str | None] = {"page": None, "csv": None}
     if points:
-        from pamctl.runs.runs_page import write_runs_page
         from pamctl.runs.varying import find_varying_keys
+        from pamctl.sweep.sweep_page import write_sweep_page
 
         keys = [key for key in points[0].point if key in find_varying_keys(end.rows)]
-        page = write_runs_page(f"Sweep {plan.name}", plan.folder, end.rows, keys).html()
+        page = write_sweep_page(plan.name, plan.folder, end.rows, keys).html()
         table = format_points_csv(points)
         targets = {name: plan.folder / f"{plan.name}.{name}" for name in ("html", "csv")}
         write_files({targets["html"]: page}, replaces=PAGE_BEGIN)

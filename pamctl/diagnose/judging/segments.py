@@ -11,7 +11,7 @@ import numpy as np
 from pamctl.diagnose.measured import zero_phase
 from pamctl.diagnose.measured.missed_ticks import smooth_over_missed
 from pamctl.diagnose.measured.record import Array
-from pamctl.log.cutting.pieces import find_longest_step_s
+from pamctl.log.cut import find_longest_step_s
 
 STROKE_END = 0.1
 """Share of a stroke that is left out at each end."""

@@ -12,8 +12,9 @@ import numpy as np
 import pamctl.log
 from pamctl.diagnose.measured.record import Record
 from pamctl.exit_codes import ExitCode
-from pamctl.log.annotate.moments import Moment, list_moments
 from pamctl.log.framing import map_log_file
+from pamctl.log.measured_signals import judge_ticks
+from pamctl.log.moments import Moment, list_moments
 from pamctl.signals import Phase
 
 
@@ -45,9 +46,11 @@ def _hash_content(path: Path) -> bytes:
 def record_of(path: str | Path) -> Record:
     """Read a log and return its measurement after homing; raises `LogError`.
 
-    The ramp to the safe voltage at the end is left out, and so are ticks whose write failed.
+    The ramp to the safe voltage at the end is left out, and so are ticks whose write failed. The
+    record's notes say what is doubtful in it.
     """
     log = pamctl.log.read(path)
+    doubts = judge_ticks(log)
     measured = pamctl.log.signals(log)
     usable = (measured.phase != Phase.HOMING) & (measured.phase != Phase.STOPPING)
     if measured.valve_v is not None:
@@ -73,6 +76,7 @@ def record_of(path: str | Path) -> Record:
         reference_m=reference_m,
         acts_after_s=part.acts_after_s,
         held_v=part.held_v,
+        notes=tuple(doubts),
         experiment=experiment,
         is_imported=log.is_imported,
         stated_noise=json.loads(log.metadata.get("import", {}).get("noise") or "{}"),

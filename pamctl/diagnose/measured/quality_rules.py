@@ -16,7 +16,8 @@ from scipy.ndimage import median_filter
 from pamctl.diagnose.measured.column_shift import check_time_shifts
 from pamctl.diagnose.measured.noise.mend import SensorFault
 from pamctl.diagnose.measured.noise.sensor_noise import Noise
-from pamctl.diagnose.measured.record import CHANNELS, Array, Record, estimate_resolution
+from pamctl.diagnose.measured.record import CHANNELS, Array, Record
+from pamctl.log.record_problems import find_sensor_step
 from pamctl.plant.effects.description import USED_SIGNALS, describe_unused
 from pamctl.plant.model import PlantSettings
 
@@ -281,7 +282,7 @@ def _measure_span(values: Array, least: float) -> tuple[float, float]:
 
 def _least_span(record: Record, plant: PlantSettings, channel: str) -> float:
     """Return the variation that a channel needs: more than its noise; of a muscle, a part of it."""
-    noise = max(_estimate_noise(record[channel]), estimate_resolution(record[channel]))
+    noise = max(_estimate_noise(record[channel]), find_sensor_step(record[channel]))
     least: float = max(STILL_TIMES_NOISE * noise, 1e-12)
     if plant.actuator == "direct":
         return least

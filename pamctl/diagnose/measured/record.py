@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pamctl.log.annotate.moments import Moment
-from pamctl.log.cutting.pieces import find_longest_step_s, split_at_gaps
+from pamctl.log.cut import find_longest_step_s, split_at_gaps
+from pamctl.log.moments import Moment
+from pamctl.log.record_problems import find_sensor_step
 
 Array = NDArray[np.float64]
 
@@ -180,7 +181,7 @@ def _find_rise(values: Array) -> int:
     """
     least = RISE_SHARE * float(np.ptp(values))
     level = max(
-        RISE_OVER_NOISE * max(estimate_quiet_noise(values), estimate_resolution(values)), least
+        RISE_OVER_NOISE * max(estimate_quiet_noise(values), find_sensor_step(values)), least
     )
     return _extrapolate_rise(np.abs(values - np.median(values[:RISE_FROM])), level)
 
@@ -196,7 +197,7 @@ def _find_slow_move(rest: Array) -> int:
     short = rest[:whole].reshape(-1, QUIET_SAMPLES // SHORT_PARTS).mean(axis=1)
     averages = short.reshape(-1, SHORT_PARTS).mean(axis=1)
     scatter = float(np.sqrt(np.mean(np.diff(short, 3) ** 2) / (20.0 * SHORT_PARTS)))
-    scatter = max(scatter, estimate_resolution(rest) / QUIET_SAMPLES**0.5)
+    scatter = max(scatter, find_sensor_step(rest) / QUIET_SAMPLES**0.5)
     begins = _extrapolate_rise(np.abs(averages - averages[0]), RISE_OVER_NOISE * scatter)
     return len(rest) if begins == len(averages) else QUIET_SAMPLES * begins
 
@@ -224,21 +225,3 @@ def estimate_quiet_noise(values: Array) -> float:
 
 def _as_column(values: ArrayLike) -> Array:
     return np.ascontiguousarray(values, dtype=np.float64).reshape(-1)
-
-
-def estimate_resolution(values: Array) -> float:
-    """Return the step with which a channel was digitised; 0 where none is visible.
-
-    The step is the smallest difference between levels, if the others are whole multiples.
-    Differences in time would not do: a motion at one speed has equal ones.
-    """
-    steps = np.diff(np.sort(values))
-    steps = steps[steps > 1e-9 * max(float(np.ptp(values)), 1e-30)]
-    if not len(steps):
-        return 0.0
-    # The smallest differences are one step each, apart from rounding.
-    smallest = float(np.quantile(steps, 0.01))
-    step = float(np.median(steps[steps < 1.5 * smallest]))
-    multiples = steps[steps < 30.0 * step] / step
-    off = np.abs(multiples - np.round(multiples))
-    return step if len(multiples) > 1 and float(np.quantile(off, 0.95)) < 0.1 else 0.0

@@ -16,7 +16,7 @@ from pamctl.diagnose.fitting.held_out_rms import simulate_held_out
 from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.report.phrases import spell_names
-from pamctl.log.annotate.moments import Moment
+from pamctl.log.moments import Moment
 from pamctl.plant.model import PlantSettings
 
 
@@ -68,8 +68,6 @@ def list_model_stages(diagnosis: Diagnosis) -> list[ModelStage]:
     if model.effects:
         label = f"with {spell_names(*model.names)}"
         stages.append(ModelStage("extended", label, assemble_plant(model), 0))
-    if diagnosis.correction is not None and diagnosis.correction.blocks:
-        stages.append(ModelStage("corrected", "with an unnamed correction", diagnosis.plant, 2))
     return stages
 
 

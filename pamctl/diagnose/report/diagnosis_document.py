@@ -79,7 +79,7 @@ def build_diagnosis_document(diagnosis: Diagnosis) -> dict[str, Any]:
             block: {"change_over_floor": change, "is_small": change <= SMALL}
             for block, change in diagnosis.substep_changes.items()
         },
-        "correction": _correction_entry(diagnosis),
+        "correction": diagnosis.remainder.as_dict() if diagnosis.remainder else None,
         "regimes": [
             {
                 "block": c.block,
@@ -112,13 +112,6 @@ def _list_judges(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
     """Return how each block was judged: free run, windows or equation, with the horizon."""
     judges = diagnosis.model.evidence.judge if diagnosis.model else {}
     return {block: judge.as_dict() for block, judge in judges.items()}
-
-
-def _correction_entry(diagnosis: Diagnosis) -> dict[str, Any] | None:
-    if diagnosis.remainder is None:
-        return None
-    table = {"table": diagnosis.correction.as_dict()} if diagnosis.correction else {}
-    return {**diagnosis.remainder.as_dict(), **table}
 
 
 def _effect_entry(diagnosis: Diagnosis, standing: Standing) -> dict[str, Any]:

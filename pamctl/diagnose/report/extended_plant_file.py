@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from pamctl.diagnose.diagnosis import Diagnosis
-from pamctl.diagnose.report.phrases import describe_correction
 from pamctl.diagnose.report.verdict_words import sentence
 from pamctl.settings.yaml12 import dump_yaml
 
@@ -22,8 +21,6 @@ def format_plant_file(diagnosis: Diagnosis, logs: Sequence[str]) -> str:
 def _head_lines(diagnosis: Diagnosis, logs: Sequence[str]) -> Iterator[str]:
     yield f"Written by `pamctl diagnose` from {', '.join(logs)}."
     yield f"Verdict: {diagnosis.verdict.value}. {sentence(diagnosis)}"
-    if diagnosis.correction is not None:
-        yield describe_correction(diagnosis.correction)
     for finding in diagnosis.setup:
         yield f"Set-up: {finding.text}. To mend it: {finding.how_to_mend}."
     if diagnosis.numbers:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from pamctl.diagnose.diagnosis import Diagnosis, find_largest_remainder
-from pamctl.diagnose.extend import CorrectionResult
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.floor import doubt_floor
 from pamctl.diagnose.fitting.integrator import SMALL
@@ -229,18 +228,6 @@ def describe_remainder(remainder: Remainder, actuator: str) -> str:
         f"{terms} {remainder.unit}. This covers {100.0 * remainder.explained:.0f} % of its square; "
         "each signal is scaled to its largest magnitude."
     )
-
-
-def describe_correction(correction: CorrectionResult) -> str:
-    """Say whether the unnamed correction is in the model, and what it does to the gap."""
-    rows = []
-    for channel, before in correction.before.items():
-        factor, label = gap_units(channel)
-        after = correction.after[channel]
-        rows.append(f"{label} from {factor * before:.4g} to {factor * after:.4g}")
-    gap = f" Held-out gap, RMS: {'; '.join(rows)}." if correction.blocks else ""
-    state = "added to the model" if correction.blocks else "left out of the model"
-    return f"Unnamed correction {state}: {correction.why}.{gap}"
 
 
 def describe_substeps(changes: Mapping[str, float]) -> str:

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.report.next_experiment import choose_next_experiment
 from pamctl.diagnose.report.phrases import (
-    describe_correction,
     describe_limits,
     describe_noise,
     describe_remainder,
@@ -42,8 +41,6 @@ def _list_parts(diagnosis: Diagnosis) -> Iterator[str]:
     if diagnosis.remainder is not None:
         yield describe_remainder(diagnosis.remainder, diagnosis.nominal.actuator)
     yield describe_questions(diagnosis)
-    if diagnosis.correction is not None:
-        yield describe_correction(diagnosis.correction)
     for accepted in diagnosis.accepted:
         yield f"accepted ({accepted.rule}): {accepted.reason}: {'; '.join(accepted.doubts)}"
     experiment = choose_next_experiment(diagnosis)

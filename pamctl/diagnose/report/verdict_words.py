@@ -219,26 +219,16 @@ def _word_none_known(diagnosis: Diagnosis) -> VerdictWords:
     if diagnosis.signs:
         return _word_signs(diagnosis)
     left = f"{describe_largest_remainder(diagnosis)} {describe_leads(diagnosis)}".rstrip()
-    advice = [
+    advice = (
         f"Look where the maps below are bright, and at the rig: {words_of_rig(diagnosis).suspects}."
         " plant.yaml has the recalibrated numbers, and no effect."
-    ]
-    if diagnosis.correction is None:
-        advice.append(
-            "If prediction matters more than the cause: the option --correction of pamctl diagnose "
-            "adds what is left to the model, as a table without a name."
-        )
-    elif diagnosis.correction.blocks:
-        advice.append(
-            "plant.yaml also has a table without a name. It predicts better and explains "
-            "nothing: use it to predict, but do not judge the rig by it."
-        )
+    )
     return VerdictWords(
         "Something is missing, and it is none of the known effects",
         left,
         "After recalibration, no effect of the catalogue, alone or with others, explains what is "
         f"left. {left} It has a shape, drawn below, but no name.",
-        tuple(advice),
+        (advice,),
         "bad",
     )
 

@@ -5,14 +5,16 @@
     pressure: {column: P1, unit: kPa, gauge: true}
     position: {column: enc, unit: mm, gain: -1.0}
 
-A value is (column x gain + offset), in the unit given.
+A value is (column x gain + offset), in the unit given. Beside the columns, a map may say what the
+file does not: encoding, decimal mark, words for a missing value, the lines to import.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from hal.configured import Configured
 from pamctl.log.importing.quantities import (
@@ -20,24 +22,26 @@ from pamctl.log.importing.quantities import (
     TIME,
     UNITS,
     ColumnReading,
+    TextHints,
 )
 
-
-def _spell_number(column: object) -> object:
-    return str(column) if type(column) is int else column
-
-
 Column = Annotated[
-    str,
-    BeforeValidator(_spell_number),
+    Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=1)],
     Field(
-        min_length=1,
-        description="name in the file; its number from 1 where the file has no line of names; "
-        "for a column of a MAT matrix: yout(:,2)",
+        description="name in the file, or number from 1; for a column or a row of a matrix: "
+        "yout(:,2) or yout(2,:)",
     ),
 ]
 Gain = Annotated[float, Field(description="multiplies the column")]
 Offset = Annotated[float, Field(description="added to column x gain, in the unit given here")]
+Shift = Annotated[
+    float,
+    Field(
+        ge=-10,
+        le=10,
+        description="added to the times of this column: negative where it was logged too late",
+    ),
+]
 SensorNoise = Annotated[
     float | None,
     Field(ge=0, description="standard deviation of one reading, in the unit given here, if known"),
@@ -67,6 +71,7 @@ class ValveMap(Configured):
     unit: Literal["V", "mV"] = "V"
     gain: Gain = 1.0
     offset: Offset = 0.0
+    shift_s: Shift = 0.0
     acts_after_s: Annotated[
         float,
         Field(
@@ -82,10 +87,13 @@ class PressureMap(Configured):
     """The pressure in the muscle."""
 
     column: Column
-    unit: Literal["Pa", "kPa", "MPa", "bar", "mbar", "psi"]
+    unit: Literal[
+        "Pa", "kPa", "MPa", "hPa", "bar", "mbar", "psi", "atm", "Torr", "mmHg", "inHg", "kgf/cm2"
+    ]
     gauge: Annotated[bool, Field(description="relative to the atmosphere; else absolute")]
     gain: Gain = 1.0
     offset: Offset = 0.0
+    shift_s: Shift = 0.0
     noise: SensorNoise = None
 
 
@@ -96,6 +104,7 @@ class PositionMap(Configured):
     unit: Literal["m", "mm", "cm", "um", "in"]
     gain: Gain = 1.0
     offset: Offset = 0.0
+    shift_s: Shift = 0.0
     noise: SensorNoise = None
 
 
@@ -103,10 +112,18 @@ class ForceMap(Configured):
     """The pulling force at the muscle's end."""
 
     column: Column
-    unit: Literal["N", "kN"] = "N"
+    unit: Literal["N", "kN", "lbf", "kgf"] = "N"
     gain: Gain = 1.0
     offset: Offset = 0.0
+    shift_s: Shift = 0.0
     noise: SensorNoise = None
+
+
+class LinesMap(Configured):
+    """A part of a file, by its line numbers, or by rows from 1 in a file without lines."""
+
+    first: Annotated[int, Field(ge=1)] = 1
+    last: Annotated[int | None, Field(ge=1)] = None
 
 
 class ImportMap(Configured):
@@ -123,24 +140,46 @@ class ImportMap(Configured):
             gt=5e4, lt=1.2e5, description="pressure of the atmosphere, the zero of a gauge pressure"
         ),
     ] = ATMOSPHERIC_PRESSURE_PA
+    encoding: Annotated[str | None, Field(description="of a text, such as cp1252 or shift_jis")] = (
+        None
+    )
+    decimal: Annotated[Literal[".", ","] | None, Field(description="the mark of fractions")] = None
+    date_order: Annotated[
+        Literal["d/m/y", "m/d/y"] | None, Field(description="of dates such as 5/4/2026")
+    ] = None
+    missing: Annotated[
+        tuple[str, ...], Field(description="cells that mean a missing value, beside the usual ones")
+    ] = ()
+    lines: Annotated[
+        LinesMap | None, Field(description="the part of the file to import; else all of it")
+    ] = None
+
+    def hints(self) -> TextHints:
+        """Return what the map says of a text's form."""
+        return TextHints(
+            self.encoding or "", self.decimal or "", self.missing, self.date_order or ""
+        )
 
     def readings(self) -> list[ColumnReading]:
         """Return how to read each column; time comes first if there is a time column."""
         found = []
         if self.time.column is not None:
             found.append(ColumnReading(TIME, self.time.column, self.time.unit))
-        for quantity, part in (
-            ("valve_v", self.valve),
-            ("position_m", self.position),
-            ("force_n", self.force),
-        ):
+        parts = {
+            "valve_v": self.valve,
+            "pressure_pa": self.pressure,
+            "position_m": self.position,
+            "force_n": self.force,
+        }
+        for quantity, part in parts.items():
             if part is not None:
-                found.append(
-                    ColumnReading(quantity, part.column, part.unit, part.gain, part.offset)
+                reading = ColumnReading(
+                    quantity, part.column, part.unit, part.gain, part.offset, shift_s=part.shift_s
                 )
-        if (p := self.pressure) is not None:
-            place = (p.column, p.unit, p.gain, p.offset, p.gauge, self.atmospheric_pressure_pa)
-            found.append(ColumnReading("pressure_pa", *place))
+                if isinstance(part, PressureMap):
+                    air_pa = self.atmospheric_pressure_pa
+                    reading = replace(reading, gauge=part.gauge, atmospheric_pressure_pa=air_pa)
+                found.append(reading)
         return found
 
     def stated_noise(self) -> dict[str, float]:

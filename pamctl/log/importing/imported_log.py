@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.log.container import make_message_records
+from pamctl.log.record_problems import nominal_period_s
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import IMPORTED, TICK_TOPIC, imported_fields
-from pamctl.log.wire import TickLayout
+from pamctl.log.wire import TickLayout, make_message_records
 from pamctl.log.writer import LogWriter, begin_log
 from pamctl.new_file import create_new_file
 
@@ -52,11 +52,6 @@ def write_imported(
             writer.add(channel, make_message_records(part, times_ns, part["tick"]))
             writer.end_chunk()
         writer.finish()
-
-
-def nominal_period_s(t_s: Floats) -> float:
-    """Return the sampling period, estimated as the median time step."""
-    return float(np.median(np.diff(t_s)))
 
 
 def _build_table(t_s: Floats, quantities: Mapping[str, Floats], layout: TickLayout) -> NDArray[Any]:

@@ -1,26 +1,21 @@
-"""Check a measurement before its import: times, gaps, and implausible units.
+"""Whether a measurement can be what its columns are said to be: units, signs, the clock of a log.
 
-Errors stop an import. An implausible unit is an error of the kind `unit`, which the user may
-overrule. Warnings go into the log.
+An error stops an import. An implausible unit is an error of the kind `unit`, which the user may
+overrule. No advice says which way round a rig works: that is asked.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pamctl.log.check.log_problems import LogFindings
-from pamctl.log.importing.imported_log import nominal_period_s
-from pamctl.log.importing.quantities import TIME
+from pamctl.log.check import LogFindings
+from pamctl.log.importing.measured_table import Floats, Ints
+from pamctl.log.importing.quantities import UNITS, ColumnReading
+from pamctl.log.record_problems import RecordColumn, find_record_problems, nominal_period_s
 
-Floats = NDArray[np.float64]
-Rows = NDArray[np.int64]
-
-GAP_PERIODS = 1.5
-JITTER = 0.05
-"""Deviation from the even grid that is reported, as a share of the period."""
 LONGEST_S = 2.0**62 * 1e-9
 """146 years: half the range of a log's clock in signed nanoseconds. Beyond it a double is off by
 more than the microsecond by which two clocks of one log may differ.
@@ -29,70 +24,71 @@ SHORTEST_PERIOD_S = 1e-9
 """Resolution of a log's clock."""
 LONGEST_PERIOD_S = 0.5
 """Slower rows are more likely milliseconds that were taken for seconds."""
-_SHOWN_ROWS = 5
+_SI = {"valve_v": "V", "pressure_pa": "Pa", "position_m": "m", "force_n": "N"}
+_WAYS_ON = {
+    "backwards": "where a second recording begins, import each part: `lines: {{first: 1, last: "
+    "{before}}}` and `lines: {{first: {row}}}` in the map",
+    "duplicated": "export more digits of the time, or keep one of the rows",
+    "missing": "repair these rows, or say `time: {{rate_hz: RATE}}` in the map if they are even",
+    "reversed": "sort the rows by their time",
+    "jitter": "--resample puts the rows on an even grid",
+    "gap": "they count as missed ticks",
+}
 
 
-def judge_time(t_s: Floats, rows: Rows, findings: LogFindings, column: str = TIME) -> None:
-    """Check times of shape (n,). Without errors, they rise strictly and fit into a log's clock.
+def judge_record(
+    t_s: Floats, quantities: Mapping[str, Floats], rows: Ints, findings: LogFindings, time_name: str
+) -> None:
+    """Report what is wrong with the record: see `record_problems`. `rows` are those of the file."""
+    columns = [
+        RecordColumn(name, _SI[name], values, is_sensor=name != "valve_v")
+        for name, values in quantities.items()
+    ]
+    for problem in find_record_problems(t_s, columns, f"the time ({time_name})"):
+        text = problem.describe(rows)
+        if problem.column not in quantities and problem.kind in _WAYS_ON:
+            at = problem.stretches[0][0]
+            names = {"row": rows[at], "before": rows[max(at - 1, 0)]}
+            text += f"; {_WAYS_ON[problem.kind].format(**names)}"
+        add = findings.error if problem.is_fatal else findings.warning
+        add(problem.kind, text)
 
-    `column` is the name of the time column in the source.
-    """
-    if len(t_s) < 2:
-        there = "is 1 row" if len(t_s) else "are 0 rows"
-        findings.error("rows", f"there {there}; a measurement needs at least two")
-        return
-    if not np.isfinite(t_s).all():
-        where = _name_rows(rows, ~np.isfinite(t_s))
-        findings.error("time", f"the time ({column}) is missing or not finite in {where}")
-        return
+
+def judge_clock(t_s: Floats, findings: LogFindings, time_name: str) -> None:
+    """Check that times in order fit into a log's clock, and are seconds."""
     beyond = np.abs(t_s / LONGEST_S - t_s[0] / LONGEST_S) > 1.0  # the difference may overflow
-    if beyond.any():
-        detail = f"is more than {LONGEST_S:.3g} s from the first at {_name_rows(rows, beyond)}"
-        findings.error(
-            "time", f"the time ({column}) {detail}; a log's clock in ns cannot hold more"
-        )
-        return
-    step = np.diff(t_s)
-    if (step < 0).any():
-        findings.error("time", f"the time goes backwards at {_name_rows(rows[1:], step < 0)}")
-    if (step == 0).any():
-        detail = f"the previous row's time is repeated at {_name_rows(rows[1:], step == 0)}"
-        findings.error("time", f"{detail}; drop those rows, or export more digits of the time")
-    if findings.kinds["time"]:
-        return
     period_s = nominal_period_s(t_s)
-    if period_s < SHORTEST_PERIOD_S:
-        detail = f"rows are {period_s:.6g} s apart; a log's clock counts ns"
-        findings.error("time", f"the time ({column}) has another unit: {detail}")
-        return
-    gap = step > GAP_PERIODS * period_s
-    if gap.any():
-        detail = f"of up to {step.max():.6g} s before {_name_rows(rows[1:], gap)}"
-        findings.warning(
-            "gap", f"{np.count_nonzero(gap)} gaps {detail}; they count as missed ticks"
+    if beyond.any():
+        findings.error(
+            "time",
+            f"the time ({time_name}) goes on for more than {LONGEST_S:.3g} s; a log's clock in ns "
+            "cannot hold more",
         )
-    off = np.abs(step[~gap] - period_s).max() / period_s
-    if off > JITTER:
-        detail = f"the time steps differ from {period_s:.6g} s by up to {off:.0%}"
-        findings.warning("jitter", f"{detail}; --resample puts the rows on an even grid")
-    if period_s > LONGEST_PERIOD_S:
+    elif period_s < SHORTEST_PERIOD_S:
+        detail = f"rows are {period_s:.6g} s apart; a log's clock counts ns"
+        findings.error("time", f"the time ({time_name}) has another unit: {detail}")
+    elif period_s > LONGEST_PERIOD_S:
         findings.error("unit", f"a row every {period_s:.6g} s: is the time in ms?")
 
 
-def judge_values(quantities: Mapping[str, Floats], rows: Rows, findings: LogFindings) -> None:
-    """Check quantities in SI, each of shape (n,)."""
-    for name, values in quantities.items():
-        good = np.isfinite(values)
-        if not good.any():
-            findings.error("not-finite", f"{name} has no values")
-            continue
-        if not good.all():
-            where = _name_rows(rows, ~good)
-            findings.warning("not-finite", f"{name} is missing or not finite in {where}")
-        if np.ptp(values[good]) == 0.0:
-            findings.warning("constant", f"{name} is {values[good][0]:.6g} throughout")
-        if name in _DOUBTS and (doubt := _DOUBTS[name](values[good])):
-            findings.error("unit", f"{name} is {_show_range(values[good])}: {doubt}")
+def judge_units(
+    readings: Sequence[ColumnReading], quantities: Mapping[str, Floats], findings: LogFindings
+) -> list[ColumnReading]:
+    """Report values that no rig has; return the readings as a map might say them better."""
+    better = []
+    for reading in readings:
+        doubt = None
+        values = quantities.get(reading.quantity, np.zeros(0))
+        values = values[np.isfinite(values)]
+        if len(values):
+            doubt = next(_doubt(reading, values), None)
+        if doubt is not None:
+            text, reading = doubt
+            span = f"{values.min():.6g} to {values.max():.6g}"
+            findings.error("unit", f"{reading.quantity} is {span}: {text}")
+        better.append(reading)
+    judge_sign(quantities, findings)
+    return better
 
 
 def judge_sign(quantities: Mapping[str, Floats], findings: LogFindings) -> None:
@@ -103,47 +99,64 @@ def judge_sign(quantities: Mapping[str, Floats], findings: LogFindings) -> None:
     good = np.isfinite(pressure) & np.isfinite(position)
     if np.count_nonzero(good) < 2 or min(np.ptp(pressure[good]), np.ptp(position[good])) == 0.0:
         return
-    if np.corrcoef(pressure[good], position[good])[0, 1] < -0.5:
-        detail = "position_m falls as pressure_pa rises; contraction must be positive"
-        findings.warning("sign", f"{detail}: map it with gain: -1")
+    with np.errstate(over="ignore", invalid="ignore"):
+        together = np.corrcoef(pressure[good], position[good])[0, 1]
+    if together < -0.5:
+        findings.warning(
+            "sign",
+            "position_m falls as pressure_pa rises; contraction must be positive: if the column "
+            "counts the other way, say gain: -1 in the map",
+        )
 
 
-def _doubt_valve(values: Floats) -> str:
-    low, high = values.min(), values.max()
-    if low >= -0.05 and (high > 5.05 or 4.0 < np.median(values) < 6.0):
-        return "are these the driver's 0..10 V? The command is -5..5 V; map it with offset: -5.0"
-    return "the command is within -5..5 V" if max(-low, high) > 5.05 else ""
+def _doubt(reading: ColumnReading, values: Floats) -> Iterator[tuple[str, ColumnReading]]:
+    """Yield what is doubtful of values in SI, and the reading that would mend it."""
+    low, high = float(values.min()), float(values.max())
+    if reading.quantity == "valve_v":
+        yield from _doubt_valve(reading, values, low, high)
+    elif reading.quantity == "position_m" and max(-low, high) > 0.5:
+        unit = "mm" if max(-low, high) < 1e3 else "um"
+        yield f"is this {unit}? Then call it position_{unit}", replace(reading, unit=unit)
+    elif reading.quantity == "pressure_pa":
+        if low >= NEVER_BELOW_PA:
+            if high > 2e6:
+                yield "above 20 bar; is the unit right?", reading
+        elif low > 0.0 and high < 20.0:
+            yield (
+                "is this bar? Then call it pressure_bar, or pressure_gauge_bar",
+                replace(reading, unit="bar"),
+            )
+        elif high < 2e3:
+            yield (
+                "is this kPa? Then call it pressure_kpa, or pressure_gauge_kpa",
+                replace(reading, unit="kPa"),
+            )
+        else:
+            yield (
+                "below the atmosphere's; is this gauge pressure? Then call it pressure_gauge_...",
+                replace(reading, gauge=True),
+            )
 
 
-def _doubt_pressure(values: Floats) -> str:
-    low, high = values.min(), values.max()
-    if low >= 80e3:
-        return "above 20 bar; is the unit right?" if high > 2e6 else ""
-    if low > 0.0 and high < 20.0:
-        return "is this bar? Then call it pressure_bar, or pressure_gauge_bar"
-    if high < 2e3:
-        return "is this kPa? Then call it pressure_kpa, or pressure_gauge_kpa"
-    return "below the atmosphere's; is this gauge pressure? Then call it pressure_gauge_..."
+NEVER_BELOW_PA = 80e3
 
 
-def _doubt_position(values: Floats) -> str:
-    return "is this mm? Then call it position_mm" if np.abs(values).max() > 0.5 else ""
-
-
-_DOUBTS = {
-    "valve_v": _doubt_valve,
-    "pressure_pa": _doubt_pressure,
-    "position_m": _doubt_position,
-}
-
-
-def _show_range(values: Floats) -> str:
-    return f"{values.min():.6g} to {values.max():.6g}"
-
-
-def _name_rows(rows: Rows, where: NDArray[np.bool_]) -> str:
-    """Name the rows with True in `where`: the first few, and the number of the others."""
-    found = rows[where]
-    listed = ", ".join(str(row) for row in found[:_SHOWN_ROWS].tolist())
-    more = f" and {len(found) - _SHOWN_ROWS} more" if len(found) > _SHOWN_ROWS else ""
-    return f"row{'s' if len(found) > 1 else ''} {listed}{more}"
+def _doubt_valve(
+    reading: ColumnReading, values: Floats, low: float, high: float
+) -> Iterator[tuple[str, ColumnReading]]:
+    levels = values[:1] if low == high else np.unique(values[:: max(len(values) // 10_000, 1)])
+    if len(levels) == 2 and abs(low) < 0.05 * high and high > 4.0:
+        yield (
+            "a valve that switches? The file does not say which level fills. In the map, gain and "
+            "offset must turn the level that fills into 5 V, the one that exhausts into -5 V, and "
+            "one that closes into 0 V",
+            reading,
+        )
+    elif low >= -0.05 and (high > 5.05 or 4.0 < np.median(values) < 6.0):
+        yield (
+            "are these the driver's 0..10 V, where 5 V closes and more fills? The command is "
+            "-5..5 V; map it with offset: -5.0",
+            replace(reading, offset=reading.offset - 5.0 / UNITS["valve_v"][reading.unit]),
+        )
+    elif max(-low, high) > 5.05:
+        yield "the command is within -5..5 V; gain and offset in the map turn it into that", reading

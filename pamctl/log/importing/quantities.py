@@ -42,7 +42,8 @@ class ColumnReading:
     """How a column of the source becomes a column of the log."""
 
     quantity: str
-    column: str
+    column: str | int
+    """Its name, or its number from 1."""
     unit: str
     gain: float = 1.0
     offset: float = 0.0
@@ -50,11 +51,25 @@ class ColumnReading:
     gauge: bool = False
     """Whether the pressure is relative to the atmosphere."""
     atmospheric_pressure_pa: float = ATMOSPHERIC_PRESSURE_PA
+    shift_s: float = 0.0
+    """Added to the times of this column's samples: negative where it was logged too late."""
 
     def to_si(self, raw: Floats) -> Floats:
         """Return the quantity in SI, pressure absolute, for a column of shape (n,)."""
         value = UNITS[self.quantity][self.unit] * (self.gain * raw + self.offset)
         return value + self.atmospheric_pressure_pa if self.gauge else value
+
+
+@dataclass(frozen=True)
+class TextHints:
+    """What the user says of a file of text; nothing said is found in the file."""
+
+    encoding: str = ""
+    decimal: str = ""
+    missing: tuple[str, ...] = ()
+    """Words for a missing value, beside the usual ones."""
+    date_order: str = ""
+    """`d/m/y` or `m/d/y`."""
 
 
 def parse_column_name(column: str, name: str = "") -> ColumnReading | None:

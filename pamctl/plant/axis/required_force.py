@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pamctl.kernel.calls import machine
-from pamctl.plant.correction_tables import interpolate_table
 from pamctl.plant.drive import undo_sensor
 from pamctl.plant.effects.friction.presliding import (
     Bristles,
@@ -99,11 +98,9 @@ def fill_required_force(
                 p.effects.mechanics, memory, begin_m, x, gauge_pa, now_s - begin_s
             )
             term = follow_motion_term(p.terms, term, begin_m, x, gauge_pa, now_s - begin_s)
-        forces = mechanism_forces(p, memory, term, x, gauge_pa, 0.0, 0.0, v, now_s - columns[0, 0])
+        forces = mechanism_forces(p, memory, term, x, gauge_pa, 0.0, v, now_s - columns[0, 0])
         bristles, held_n = friction_force(p, forces, bristles, x - begin_m, v, rest_speed_m_per_s)
-        plain_n = p.paper.mass_kg * push - forces.drive_n + held_n
-        load = plain_n if p.direct else pressure_pa
-        needed_n[k] = plain_n - interpolate_table(p.correction.pull, x, load)
+        needed_n[k] = p.paper.mass_kg * push - forces.drive_n + held_n
         begin_m, begin_s = x, now_s
 
 

@@ -1,4 +1,4 @@
-"""Put the answers together: the settings, checked as a whole, and the text of the file."""
+"""Put the numbers together: the settings, checked as a whole, and the text of the file."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from pamctl.plant.model import PlantSettings
+from pamctl.settings.datasheet.plant_questions import list_questions
 from pamctl.settings.resolve import RawSettings, validate_settings
 from pamctl.settings.yaml12 import dump_yaml
 
@@ -23,13 +24,26 @@ def build_plant(actuator: str, values: Mapping[str, float]) -> PlantSettings:
 def format_new_plant(
     actuator: str, values: Mapping[str, float], texts: Mapping[str, str], fitted: str
 ) -> str:
-    """Write the file; `texts` are the numbers as the user gave them, `fitted` what is a guess."""
-    head = [
-        "Written by `pamctl plant new`.",
-        *(f"{name}: given as {text}" for name, text in texts.items()),
-        f"`pamctl diagnose` fits {fitted}; it takes the other numbers as they are.",
+    """Write the file, with the meaning of each number behind it.
+
+    `texts` are the numbers as the user gave them, `fitted` what is a guess.
+    """
+    lines = [
+        "# Written by `pamctl plant new`, to edit. All numbers are in SI.",
+        f"# `pamctl diagnose` fits {fitted}; it takes the other numbers as they are.",
     ]
-    return "".join(f"# {line}\n" for line in head) + dump_yaml(_nest(actuator, values))
+    questions = list_questions(actuator)
+    meanings = {
+        q.name.rpartition(".")[2]: q.meaning
+        + (f"; given as {texts[q.name]}" if q.name in texts else "")
+        for q in questions
+    }
+    for line in dump_yaml(_nest(actuator, values)).splitlines():
+        meaning = meanings.get(line.partition(":")[0].strip())
+        lines.append(f"{line:<42}  # {meaning}" if meaning else line)
+    absent = [q for q in questions if q.is_optional and q.name not in values]
+    lines += [f"# {q.name} is absent; --value {q.name}='...' adds it: {q.meaning}" for q in absent]
+    return "\n".join([*lines, ""])
 
 
 def _nest(actuator: str, values: Mapping[str, float]) -> dict[str, Any]:

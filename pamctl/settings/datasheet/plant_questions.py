@@ -1,6 +1,6 @@
-"""What to ask for a plant file: the numbers that the settings have, by actuator.
+"""The numbers of a new plant file, by actuator, each with its meaning and its default.
 
-The list follows the settings. A number that is added there is asked, with its own description.
+The list follows the settings. A number that is added there is in it, with its own description.
 """
 
 from __future__ import annotations
@@ -27,10 +27,6 @@ _OF_BRAID = {
 _OF_MOTION = {"mass_kg", "damping_n_s_per_m", "stiffness_n_per_m"}
 _NOT_OF = {"muscle": set(), "direct": _OF_AIR | _OF_BRAID, "chamber": _OF_BRAID | _OF_MOTION}
 """Numbers that mean nothing to an actuator."""
-_SELDOM = {
-    "gas_constant_j_per_kg_k", "heat_capacity_ratio", "braid_count", "braid_contact_area_m2",
-}  # fmt: skip
-"""Numbers of air, or factors of a product of which another is asked: the defaults will do."""
 _NO_DEFAULT = {"direct": _OF_MOTION, "chamber": {"chamber_volume_m3"}}
 """Numbers for which no other rig's value is a guess."""
 _DEFAULTS = {"temperature_k": ROOM_K}
@@ -50,6 +46,9 @@ _PLAIN_WORDS = {
     "kinetic_friction_per_m": "friction of the braid, mu_k; a guess will do",
     "tank_pressure_pa": "pressure of the supply",
     "temperature_k": "temperature of the air",
+    "gas_constant_j_per_kg_k": "gas constant of the air",
+    "braid_count": "number of braid threads, N",
+    "braid_contact_area_m2": "contact area of two braid threads, A_b",
     "valve_gain_m2_per_v": "opening of the valve per volt of command, K_Av",
     "chamber_volume_m3": "volume behind the valve, tubes included",
 }
@@ -68,8 +67,6 @@ class PlantQuestion:
     """None where it must be given."""
     is_optional: bool = False
     """An effect that may be absent."""
-    is_seldom: bool = False
-    """Not asked; it may be given all the same."""
     field: FieldInfo | None = None
 
     def check(self, value: float) -> None:
@@ -114,7 +111,6 @@ def _make_question(actuator: str, name: str, field: FieldInfo) -> PlantQuestion:
         _PLAIN_WORDS.get(name, field.description or name),
         list_units(name),
         None if needed else _DEFAULTS.get(name, field.default),
-        is_seldom=name in _SELDOM,
         field=field,
     )
 

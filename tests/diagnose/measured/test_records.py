@@ -8,7 +8,7 @@ from support.made_records import PERIOD_S, measured
 
 from pamctl.diagnose import Record
 from pamctl.diagnose.measured.noise.sensor_noise import estimate_channel_noise
-from pamctl.diagnose.measured.record import estimate_resolution
+from pamctl.log.record_problems import find_sensor_step
 
 RESTED = 800
 
@@ -55,8 +55,8 @@ def test_a_force_without_noise_leaves_its_rest_with_the_first_change() -> None:
 
 def test_noise_and_resolution_are_estimated_from_a_record() -> None:
     record = measured("fit", 5)
-    assert estimate_resolution(record["position_m"]) == pytest.approx(3.175e-6)
-    assert estimate_resolution(record["pressure_pa"]) == pytest.approx(47.5)
+    assert find_sensor_step(record["position_m"]) == pytest.approx(3.175e-6)
+    assert find_sensor_step(record["pressure_pa"]) == pytest.approx(47.5)
     assert estimate_channel_noise([record], "pressure_pa").deviation == pytest.approx(
         300.0, rel=0.05
     )

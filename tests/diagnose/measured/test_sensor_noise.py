@@ -19,10 +19,10 @@ from pamctl.diagnose.measured.noise.moving_noise import measure_growth
 from pamctl.diagnose.measured.noise.sensor_noise import Noise, estimate_channel_noise
 from pamctl.diagnose.measured.noise.stated_noise import parse_noise
 from pamctl.diagnose.measured.noise.wander import measure_walk, remove_walk
-from pamctl.diagnose.measured.record import estimate_resolution
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.log.importing.column_map import ImportMap
 from pamctl.log.importing.pipeline import import_log
+from pamctl.log.record_problems import find_sensor_step
 from pamctl.plant.model import NoiseSettings, PlantSettings
 
 SIGMA_M = 1e-4
@@ -97,7 +97,7 @@ def test_noise_that_grows_is_drawn_where_the_signal_moves() -> None:
 
 def test_the_step_of_a_converter_is_found_at_one_speed() -> None:
     ramp = np.abs((np.arange(5000) * 7.13e-5) % 0.06 - 0.03)
-    assert estimate_resolution(np.round(ramp / 3e-6) * 3e-6) == pytest.approx(3e-6)
+    assert find_sensor_step(np.round(ramp / 3e-6) * 3e-6) == pytest.approx(3e-6)
 
 
 def test_stated_noise_comes_from_the_option_the_plant_file_or_the_import_map(

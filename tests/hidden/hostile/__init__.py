@@ -2,6 +2,6 @@
 
 `situations.py` lists the cases and states the right answer of each; `programs.py` excites,
 `varying_pass.py` moves the rig (its numbers may change with time), `logging.py` turns what was
-there into what the user's file holds, and `marking.py` reads the diagnosis. Read `situations.py`
+there into what the user's file holds, and `causes.py` says what must be said. Read `situations.py`
 first.
 """

@@ -10,12 +10,23 @@ Kind = Literal[
     "gauge", "bow", "drift", "change_at_instant",
 ]  # fmt: skip
 
-PLACES = {
-    "valve_v": ("valve", "command"),
-    "pressure_pa": ("pressure",),
-    "position_m": ("position", "displacement", "encoder"),
+NOISE_WORDS = {
+    "filtered": r"filter|zero.?phase|non.?causal|smooth",
+    "hum": r"\bhum|hum\b|mains|line",
+    "outliers": r"outlier|spike",
+    "dropouts": r"drop.?out|outlier|spike",
+    "jitter": r"jitter|stamp",
+    "wander": r"wander|slow|drift|1/f",
+    "flow": r"flow|moving|motion|speed|grows",
+    "coarse": r"quant|coarse|bits|step",
 }
-"""A channel, and the words that a finding may use for it."""
+"""A fault of the noise, and how a document may call it."""
+
+FITTED = frozenset({
+    "valve_gain_m2_per_v", "tank_pressure_pa", "damping_n_s_per_m", "stiffness_n_per_m",
+    "kinetic_friction_per_m", "braid_length_m",
+})  # fmt: skip
+"""Numbers that are really off by a few per cent in every rig: to find them is never false."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +53,7 @@ class Answer:
     effects: frozenset[str] = frozenset()
     setup: tuple[SetupCause, ...] = ()
     noise: tuple[str, ...] = ()
-    """Words of `marking.NOISE_WORDS`."""
+    """Words of `NOISE_WORDS`."""
     heard: tuple[str, ...] = ()
     """More of these words, true as well; they need not be said."""
     silent: bool = False

@@ -219,7 +219,7 @@ def _wrong_columns() -> Iterator[Situation]:
         _with(
             _set_up("decimated_command", ""),
             beside=frozenset({"command_delay"}),
-            refusal=("rate", "decimat", "held", "resampl", "Hz"),
+            refusal=("rate", "decimat", "held", "once in", "resampl", "Hz"),
         ),
     )
 

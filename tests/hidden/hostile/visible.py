@@ -4,11 +4,14 @@ A file is made without noise. A rig with the plant file's numbers is driven by t
 command, and its six fitted numbers are moved until pressure and displacement are as near to the
 file as they come (Gauss-Newton). What is left, in shares of the floor, says whether anything is
 there to be named: nobody is asked to name what a recalibration takes away.
+
+    PYTHONPATH=.:tests python -m hidden.hostile.visible      writes `visible.json` again
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -21,7 +24,7 @@ from hidden.examination.oracle import HOPELESS, POSITION_FLOOR_M, PRESSURE_FLOOR
 from hidden.excitations import Excitation
 from hidden.hostile.file_of_lab import record_of
 from hidden.hostile.programs import EXCITATIONS
-from hidden.hostile.situations import HostileCase
+from hidden.hostile.situations import HostileCase, all_cases
 from hidden.hostile.trial import TRUTH_NAMES, start_plant
 from hidden.rig import HiddenRig, Record, hidden_rig
 from hidden.sensors import Sensors
@@ -46,6 +49,13 @@ def stored_shares() -> dict[str, float]:
 def is_hopeless(case: HostileCase) -> bool:
     """Tell whether a recalibration leaves nothing that anybody could name."""
     return stored_shares().get(case.id, np.inf) < HOPELESS
+
+
+def format_shares(cases: Iterable[HostileCase]) -> str:
+    """Return what is left of the small faults that must be named, as `visible.json` holds it."""
+    asked = (c for c in cases if c.size == "small" and not c.answer.silent and not c.answer.noise)
+    lines = [f' "{case.id}": {measure_share(case):.3f}' for case in asked]
+    return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
 def measure_share(case: HostileCase) -> float:
@@ -103,3 +113,7 @@ def _floors_of(record: Record) -> Array:
     assert record.pressure_pa is not None
     assert record.position_m is not None
     return np.stack([record.pressure_pa / PRESSURE_FLOOR_PA, record.position_m / POSITION_FLOOR_M])
+
+
+if __name__ == "__main__":
+    STORED.write_text(format_shares(all_cases()))

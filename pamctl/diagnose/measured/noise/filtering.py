@@ -13,7 +13,8 @@ import numpy as np
 
 from pamctl.diagnose.measured.noise.spectrum import find_cutoff, find_tail
 from pamctl.diagnose.measured.noise.time_stamps import cut_even_stretches
-from pamctl.diagnose.measured.record import Array, Record, estimate_resolution
+from pamctl.diagnose.measured.record import Array, Record
+from pamctl.log.record_problems import find_sensor_step
 
 QUIETEST = 1e-6
 """No sensor's noise is smaller than this share of the channel's span: less is a filter's work."""
@@ -43,7 +44,7 @@ def find_filtering(records: Sequence[Record], channel: str) -> Filtering | None:
     tail = find_tail(pieces)
     span = max(float(np.ptp(r[channel])) for r in records)
     period_s = records[0].period_s
-    step = max(estimate_resolution(r[channel]) for r in records)
+    step = max(find_sensor_step(r[channel]) for r in records)
     if tail is not None and tail.is_flat and tail.deviation > max(QUIETEST * span, 0.4 * step):
         return None  # a filter would have taken this noise away
     rests = [r[channel][: r.rest_samples] for r in records]

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from pamctl.diagnose.measured.record import Array, Record, estimate_resolution
+from pamctl.diagnose.measured.record import Array, Record
+from pamctl.log.record_problems import find_sensor_step
 
 Rows = NDArray[np.bool_]
 Counts = NDArray[np.intp]
@@ -65,7 +66,7 @@ def bridge(values: Array, lost: Rows) -> Array:
     mended = values.copy()
     kept = values[~lost]
     mended[lost] = np.interp(index[lost], index[~lost], kept)
-    step = estimate_resolution(kept)
+    step = find_sensor_step(kept)
     if step:
         mended[lost] = kept[0] + np.round((mended[lost] - kept[0]) / step) * step
     return mended
@@ -88,7 +89,7 @@ def _find_excursions(values: Array, commands: Counts) -> Iterator[tuple[int, int
     # The usual step around, without the jump itself: a median hardly sees it.
     usual = np.maximum(
         median_filter(sizes, 2 * AROUND + 1, mode="nearest") / 0.6745,
-        max(float(np.median(sizes)) / 0.6745, estimate_resolution(values)),
+        max(float(np.median(sizes)) / 0.6745, find_sensor_step(values)),
     )
     jumps = np.flatnonzero(sizes > JUMP * usual)
     span = float(np.ptp(values))
@@ -136,7 +137,7 @@ def _find_held(values: Array) -> Iterator[tuple[int, int]]:
     """Yield [start, stop) of equal samples that are too many for the noise around them."""
     equal = np.diff(values) == 0.0
     share, usual = float(equal.mean()), _measure_noise(values)
-    if share > MOST_EQUAL or usual < estimate_resolution(values):
+    if share > MOST_EQUAL or usual < find_sensor_step(values):
         return
     least = max(3, int(np.log(CHANCE / len(values)) / np.log(max(share, 1e-9))) + 2)
     edges = np.flatnonzero(np.diff(np.concatenate(([0], equal.astype(np.int8), [0]))))

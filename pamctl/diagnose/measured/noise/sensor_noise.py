@@ -14,7 +14,8 @@ from pamctl.diagnose.measured.noise.moving_noise import measure_growth
 from pamctl.diagnose.measured.noise.spectrum import falls_steeply, find_tail
 from pamctl.diagnose.measured.noise.time_stamps import cut_even_stretches
 from pamctl.diagnose.measured.noise.wander import measure_walk, remove_walk
-from pamctl.diagnose.measured.record import Array, Record, estimate_resolution
+from pamctl.diagnose.measured.record import Array, Record
+from pamctl.log.record_problems import find_sensor_step
 
 ORDER = 12
 """Order of the autoregressive model: enough for a filtered or drifting sensor."""
@@ -104,7 +105,7 @@ def estimate_channel_noise(records: Sequence[Record], channel: str) -> Noise:
 
     If none of these says it, the noise is unknown; its deviation is then only a unit.
     """
-    step = float(np.median([estimate_resolution(r[channel]) for r in records]))
+    step = float(np.median([find_sensor_step(r[channel]) for r in records]))
     stated = [r.stated_noise[channel] for r in records if channel in r.stated_noise]
     rests = _collect_rests(records, channel, step)
     walk = measure_walk(rests)

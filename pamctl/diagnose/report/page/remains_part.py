@@ -11,7 +11,6 @@ from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.report.compared_models import SIGNAL_DISPLAYS
 from pamctl.diagnose.report.page.regime_map import write_shape
 from pamctl.diagnose.report.phrases import (
-    describe_correction,
     describe_largest_remainder,
     describe_limits,
     describe_remainder,
@@ -48,8 +47,6 @@ def write_remainder(page: Page, diagnosis: Diagnosis) -> None:
     write_shape(page, diagnosis)
     if diagnosis.remainder is not None:
         page.note(describe_remainder(diagnosis.remainder, diagnosis.nominal.actuator))
-    if diagnosis.correction is not None:
-        page.note(describe_correction(diagnosis.correction))
 
 
 def write_blind_spots(page: Page, diagnosis: Diagnosis) -> None:

@@ -1,0 +1,268 @@
+"""Repair a damaged log: take over every part that is whole, and finish the file.
+
+A whole chunk is copied as it is packed; the index is made anew. `LogCopy` also begins what a dead
+recorder's log becomes (`pamctl.recording.finish_from_ring`), and a piece of a log (`cut.py`).
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Metadata
+from numpy.typing import NDArray
+
+from pamctl.json_text import from_json
+from pamctl.kept_memory import keep_freed_memory
+from pamctl.log.framing import (
+    NO_CHECKSUM,
+    Damage,
+    FileRecord,
+    Hole,
+    LogError,
+    Unpacker,
+    is_data_verified,
+    map_log_file,
+    read_summary,
+    salvage_records,
+    translate_parse_errors,
+    verify_checksum,
+)
+from pamctl.log.schema import JSON_SCHEMAS, TICK_TOPIC
+from pamctl.log.wire import MessageRun, find_message_run, require_short, walk_messages
+from pamctl.log.writer import LogWriter
+from pamctl.new_file import create_new_file
+from pamctl.plain_text import escape_name
+
+_LOOSE_BYTES = 1 << 20
+_DESCRIPTIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """What was saved, and what was lost."""
+
+    source: str
+    destination: str
+    messages: dict[str, int]
+    """Number of saved messages, by topic."""
+    damage: tuple[str, ...]
+    """The damage of the source, one clause each."""
+    lossless: bool
+    """Whether everything that was logged is saved."""
+    bytes_lost: int
+    """Bytes of the source that could not be used."""
+    unverified: tuple[str, ...] = ()
+    """Names of saved metadata that no valid checksum covers; they have none of their own."""
+
+
+def recover_file(source: str | Path, destination: str | Path) -> Recovery:
+    """Save the undamaged parts of a log into a new file; raise LogError if there are none.
+
+    Raise NewFileError if the file cannot be written.
+
+    Works on any MCAP file. A damaged chunk is left out. If lengths are damaged, the next chunk is
+    found by its checksum. The source is not changed.
+    """
+    source, destination = Path(source), Path(destination)
+    copy = LogCopy(source)
+    keep_freed_memory()
+    with create_new_file(destination) as stream:
+        writer = LogWriter(stream)
+        copy.write(writer)
+        if not copy.saved:
+            raise LogError(f"nothing of {source} can be saved: {'; '.join(copy.damage)}")
+        recovery = Recovery(
+            source=str(source),
+            destination=str(destination),
+            messages=dict(copy.saved),
+            damage=tuple(copy.damage),
+            lossless=copy.lossless,
+            bytes_lost=copy.bytes_lost,
+            unverified=copy.unverified,
+        )
+        sign_recovery(writer, recovery)
+    return recovery
+
+
+def sign_recovery(writer: LogWriter, recovery: Recovery) -> None:
+    """Write into the log that it was repaired, and finish it."""
+    writer.metadata(
+        "recovery",
+        {
+            "source": escape_name(recovery.source),
+            "damage": "; ".join(recovery.damage),
+            "lossless": str(recovery.lossless).lower(),
+            "unverified": ", ".join(recovery.unverified),
+        },
+    )
+    writer.finish()
+
+
+class LogCopy:
+    """Copies the undamaged parts of a log into another log, whose summary is computed again."""
+
+    def __init__(self, path: Path | None) -> None:
+        """Raise LogError if there is no such file. None: there is nothing to copy."""
+        self._file = map_log_file(path) if path else memoryview(b"")
+        self._unpacker = Unpacker(path or Path(), self._file)
+        self.verified = is_data_verified(self._file)
+        """Whether the data are known to be undamaged, by a checksum of the whole file."""
+        self._metadata: dict[str, None] = {}
+        self._has_looked_ahead = False
+        self.saved: Counter[str] = Counter()
+        """Messages by topic."""
+        self.damage: list[str] = []
+        self.lost = False
+        """Whether something within the file was damaged."""
+        self.cut = True
+        """Whether the end of the file is missing."""
+        self.bytes_lost = 0
+        self.last_tick = -(1 << 62)
+        self.last_row = -1
+
+    @property
+    def lossless(self) -> bool:
+        """Whether everything that was in the file is saved."""
+        return not (self.lost or self.cut)
+
+    @property
+    def unverified(self) -> tuple[str, ...]:
+        """Names of copied metadata that no checksum covers."""
+        return () if self.verified else tuple(self._metadata)
+
+    def write(self, writer: LogWriter) -> None:
+        """Write what is undamaged; nothing else must have been written before."""
+        if not len(self._file):
+            return
+        for record in read_summary(self._file):
+            if record.opcode in _DESCRIPTIONS:  # in case the first chunk is damaged
+                with suppress(Damage), translate_parse_errors(record):
+                    writer.learn(record)
+        for part in salvage_records(self._file):
+            if isinstance(part, Hole):
+                self.damage.append(str(part.damage))
+                self.bytes_lost += part.bytes_lost
+                # A cut at the end loses nothing if the ring holds the rest.
+                self.lost = self.lost or (self.cut and not part.at_end)
+            else:
+                self._try_copy(writer, part)
+                self.cut = self.cut and part.opcode != Opcode.DATA_END
+
+    def select_messages(self, topic: str, messages: NDArray[Any]) -> NDArray[Any]:
+        """Return those of these messages that are to be copied: all, unless a subclass differs."""
+        del topic
+        return messages
+
+    def _try_copy(self, writer: LogWriter, record: FileRecord) -> None:
+        try:
+            with translate_parse_errors(record):
+                if not (self.verified and record.opcode == Opcode.DATA_END):  # verified before
+                    verify_checksum(self._file, record)
+                if self.cut:  # what follows the data is computed again
+                    self._copy(writer, record)
+        except Damage as damage:
+            self.damage.append(str(damage))
+            self.lost = self.lost or self.cut
+            if record.opcode != Opcode.DATA_END:
+                self.bytes_lost += record.end - record.start
+
+    def _copy(self, writer: LogWriter, record: FileRecord) -> None:
+        match record.opcode:
+            case Opcode.CHUNK:
+                self._copy_chunk(writer, record)
+            case Opcode.MESSAGE:  # another program wrote it in no chunk
+                for channel, kept in self._choose(
+                    writer, record, [find_message_run(self._file[: record.end], record)]
+                ):
+                    writer.add(channel, kept.copy())
+                if writer.pending_bytes > _LOOSE_BYTES:
+                    writer.end_chunk()
+            case Opcode.SCHEMA | Opcode.CHANNEL:
+                writer.learn(record)
+            case Opcode.ATTACHMENT:
+                a = Attachment.read(record.stream())
+                self._refuse_unchecked(record, record.body[-4:] != NO_CHECKSUM)
+                writer.attachment(a.name, a.data, a.log_time, a.media_type)
+            case Opcode.METADATA:
+                metadata = Metadata.read(record.stream())
+                writer.metadata(metadata.name, metadata.metadata)
+                self._metadata[metadata.name] = None
+
+    def _copy_chunk(self, writer: LogWriter, record: FileRecord) -> None:
+        chunk, content = self._unpacker.unpack(record)
+        self._refuse_unchecked(record, chunk.uncompressed_crc != 0)
+        parts = list(walk_messages(content))
+        runs = [part for part in parts if isinstance(part, MessageRun)]
+        for part in parts:
+            if isinstance(part, FileRecord) and part.opcode in _DESCRIPTIONS:
+                writer.learn(part)
+        chosen = self._choose(writer, record, runs)
+        if sum(len(kept) for _, kept in chosen) == sum(len(run.records) for run in runs):
+            chunk.uncompressed_crc = chunk.uncompressed_crc or zlib.crc32(content)
+            writer.copy_chunk(chunk, parts)
+            return
+        for channel, kept in chosen:
+            writer.add(channel, kept.copy())
+        writer.end_chunk()
+
+    def _refuse_unchecked(self, record: FileRecord, checked: bool) -> None:
+        """Raise Damage for parts without a checksum: a block of zeros would look like that."""
+        if not (checked or self.verified):
+            raise Damage(record.start, "it has no checksum: damage would not be noticed")
+
+    def _choose(
+        self, writer: LogWriter, record: FileRecord, runs: Sequence[MessageRun]
+    ) -> list[tuple[int, NDArray[Any]]]:
+        """Return each run's channel and those of its messages that are to be copied; count them.
+
+        Raise Damage if a channel is not known: it was described in a lost part.
+        """
+        if not all(writer.knows(run.channel) for run in runs):
+            self._look_ahead(writer, record)
+        chosen, counts = [], Counter[str]()
+        for run in runs:
+            if not writer.knows(run.channel):
+                raise Damage(record.start, f"channel {run.channel} was described in a lost part")
+            topic = writer.topic(run.channel)
+            if topic in JSON_SCHEMAS:
+                require_short(run)
+            kept = self.select_messages(topic, run.records)
+            chosen.append((run.channel, kept))
+            if len(kept):
+                self._note_place(topic, kept)
+                counts[topic] += len(kept)
+        self.saved += counts
+        return chosen
+
+    def _note_place(self, topic: str, kept: NDArray[Any]) -> None:
+        if topic in JSON_SCHEMAS:
+            rows = (from_json(body.tobytes()).get("row", -1) for body in kept["body"])
+            self.last_row = max(self.last_row, *rows)
+        elif topic == TICK_TOPIC:
+            self.last_tick = max(self.last_tick, int(kept["sequence"].max()))
+
+    def _look_ahead(self, writer: LogWriter, first: FileRecord) -> None:
+        """Learn the channels from the first chunk behind `first` that describes them."""
+        if self._has_looked_ahead:
+            return
+        self._has_looked_ahead = True
+        for part in salvage_records(self._file):
+            if isinstance(part, Hole) or part.opcode != Opcode.CHUNK or part.start < first.start:
+                continue
+            with suppress(Damage), translate_parse_errors(part):
+                described = [
+                    inside
+                    for inside in walk_messages(self._unpacker.unpack(part)[1])
+                    if isinstance(inside, FileRecord) and inside.opcode in _DESCRIPTIONS
+                ]
+                for record in described:
+                    writer.learn(record)
+                if described:
+                    return

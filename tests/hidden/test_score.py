@@ -1,0 +1,111 @@
+"""The runner and its lists: whoever knows the truth is right, and a stopped run goes on."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import score_diagnosis
+
+from hidden import score_list
+from hidden.changes import CHANGES, compare_said
+from hidden.rungs import Said, mark
+from hidden.score_list import Handed, ScoredCase, draw_hostile, draw_list, draw_nulls
+
+CASES = [
+    *(c for c in [*draw_list(1), *draw_list(2)] if c.group != "dirty"),
+    *draw_nulls(1), *draw_hostile(1),
+]  # fmt: skip
+
+
+def know_all(case: ScoredCase) -> Said:
+    names = {min(c.names) for c in case.causes if c.rung != "none" and c.names}
+    places = {min(c.where) for c in case.causes if c.rung != "none" and not c.names}
+    noise = frozenset(name for name in names if name.startswith("noise."))
+    return Said(frozenset(names) - noise, places=frozenset(places), noise=noise)
+
+
+def test_whoever_knows_the_truth_is_right_everywhere() -> None:
+    for case in CASES:
+        verdict, false = mark(case.causes, know_all(case), case.ignored)
+        assert verdict.startswith(("right", "silent")), (case.key, verdict, false)
+
+
+def test_whoever_always_says_the_same_is_wrong_nearly_everywhere() -> None:
+    said = Said(frozenset({"stribeck"}))
+    wrong = sum(mark(c.causes, said, c.ignored)[0] == "wrong name" for c in CASES)
+    assert wrong > 0.95 * len(CASES)
+
+
+def test_silence_is_right_only_where_nothing_must_be_said() -> None:
+    for case in CASES:
+        asked = any(cause.rung != "none" for cause in case.causes)
+        assert mark(case.causes, Said())[0] == ("missed" if asked else "silent"), case.key
+
+
+def test_a_refusal_for_the_right_reason_is_right() -> None:
+    case = next(c for c in CASES if c.key.startswith("hostile/sign_valve_v"))
+    refused = Said(refusal="the sign of the command is wrong")
+    assert case.correct_verdict("refused", refused) == "right at name"
+    assert case.correct_verdict("refused", Said(refusal="too short")) == "refused"
+
+
+def nothing(records: Handed, plant: object) -> Said:
+    assert records[0]
+    assert plant
+    return Said()
+
+
+def endless(records: Handed, plant: object) -> Said:
+    while True:
+        pass
+
+
+def run(monkeypatch: pytest.MonkeyPatch, results: Path, core: str) -> None:
+    options = ["--only", "null/parameters", "--jobs", "1", "--cpu-limit-s", "0.2"]
+    monkeypatch.setattr(
+        sys, "argv",
+        ["score_diagnosis.py", *options, "--core", f"hidden.test_score:{core}",
+         "--results", str(results)],
+    )  # fmt: skip
+    score_diagnosis.main()
+
+
+def test_cores_stand_side_by_side_and_nothing_is_run_twice(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    for core in ("nothing", "endless", "nothing"):
+        run(monkeypatch, tmp_path / "results.jsonl", core)
+    table = capsys.readouterr().out
+    assert len((tmp_path / "results.jsonl").read_text().splitlines()) == 2
+    row = next(line for line in table.splitlines()[::-1] if line.startswith("| null/parameters"))
+    assert "**silent**" in row
+    assert "**no answer**" in row
+
+
+def test_the_same_records_in_other_words_are_the_same_physics() -> None:
+    case = next(c for c in score_list.draw_list(1) if c.key.startswith("null/"))
+    handed, plant = case.make()
+    plain = handed[0][1]
+    halves = CHANGES["cut"](handed, plant, 2.0)[0][0]
+    assert len(halves) == 2 * len(handed[0])
+    assert sum(len(r.t_s) for r in halves) == sum(len(r.t_s) for r in handed[0])
+    slow = CHANGES["half_rate"](handed, plant, 0.0)[0][0][1]
+    assert slow.t_s[-1] == pytest.approx(plain.t_s[-1], abs=3e-3)
+    doubled = CHANGES["guess"](handed, plant, 2.0)[1]
+    assert doubled["parameters"]["mass_kg"] == 2.0 * plant["parameters"]["mass_kg"]
+    imported = CHANGES["units"](([plain], []), plant, 0.0)[0][0][0]
+    for name, column in replace(plain, t_s=plain.t_s - plain.t_s[0]).columns().items():
+        read = imported.columns()[name]
+        assert read == pytest.approx(column, rel=1e-6, abs=1e-7), name
+
+
+def test_a_number_outside_the_other_interval_is_told() -> None:
+    plain = Said(frozenset({"creep"}), numbers={"k": (1.0, 0.9, 1.1)})
+    near = Said(frozenset({"creep"}), numbers={"k": (1.15, 1.05, 1.3)})
+    far = Said(frozenset({"creep"}), numbers={"k": (2.0, 1.9, 2.1)})
+    assert compare_said(plain, near) == []
+    assert len(compare_said(plain, far)) == 1
+    assert len(compare_said(plain, Said())) == 1

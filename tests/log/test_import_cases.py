@@ -1,0 +1,534 @@
+"""Kinds of files from public reports that were read wrongly, and their siblings.
+
+All hold one measurement of 60 rows, 50 ms apart. Read right is: these numbers, or a refusal.
+"""
+
+from __future__ import annotations
+
+import bz2
+import datetime as dt
+import gzip
+import lzma
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import openpyxl
+import pyarrow as pa
+import pytest
+import zstandard
+from nptdms import ChannelObject, TdmsWriter
+from pyarrow import parquet
+from scipy.io import savemat
+from test_log_import import ATMOSPHERE_PA, Outcome
+
+from pamctl.log.importing.pipeline import import_log
+
+T_S = np.round(np.arange(60) * 0.05, 2)
+VALVE_V = np.round(1.5 * np.sin(3.0 * T_S), 4)
+BAR = np.round(2.5 + 1.2 * np.sin(4.0 * T_S), 4)
+MM = np.round(9.0 + 4.0 * np.sin(4.0 * T_S), 3)
+HEAD = ("Time [s]", "Valve command [V]", "Pressure [bar gauge]", "Position [mm]")
+GOOD = (T_S, VALVE_V, BAR, MM)
+START = dt.datetime(2026, 3, 29, 0, 59, 58, 500_000, tzinfo=dt.UTC)
+
+
+def table(head: Any = HEAD, columns: Any = GOOD, apart: str = ",", end: str = "\n") -> str:
+    rows = zip(*([str(cell) for cell in column] for column in columns), strict=True)
+    return "".join(apart.join(row) + end for row in [head, *rows])
+
+
+def write(folder: Path, content: str | bytes, name: str = "a.csv") -> Path:
+    path = folder / name
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+def require_good(done: Outcome, t_s: Any = T_S, rows: int = 60) -> None:
+    assert done.code == 0, done.stderr + str(done.report)
+    measured = done.signals
+    np.testing.assert_allclose(measured.t_s, t_s[:rows], atol=1e-9)
+    np.testing.assert_allclose(measured.valve_v, VALVE_V[:rows], atol=1e-12)
+    np.testing.assert_allclose(measured.pressure_pa, BAR[:rows] * 1e5 + ATMOSPHERE_PA, atol=1e-6)
+    np.testing.assert_allclose(measured.position_m, MM[:rows] * 1e-3, atol=1e-12)
+
+
+def left_out(done: Outcome) -> list[str]:
+    return [column["name"] for column in done.report["columns"] if column["left_out"]]
+
+
+# The mark of fractions.
+
+
+@pytest.mark.parametrize(("decimal", "group"), [(".", ","), (",", "."), (",", " "), (".", "'")])
+@pytest.mark.parametrize("apart", ["\t", ";"])
+def test_a_grouping_mark_is_no_decimal_one(tmp_path, decimal, group, apart):
+    def spell(value: float) -> str:
+        text = f"{value:,}".replace(",", "G").replace(".", decimal)
+        return text.replace("G", group)
+
+    microns = [spell(round(mm * 1000)) for mm in MM]
+    columns = [[spell(float(x)) for x in column] for column in (T_S, VALVE_V, BAR)]
+    head = (*HEAD[:3], "Position [um]")
+    require_good(Outcome(write(tmp_path, table(head, (*columns, microns), apart))))
+
+
+def test_a_map_says_which_mark_it_is_where_no_number_does(tmp_path):
+    head = ("Time [ms]", "Position [um]")
+    path = write(tmp_path, table(head, ((T_S * 1000).astype(int), ["1,016"] * 60), "\t"))
+    shown = Outcome(path).stderr
+    text = "\n".join(line for line in shown.splitlines() if line.startswith("  "))
+    for decimal, value_m in ((".", 1016e-6), (",", 1.016e-6)):
+        map_path = write(tmp_path, text.replace("decimal: '.'", f"decimal: '{decimal}'"), "m.yaml")
+        done = Outcome(path, "--map", str(map_path))
+        assert done.signals.position_m[0] == pytest.approx(value_m)
+        done.path.unlink()
+
+
+# Clocks.
+
+
+def clock_rows(spell: Callable[[dt.datetime], str], start: dt.datetime = START) -> list[str]:
+    return [spell(start + dt.timedelta(milliseconds=50 * k)) for k in range(60)]
+
+
+def milli(time: dt.datetime) -> str:
+    return f"{time.microsecond // 1000:03d}"
+
+
+CLOCKS: dict[str, Callable[[dt.datetime], str]] = {
+    "iso": lambda t: t.strftime("%Y-%m-%dT%H:%M:%S.") + milli(t),
+    "offset that changes": lambda t: (
+        t.astimezone(dt.timezone(dt.timedelta(hours=1 if t.hour < 1 else 2)))
+    ).isoformat(timespec="milliseconds"),
+    "Z": lambda t: t.strftime("%Y-%m-%d %H:%M:%S.") + milli(t) + "Z",
+    "am pm": lambda t: t.strftime("%m/%d/%Y %I:%M:%S.") + milli(t) + t.strftime(" %p"),
+    "elapsed": lambda t: t.strftime("%M:%S.") + milli(t),
+    "colons": lambda t: t.strftime("%H:%M:%S:") + milli(t),
+    "dots": lambda t: t.strftime("%d.%m.%Y %H:%M:%S.") + milli(t),
+    "matlab": lambda t: t.strftime("%d-%b-%Y %H:%M:%S.") + milli(t),
+    "compact": lambda t: t.strftime("%Y%m%dT%H%M%S.") + milli(t),
+    "over a day": lambda t: f"{24 + t.hour}" + t.strftime(":%M:%S.") + milli(t),
+    "timedelta": lambda t: "1 day, " + t.strftime("%H:%M:%S.") + milli(t),
+}
+
+
+@pytest.mark.parametrize("form", CLOCKS)
+def test_a_clock_of_any_common_form_is_read(tmp_path, form):
+    head = ("Time", *HEAD[1:])
+    start = START if form != "elapsed" else START.replace(minute=0)
+    times = clock_rows(CLOCKS[form], start)
+    require_good(Outcome(write(tmp_path, table(head, (times, *GOOD[1:]), ";"))))
+
+
+@pytest.mark.parametrize(
+    ("times", "told"),
+    [
+        (clock_rows(lambda t: f"week 13, {t:%H.%M}"), "words, no numbers"),
+        ([*clock_rows(CLOCKS["iso"])[:59], "12:00:00"], ":61: Time is '12:00:00', but must be"),
+        (clock_rows(lambda t: f"{t:%H:%M}"), "may be hours and minutes, or minutes and seconds"),
+        (["3/4/2026 12:00:00"] * 30 + ["5/7/2026 12:00:00"] * 30, "does not tell day from month"),
+    ],
+)
+def test_a_clock_that_has_no_reading_is_refused_and_never_dropped(tmp_path, times, told):
+    head = ("Time", *HEAD[1:])
+    done = Outcome(write(tmp_path, table(head, (times, *GOOD[1:]), ";")))
+    assert done.code == 65
+    assert told in done.stderr
+
+
+def test_dates_beside_the_times_count_the_days(tmp_path):
+    late = dt.datetime(2026, 3, 1, 23, 59, 59, tzinfo=dt.UTC)
+    dates = clock_rows(lambda t: t.strftime("%d.%m.%Y"), late)
+    dates[30:] = [text.replace("02.03.", "05.03.") for text in dates[30:]]
+    times = clock_rows(CLOCKS["colons"], late)
+    done = Outcome(write(tmp_path, table(("Date", "Time", *HEAD[1:]), (dates, times, *GOOD[1:]))))
+    assert "3 gaps" not in done.stderr
+    require_good(done, T_S + 3 * 86400.0 * (np.arange(60) >= 30))
+
+
+def test_elapsed_times_of_excel_beyond_a_day_are_exact(tmp_path):
+    book = openpyxl.Workbook()
+    sheet = book.worksheets[0]
+    sheet.append(["Time", *HEAD[1:]])
+    for k, row in enumerate(zip(*GOOD[1:], strict=True)):
+        sheet.append([dt.timedelta(days=1, seconds=-1.5 + 0.05 * k), *map(float, row)])
+        sheet.cell(k + 2, 1).number_format = "[h]:mm:ss.000"
+    book.save(tmp_path / "a.xlsx")
+    require_good(Outcome(tmp_path / "a.xlsx"))
+
+
+# Cells and columns.
+
+
+@pytest.mark.parametrize("word", ["N/A", "", "#DIV/0!", "nan", "-"])
+@pytest.mark.parametrize("row", [0, 30, 59])
+def test_one_cell_never_decides_over_its_column(tmp_path, word, row):
+    cells = [str(x) for x in BAR]
+    cells[row] = word
+    done = Outcome(write(tmp_path, table(columns=(T_S, VALVE_V, cells, MM))))
+    measured = done.signals
+    assert np.flatnonzero(np.isnan(measured.pressure_pa)).tolist() == [row]
+    assert f"row {row + 2}" in done.said["warning", "missing"]
+    np.testing.assert_allclose(measured.position_m, MM * 1e-3)
+
+
+def test_an_unknown_word_is_refused_with_a_map_that_makes_it_a_missing_value(tmp_path):
+    cells = [str(x) for x in BAR]
+    cells[7] = "ERR 7"
+    path = write(tmp_path, table(columns=(T_S, VALVE_V, cells, MM)))
+    shown = Outcome(path).stderr
+    assert ":9: Pressure [bar gauge] is 'ERR 7'" in shown
+    text = "\n".join(line for line in shown.splitlines() if line.startswith("  "))
+    done = Outcome(path, "--map", str(write(tmp_path, text, "map.yaml")))
+    assert np.flatnonzero(np.isnan(done.signals.pressure_pa)).tolist() == [7]
+
+
+@pytest.mark.parametrize(
+    ("unit", "pascals"),
+    [("hPa", 100.0), ("mmHg", 133.322387415), ("Torr", 133.3223684), ("atm", 101325.0),
+     ("kgf/cm2", 98066.5), ("inHg", 3386.388640341), ("psi", 6894.757293168)],
+)  # fmt: skip
+@pytest.mark.parametrize("form", ["Pressure ({} abs)", "Druck / {} abs", "p_{}"])
+def test_a_pressure_in_any_usual_unit_is_read(tmp_path, unit, pascals, form):
+    values = (BAR * 1e5 + ATMOSPHERE_PA) / pascals
+    head = (*HEAD[:2], form.format(unit), HEAD[3])
+    done = Outcome(write(tmp_path, table(head, (T_S, VALVE_V, values, MM))))
+    if "abs" not in form:  # it rises to 4.7 bar and falls to 2.3: gauge or absolute?
+        assert "may be gauge or absolute" in done.stderr
+        return
+    np.testing.assert_allclose(done.signals.pressure_pa, BAR * 1e5 + ATMOSPHERE_PA, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("at", "name", "told"),
+    [
+        (1, "Valve current [A]", None),
+        (1, "Valve [%]", "'%', which is no unit of valve_v"),
+        (2, "Pressure (furlong)", "'furlong', which is no unit of pressure_pa"),
+        (2, "Pressure", "'Pressure' states no unit"),
+        (3, "Position [counts]", "um, in): `gain` and `offset` in the map turn it into one"),
+    ],
+)
+def test_a_quantity_without_its_unit_is_asked_for_and_never_dropped(tmp_path, at, name, told):
+    head = (*HEAD[:at], name, *HEAD[at + 1 :])
+    path = write(tmp_path, table(head))
+    done = Outcome(path)
+    if told is None:  # a current is no command
+        assert left_out(done) == [name]
+        return
+    assert done.code == 65
+    assert told in done.stderr
+    text = "\n".join(line for line in done.stderr.splitlines() if line.startswith("  "))
+    assert f"column: '{name}'" in text
+    assert Outcome(path, "--map", str(write(tmp_path, text, "map.yaml"))).code == 0
+
+
+def test_every_column_of_the_file_stands_in_the_report(tmp_path):
+    head = (*HEAD, "T_amb", "Note", "Position set [mm]")
+    done = Outcome(write(tmp_path, table(head, (*GOOD, T_S, ["ok"] * 60, MM))))
+    require_good(done)
+    assert [column["name"] for column in done.report["columns"]] == list(head)
+    assert left_out(done) == list(head[4:])
+    assert all(column["read_as"] or column["left_out"] for column in done.report["columns"])
+
+
+# Header lines, ragged lines, lines that are cut.
+
+
+def test_a_time_column_per_channel_is_imported_by_number(tmp_path):
+    columns = (T_S, VALVE_V, T_S, BAR, T_S, MM)
+    stamp = "2026-03-16 17:04:51"
+    head = [
+        ",".join(["Timestamp", stamp] * 3),
+        ",".join(["Interval", "0.05"] * 3),
+        'Channel name,"Valve command",Channel name,"Pressure rel",Channel name,"Position"',
+        'Unit,"V",Unit,"bar",Unit,"mm"',
+    ]
+    text = "\n".join(head) + "\n" + table((), columns).lstrip("\n")
+    path = write(tmp_path, text)
+    shown = Outcome(path).stderr
+    for time in ("3", "'Channel name'"):
+        text = f"time: {{column: {time}}}\n" + "\n".join(
+            line for line in shown.splitlines() if line.startswith("  ") and "time:" not in line
+        ).replace("  ", "")
+        done = Outcome(path, "--map", str(write(tmp_path, text, "map.yaml")))
+        require_good(done)
+        done.path.unlink()
+
+
+def test_equal_time_columns_count_as_one_and_others_do_not(tmp_path):
+    head = (HEAD[0], HEAD[1], HEAD[0], HEAD[2], HEAD[0], HEAD[3])
+    columns = (T_S, VALVE_V, T_S, BAR, T_S, MM)
+    done = Outcome(write(tmp_path, table(head, columns)))
+    require_good(done)
+    assert "the same time as in column 1" in str(done.report["columns"])
+    other = (T_S, VALVE_V, T_S + 0.01, BAR, T_S, MM)
+    assert "may each be t_s" in Outcome(write(tmp_path, table(head, other), "b.csv")).stderr
+
+
+@pytest.mark.parametrize("mark", ["# ", "#", "% ", "// ", "#  "])
+@pytest.mark.parametrize("apart", [",", "\t", " "])
+def test_a_line_of_names_may_be_a_comment(tmp_path, mark, apart):
+    head = ("t_s", "valve_v", "pressure_gauge_bar", "position_mm")
+    text = "# recorded by Kim\n" + mark + table(head, apart=apart)
+    require_good(Outcome(write(tmp_path, text, "a.txt")))
+
+
+@pytest.mark.parametrize("lost", [3, 8, 20])
+def test_a_text_that_ends_within_a_line_gives_what_is_whole(tmp_path, lost):
+    done = Outcome(write(tmp_path, table().removesuffix("\n")[:-lost]))
+    told = " ".join(done.said.values())
+    assert "61" in told
+    assert "left out" in told or "nothing ends line 61" in told
+    np.testing.assert_allclose(done.signals.position_m[:59], MM[:59] * 1e-3)
+
+
+@pytest.mark.parametrize("end", [",\n", ",,\n", "\r", "\r\n"])
+def test_empty_cells_and_other_line_ends_are_nothing(tmp_path, end):
+    require_good(Outcome(write(tmp_path, table(end=end))))
+
+
+def test_a_line_break_within_quotes_is_no_line(tmp_path):
+    head = tuple(f'"{name.replace(" [", chr(10) + "[")}"' for name in HEAD)
+    require_good(Outcome(write(tmp_path, table(head, end="\r\n"))))
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [("0.5,1,2", ":32: the line has 3 cells"), (",".join(HEAD), ":32: the names are repeated"),
+     ("0.5,1,2,3,4", ":32: the line has 5 cells"), ("paused", ":32: the line has 1 cells")],
+)  # fmt: skip
+def test_a_line_in_the_middle_that_is_no_row_is_refused_with_its_number(tmp_path, line, told):
+    lines = table().splitlines()
+    lines.insert(31, line)
+    assert told in Outcome(write(tmp_path, "\n".join(lines) + "\n")).stderr
+
+
+def test_a_line_below_the_table_is_left_out_and_told(tmp_path):
+    done = Outcome(write(tmp_path, table() + "End of data\n"))
+    require_good(done)
+    assert "line 62 is left out" in done.said["warning", "file"]
+
+
+# What changes inside a file.
+
+
+def write_tdms(path: Path, **later: Any) -> Path:
+    """Write two acquisitions into one file; `later` are properties of the second one."""
+    begin = np.datetime64("2026-05-04T12:00:00")
+    with TdmsWriter(path) as writer:
+        for half in (slice(0, 30), slice(30, 60)):
+            again = later if half.start else {}
+            wave = {"wf_increment": 0.05, "wf_start_time": begin, "unit_string": "", **again}
+            writer.write_segment(
+                [
+                    ChannelObject("G", name, values[half], {**wave, "unit_string": unit})
+                    for name, values, unit in (
+                        ("Valve command", VALVE_V, "V"), ("Pressure rel", BAR, "bar"),
+                        ("Position", MM, later.get("unit", "mm") if half.start else "mm"),
+                        ("T_amb", T_S, ""),
+                    )
+                ]
+            )  # fmt: skip
+    return path
+
+
+def test_a_pause_between_two_acquisitions_of_a_tdms_file_is_a_gap(tmp_path):
+    start = np.datetime64("2026-05-04T12:10:00")
+    done = Outcome(write_tdms(tmp_path / "a.tdms", wf_start_time=start))
+    expected = np.where(np.arange(60) < 30, T_S, 600.0 + T_S - 1.5)
+    require_good(done, expected)
+    assert "598.55 s" in done.said["warning", "gap"]
+
+
+def test_segments_that_go_on_are_one_record_whatever_t_amb_is_called(tmp_path):
+    done = Outcome(write_tdms(tmp_path / "a.tdms"))
+    require_good(done)
+    assert left_out(done) == ["T_amb"]
+
+
+def test_an_interval_that_changes_is_followed_and_a_unit_that_changes_is_refused(tmp_path):
+    done = Outcome(write_tdms(tmp_path / "a.tdms", wf_increment=0.1))
+    require_good(done, np.where(np.arange(60) < 30, T_S, 1.5 + (np.arange(60) - 30) * 0.1))
+    refused = Outcome(write_tdms(tmp_path / "b.tdms", unit="um")).stderr
+    assert "Position changes unit_string from 'mm' to 'um' at value 31" in refused
+
+
+def test_a_second_recording_in_a_file_has_a_way_on_and_a_rate_does_not_hide_it(tmp_path):
+    columns = [np.concatenate([column, column[:40]]) for column in GOOD]
+    columns[0][60:] = T_S[:40] + 1.0
+    path = write(tmp_path, table(columns=columns))
+    done = Outcome(path)
+    assert "`lines: {first: 1, last: 61}`" in done.said["error", "backwards"]
+    shown = done.report["map_text"]
+    part = write(tmp_path, f"{shown}\nlines: {{first: 1, last: 61}}", "map.yaml")
+    first = Outcome(path, "--map", str(part))
+    require_good(first)
+    first.path.unlink()
+    rate = shown.replace("time: {column: 'Time [s]', unit: s}", "time: {rate_hz: 20}")
+    hidden = Outcome(path, "--map", str(write(tmp_path, rate, "map.yaml")))
+    assert "rate_hz is used, but the time (Time [s])" in hidden.said["warning", "backwards"]
+
+
+# Other formats, and how they are found.
+
+
+def write_matrix(path: Path) -> Path:
+    savemat(path, {"data": np.array(GOOD)})
+    return path
+
+
+def test_a_matrix_with_a_signal_a_row_is_imported_by_its_rows(tmp_path):
+    path = write_matrix(tmp_path / "a.mat")
+    text = "time: {column: 'data(1,:)'}\nvalve: {column: 'data(2,:)'}\n"
+    text += "pressure: {column: 3, unit: bar, gauge: true}\nposition: {column: 4, unit: mm}\n"
+    require_good(Outcome(path, "--map", str(write(tmp_path, text, "map.yaml"))))
+
+
+PLAIN = {"t_s": T_S, "valve_v": VALVE_V, "pressure_gauge_bar": BAR, "position_mm": MM}
+
+
+def write_npz(path: Path) -> None:
+    np.savez_compressed(path, **PLAIN)
+
+
+def write_npy(path: Path) -> None:
+    rows = np.zeros(60, [(name, float) for name in PLAIN])
+    for name, values in PLAIN.items():
+        rows[name] = values
+    np.save(path, rows)
+
+
+def write_parquet(path: Path) -> None:
+    parquet.write_table(pa.table(PLAIN), path)
+
+
+def write_hdf5(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        for name, values in PLAIN.items():
+            file[f"run/{name}"] = values
+
+
+FORMATS: dict[str, Callable[[Path], Any]] = {
+    "a.npz": write_npz,
+    "a.npy": write_npy,
+    "a.parquet": write_parquet,
+    "a.h5": write_hdf5,
+    "a.csv.gz": lambda path: path.write_bytes(gzip.compress(table().encode())),
+    "a.csv.bz2": lambda path: path.write_bytes(bz2.compress(table().encode())),
+    "a.csv.xz": lambda path: path.write_bytes(lzma.compress(table().encode())),
+    "a.csv.zst": lambda path: path.write_bytes(zstandard.compress(table().encode())),
+}
+
+
+@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("ending", ["", ".dat"])
+def test_a_format_is_found_by_its_first_bytes_whatever_it_is_called(tmp_path, name, ending):
+    made = tmp_path / name
+    FORMATS[name](made)
+    path = made.rename(tmp_path / ("b" + (ending or name[1:])))
+    require_good(Outcome(path))
+
+
+@pytest.mark.parametrize(
+    ("begin", "told"),
+    [
+        (b"#ROSBAG V2.0\n", "a ROS bag; export its topics as CSV"),
+        (b"\x89MCAP0\r\n", "a log of pamctl needs no import"),
+        (b"SQLite format 3\0", "ROS 2 bags"),
+        (b"\x00\x01\x02\x03\x04\x05\x06\x07", "it begins with 00 01 02 03"),
+        (b"MDF     4.10", "asammdf"),
+    ],
+)
+def test_a_format_that_cannot_be_read_is_named_with_the_way_on(tmp_path, begin, told):
+    for name in ("a.bag", "a.csv", "a.txt"):
+        done = Outcome(write(tmp_path, begin + bytes(500), name))
+        assert done.code == 65
+        assert told in done.stderr
+
+
+def test_a_packed_bomb_is_ended(tmp_path, monkeypatch):
+    monkeypatch.setattr("pamctl.log.importing.file_formats.BOMB_BYTES", 1 << 20)
+    packed = gzip.compress(b"0,0\n" * 1_000_000)
+    assert "unpacks to more than 1 MB" in Outcome(write(tmp_path, packed, "a.gz")).stderr
+
+
+# Keys of the map.
+
+
+def test_gain_offset_and_a_shift_in_time_are_keys_of_a_column(tmp_path):
+    late = np.interp(T_S - 0.1, T_S, MM)
+    path = write(tmp_path, table(columns=(T_S, VALVE_V * 2 + 5, BAR, late * 10)))
+    text = (
+        "time: {column: 1}\nvalve: {column: 2, gain: 0.5, offset: -2.5}\n"
+        "pressure: {column: 3, unit: bar, gauge: true}\n"
+        "position: {column: 4, unit: mm, gain: 0.1, shift_s: -0.1}\n"
+    )
+    done = Outcome(path, "--map", str(write(tmp_path, text, "map.yaml")))
+    measured = done.signals
+    assert len(measured.t_s) == 58  # the last two rows have no position any more
+    np.testing.assert_allclose(measured.position_m, MM[:58] * 1e-3, atol=1e-9)
+    np.testing.assert_allclose(measured.valve_v, VALVE_V[:58], atol=1e-9)
+
+
+def test_a_map_says_the_encoding(tmp_path):
+    head = ("\u6642\u9593 [s]", *HEAD[1:3], "\u4f4d\u7f6e [mm]")
+    path = write(tmp_path, table(head).encode("shift_jis"))
+    text = (
+        "encoding: shift_jis\ntime: {column: '\u6642\u9593 [s]'}\n"
+        "valve: {column: 2}\npressure: {column: 3, unit: bar, gauge: true}\n"
+        "position: {column: '\u4f4d\u7f6e [mm]', unit: mm}\n"
+    )
+    require_good(Outcome(path, "--map", str(write(tmp_path, text, "map.yaml"))))
+
+
+def test_the_map_for_the_drivers_voltage_is_shown_whole(tmp_path):
+    path = write(tmp_path, table(columns=(T_S, VALVE_V + 5.0, BAR, MM)))
+    shown = Outcome(path).report["map_text"]
+    done = Outcome(path, "--map", str(write(tmp_path, shown, "map.yaml")))
+    np.testing.assert_allclose(done.signals.valve_v, VALVE_V, atol=1e-12)
+
+
+@pytest.mark.parametrize("levels", [(0.0, 5.0), (0.0, 10.0), (0.0, 24.0)])
+def test_a_valve_that_switches_gets_no_advice_which_way_round_it_is(tmp_path, levels):
+    columns = (T_S, np.where(VALVE_V > 0, *levels[::-1]), BAR, MM)
+    done = Outcome(write(tmp_path, table(columns=columns)))
+    assert "does not say which level fills" in done.said["error", "unit"]
+    assert "offset" not in done.report["map_text"]
+
+
+def test_three_frozen_seconds_are_told(tmp_path):
+    t_s = np.arange(6000) * 1e-3
+    noise = np.random.default_rng(1).standard_normal(6000)
+    bar = np.round(2.5 + np.sin(t_s) + 0.003 * noise, 5)
+    bar[2000:5000] = bar[2000]
+    columns = (t_s, np.sin(3 * t_s), bar, 9.0 + np.sin(t_s))
+    done = Outcome(write(tmp_path, table(columns=columns)))
+    assert "rows 2002 to 5001 (2 to 4.999 s)" in done.said["warning", "frozen"]
+
+
+def test_an_atmosphere_that_is_not_the_shipped_plants_is_told(tmp_path):
+    text = (
+        "time: {column: 1}\npressure: {column: 3, unit: bar, gauge: true}\n"
+        "position: {column: 4, unit: mm}\natmospheric_pressure_pa: 95000\n"
+    )
+    done = Outcome(write(tmp_path, table()), "--map", str(write(tmp_path, text, "map.yaml")))
+    assert "atmospheric_pressure_pa: 95000" in done.said["warning", "atmosphere"]
+    np.testing.assert_allclose(done.signals.pressure_pa, BAR * 1e5 + 95000.0)
+
+
+def test_a_plain_name_goes_before_words_that_mean_the_same(tmp_path):
+    """As in what `log export` writes: the references and the raw sample stand beside."""
+    table = tmp_path / "exported.csv"
+    rows = [f"{0.001 * i},{i % 7},{0.5 * i},{2.0 * i},{1e5 + i},{1e-6 * i}" for i in range(60)]
+    head = "t_s,reference_valve_v,command_v,valve_v,pressure_pa,position_m"
+    table.write_text("\n".join([head, *rows]))
+    summary = import_log(table, tmp_path / "exported.mcap", accept_units=True)
+    assert {reading.quantity: reading.column for reading in summary.readings} == {
+        name: name for name in ("t_s", "valve_v", "pressure_pa", "position_m")
+    }
+    left_out = {column.name: column.left_out for column in summary.columns if column.left_out}
+    assert left_out == dict.fromkeys(("reference_valve_v", "command_v"), "valve_v is in 'valve_v'")

@@ -1,0 +1,163 @@
+"""The list of what can be wrong with a record: each fault is planted, and found where it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pamctl.log.record_problems import (
+    RecordColumn,
+    RecordProblem,
+    find_record_problems,
+    find_sensor_step,
+)
+
+T_S = np.arange(6000) * 1e-3
+Change = Callable[[Any], Any]
+
+
+def make_columns(seed: int = 1, encoder_m: float = 3e-6, **changes: Change) -> list[RecordColumn]:
+    """Return a command, a noisy pressure, and a position in steps of an encoder, with a rest."""
+    chance = np.random.default_rng(seed)
+    motion = np.where(T_S < 1.0, 0.0, 1.0 - np.cos(3.0 * (T_S - 1.0)))
+    columns = {
+        "valve_v": np.where((T_S > 1.0) & (np.sin(3.0 * (T_S - 1.0)) > 0.0), 1.5, -1.5),
+        "pressure_pa": 1e5 + 1e5 * motion + 300.0 * chance.standard_normal(len(T_S)),
+        "position_m": np.rint(0.01 * motion / encoder_m) * encoder_m,
+    }
+    for name, change in changes.items():
+        columns[name] = change(columns[name].copy())
+    units = {"valve_v": "V", "pressure_pa": "Pa", "position_m": "m"}
+    return [
+        RecordColumn(name, units[name], values, is_sensor=name != "valve_v")
+        for name, values in columns.items()
+    ]
+
+
+def find(t_s: Any = T_S, **changes: Change) -> list[RecordProblem]:
+    return find_record_problems(t_s, make_columns(**changes))
+
+
+def put(start: int, stop: int, value: float | None = None) -> Change:
+    """Return a change that puts a value, or the first of the stretch, into all its rows."""
+
+    def change(values: Any) -> Any:
+        values[start:stop] = values[start] if value is None else value
+        return values
+
+    return change
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 1000), st.sampled_from([1e-7, 3e-6, 5e-5]), st.floats(1e-5, 1.0))
+def test_a_sound_record_has_no_problem(seed, encoder_m, period_s):
+    assert find_record_problems(T_S / 1e-3 * period_s, make_columns(seed, encoder_m)) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "kind", "stretches"),
+    [
+        ("pressure_pa", put(3000, 6000 - 1000), "frozen", ((3000, 5000),)),
+        ("pressure_pa", put(2500, 2530), "frozen", ((2500, 2530),)),
+        ("position_m", put(2500, 3500), "frozen", ((2500, 3500),)),
+        ("pressure_pa", put(10, 20, np.nan), "missing", ((10, 20),)),
+        ("valve_v", put(10, 20, np.nan), "missing", ((10, 20),)),
+        ("pressure_pa", put(10, 11, -np.inf), "infinite", ((10, 11),)),
+        ("position_m", put(0, 6000, np.nan), "empty", ((0, 6000),)),
+        ("pressure_pa", put(0, 6000), "constant", ((0, 6000),)),
+        ("pressure_pa", put(3000, 3001, 0.0), "spikes", ((3000, 3001),)),
+        ("position_m", put(2500, 2502, 0.05), "spikes", ((2500, 2502),)),
+    ],
+)
+def test_a_fault_of_a_column_is_found_in_its_rows_and_seconds(name, change, kind, stretches):
+    (problem,) = find(**{name: change})
+    assert (problem.kind, problem.column, problem.stretches) == (kind, name, stretches)
+    assert (problem.from_s, problem.to_s) == (T_S[stretches[0][0]], T_S[stretches[-1][1] - 1])
+    assert problem.share == pytest.approx(sum(b - a for a, b in stretches) / len(T_S))
+    assert problem.is_fatal == (kind == "empty")
+
+
+def test_a_pressure_beyond_the_range_of_its_sensor_is_clipped():
+    (problem,) = find(pressure_pa=lambda values: np.minimum(values, 2.7e5))
+    assert problem.kind == "clipped"
+    assert "270000 Pa" in problem.text
+    inside = np.concatenate([np.arange(*stretch) for stretch in problem.stretches])
+    assert (make_columns()[1].values[inside] >= 2.7e5).mean() > 0.98
+
+
+@pytest.mark.parametrize("every", [2, 5, 10])
+def test_a_column_of_fewer_samples_than_rows_is_told_with_its_own_rate(every):
+    def hold(values: Any) -> Any:
+        return np.repeat(values[::every], every)
+
+    def interpolate(values: Any) -> Any:
+        return np.interp(T_S, T_S[::every], values[::every])
+
+    for how, change in (("held", hold), ("interpolated", interpolate)):
+        (problem,) = find(pressure_pa=change)
+        assert problem.kind == "resampled"
+        assert f"at {1000 / every:.3g} Hz and {how}" in problem.text
+
+
+@pytest.mark.parametrize(
+    ("t_s", "kind", "first", "told"),
+    [
+        (T_S[::-1], "reversed", 0, "turn the order of the rows round"),
+        (np.r_[T_S[:3000], T_S[:3000]], "duplicated", 3000, "the record is there twice"),
+        (np.repeat(T_S[:3000], 2), "duplicated", 1, "repeats the previous row's"),
+        (np.where(T_S < 2.0, T_S, T_S - 0.5), "backwards", 2000, "by up to 0.499 s"),
+        (np.where(np.arange(6000) == 7, np.nan, T_S), "missing", 7, "missing or not finite"),
+    ],
+)
+def test_a_time_that_is_no_order_is_fatal_and_no_sensor_is_judged_by_it(t_s, kind, first, told):
+    (problem,) = find(t_s)
+    assert (problem.kind, problem.column, problem.is_fatal) == (kind, "t_s", True)
+    assert problem.stretches[0][0] == first
+    assert told in problem.text
+
+
+def test_a_pause_and_scattered_stamps_are_told_and_not_fatal():
+    (gap,) = find(np.where(T_S < 2.0, T_S, T_S + 600.0))
+    assert (gap.kind, gap.stretches, gap.is_fatal) == ("gap", ((2000, 2001),), False)
+    assert "600.001 s" in gap.text
+    scattered = T_S + np.random.default_rng(1).uniform(0.0, 3e-4, len(T_S))
+    assert [problem.kind for problem in find(scattered)] == ["jitter"]
+
+
+@pytest.mark.parametrize("rows", [0, 1])
+def test_a_record_without_two_rows_is_none(rows):
+    columns = [column._replace(values=column.values[:rows]) for column in make_columns()]
+    (problem,) = find_record_problems(T_S[:rows], columns)
+    assert (problem.kind, problem.is_fatal) == ("short", True)
+
+
+def test_a_channel_that_was_stored_twice_is_told():
+    columns = make_columns()
+    columns[2] = columns[1]._replace(name="position_m")
+    (problem,) = find_record_problems(T_S, columns)
+    assert (problem.kind, problem.column) == ("duplicated", "position_m")
+
+
+def test_an_answer_to_the_command_is_no_spike():
+    """A pressure may jump for a sample where the command did."""
+    pulse = put(3000, 3001, 4.0)
+    kinds = {p.kind for p in find(valve_v=pulse, pressure_pa=put(3001, 3002, 4e5))}
+    assert "spikes" not in kinds
+
+
+def test_a_place_is_told_in_the_rows_of_the_source():
+    (problem,) = find(pressure_pa=put(3000, 5000))
+    lines = np.arange(len(T_S)) + 2
+    assert problem.describe(lines).endswith("it is frozen: rows 3002 to 5001 (3 to 4.999 s)")
+
+
+@given(st.integers(1, 50), st.floats(1e-9, 1e3), st.floats(-10.0, 10.0))
+def test_the_step_of_a_converter_is_found(spread, step, offset):
+    levels = np.random.default_rng(spread).integers(-spread, spread + 1, 500)
+    values = levels * step + offset * step
+    assert find_sensor_step(values) == pytest.approx(step, rel=1e-4)

@@ -39,6 +39,7 @@ def show(rig: HiddenRig, dirty: DirtyRig, dirts: tuple[Dirt, ...] = ()) -> NDArr
     return np.concatenate(columns)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rig", RIGS, ids=lambda r: f"{r.actuator}-{r.seed}")
 def test_each_small_thing_leaves_its_share_of_what_the_effect_leaves(rig: DirtyRig) -> None:
     base = show(rig.affected, rig)
@@ -64,6 +65,7 @@ def test_each_small_thing_leaves_its_share_of_what_the_effect_leaves(rig: DirtyR
         assert 0.0 < dirt.size <= dirt.kind.largest
 
 
+@pytest.mark.long
 def test_the_same_seed_makes_the_same_rig_and_another_seed_another() -> None:
     first, again, other = DirtyRig(3), DirtyRig(3), DirtyRig(4)
     assert json.dumps(first.describe()) == json.dumps(again.describe()) != other.describe()
@@ -72,6 +74,7 @@ def test_the_same_seed_makes_the_same_rig_and_another_seed_another() -> None:
             assert np.array_equal(column, two.columns()[name])
 
 
+@pytest.mark.long
 def test_the_truth_file_holds_what_was_simulated() -> None:
     rig = DirtyRig(4)
     told = rig.describe()
@@ -87,6 +90,7 @@ def test_the_truth_file_holds_what_was_simulated() -> None:
     assert without.describe()["numbers"] == {}
 
 
+@pytest.mark.long
 def test_a_dirty_record_is_still_read_in_the_sensors_steps() -> None:
     record = DirtyRig(1).records()[0][0]
     for column, step in ((record.pressure_pa, ADC_STEP_PA), (record.position_m, ENCODER_STEP_M)):
@@ -94,6 +98,7 @@ def test_a_dirty_record_is_still_read_in_the_sensors_steps() -> None:
         assert np.allclose(column / step, np.round(column / step), atol=1e-6)
 
 
+@pytest.mark.long
 def test_a_force_climbs_while_friction_holds_the_carriage() -> None:
     rig = DirtyRig(0, "direct")
     record = rig.records()[0][0]

@@ -1,4 +1,4 @@
-"""`pamctl.evidence` before the list of `scripts/score_diagnosis.py`."""
+"""`pamctl.diagnose.evidence` before the list of `scripts/score_diagnosis.py`."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Any
 
 from hidden.rungs import Said, Where
 from hidden.score_list import Handed
-from pamctl.evidence import weigh_evidence
-from pamctl.evidence.ladder import Rung
+from pamctl.diagnose.evidence import weigh_evidence
+from pamctl.diagnose.evidence.ladder import Finding
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
 
@@ -40,19 +40,19 @@ def diagnose_case(records: Handed, plant: Mapping[str, Any]) -> Said:
     train, held_out = records
     verdict = weigh_evidence(train, held_out, PlantSettings.model_validate(plant))
     names, sets, places, numbers = set(), [], set(), {}
-    for rung in verdict.rungs:
-        word = word_of(rung.name, rung.place, rung.kind)
+    for rung in verdict.findings:
+        word = word_of(rung.name, rung.hypothesis.place, rung.hypothesis.kind)
         if rung.level == "name":
             names.add(word)
-            numbers |= {k: (v, *verdict.intervals.get(k, (v, v))) for k, v in rung.numbers.items()}
+            numbers |= {n.name: (n.value, n.low, n.high) for n in rung.numbers}
         elif rung.level == "kind":
-            places.add(where_at(rung.place, rung.kind))
+            places.add(where_at(rung.hypothesis.place, rung.hypothesis.kind))
         elif rung.level == "place":
-            places.add((PLACES.get(rung.place, rung.place), ""))
+            places.add((PLACES.get(rung.hypothesis.place, rung.hypothesis.place), ""))
         elif rung.level == "set":
             sets.append(_make_set(rung, word))
     return Said(frozenset(names), tuple(sets), frozenset(places), numbers)
 
 
-def _make_set(rung: Rung, word: str) -> frozenset[str]:
+def _make_set(rung: Finding, word: str) -> frozenset[str]:
     return frozenset({word, *(word_of(r.name, r.place, r.kind) for r in rung.rivals)})

@@ -1,0 +1,154 @@
+"""The ladder: place, kind and name of each finding, each said where all outside are beaten.
+
+It is no chain. A name's rivals stand in its stead beside the rest of the model, fitted, under the
+resolution of the model without it. A freer term of the same place can always mimic a name: it
+speaks against it only where it clearly does better.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pamctl.diagnose.evidence.constants import (
+    FREER_SHARE,
+    LEFT_SHARE,
+    NAME_NATS,
+    NAME_SHARE,
+    RIVAL_SHARE,
+)
+from pamctl.diagnose.evidence.fit import WeighedModel, bound_gain, find_intervals
+from pamctl.diagnose.evidence.name_search import NameSearch
+from pamctl.diagnose.evidence.pool import CHAIN, Hypothesis
+from pamctl.diagnose.evidence.scores import EvidenceScore
+from pamctl.diagnose.plant_numbers import FittedNumber, unit_of
+
+RIVALS = 4
+"""Rivals that are fitted, beside the best of another kind and of another place."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that the model lacks, and how far up it may be said."""
+
+    hypothesis: Hypothesis
+    says_place: bool
+    says_kind: bool
+    says_name: bool
+    gain_nats: float
+    interval_nats: tuple[float, float]
+    share: float
+    """Of the gain of the whole model."""
+    numbers: tuple[FittedNumber, ...]
+    at_range: tuple[str, ...]
+    """Numbers that stand at their range: then no name is said."""
+    is_rest: bool
+    """Whether it is small beside what was found before it: it mends the model, and is no cause."""
+    rivals: tuple[Hypothesis, ...]
+    """What is not beaten, the nearest first."""
+
+    @property
+    def name(self) -> str:
+        """The effect, fault or law that does best."""
+        return self.hypothesis.name
+
+    @property
+    def level(self) -> str:
+        """The rung that is reached: name, kind, place, or set; `rest` of what is only mended."""
+        if self.is_rest:
+            return "rest"
+        if self.says_place and self.says_kind:
+            return "name" if self.says_name else "kind"
+        return "place" if self.says_place else "set"
+
+
+def climb_ladder(search: NameSearch, base: WeighedModel, m: WeighedModel) -> list[Finding]:
+    """Return what may be said of each name of a model, in the order in which they were found."""
+    search.weigher.meet(base, m)
+    whole = max(base.total - m.total, 1e-9)
+    return [_find_level(search, m, name, whole) for name in m.names]
+
+
+def _find_level(search: NameSearch, m: WeighedModel, name: str, whole: float) -> Finding:
+    weigher, pool, mine = search.weigher, search.pool, search.pool[name]
+    without = search.drop(m, name)
+    own = without.left_out - m.left_out
+    asked = [n for n in pool if n != name and _may_rival(search, n, mine)]
+    scored = _choose_rivals(search, search.score(without, asked), mine)
+    rivals = search.refit(without, scored, len(scored), float(own.sum())) if scored else []
+    weigher.meet(without, m)
+    says_place = says_kind = True
+    says_name = not mine.is_term
+    near = []
+    for rival in rivals:
+        weigher.leave_out(rival)
+        its, lead = pool[rival.names[-1]], rival.left_out - m.left_out
+        least = bound_gain(lead)[0]
+        clearly = least > NAME_NATS and takes_enough(search, rival, m)
+        beaten = clearly or least > RIVAL_SHARE * own.sum()
+        if not beaten:
+            near.append((float(lead.sum()), its))
+        if its.is_term and (its.place == mine.place or its.name in mine.akin):
+            if bound_gain(-lead)[0] > FREER_SHARE * own.sum():
+                says_name = False
+                says_kind &= its.kind == mine.kind
+            continue
+        if its.place != mine.place:
+            says_place &= bool(beaten)
+        if its.place != mine.place or its.kind != mine.kind:
+            says_kind &= bool(beaten)
+        says_name &= bool(beaten)
+    at_range = tuple(
+        u.name
+        for u in m.picked[name].free
+        if m.values[u.name] != u.neutral
+        and not u.low + 1e-3 * u.scale < m.values[u.name] < u.high - 1e-3 * u.scale
+    )
+    enough = takes_enough(search, without, m)
+    low, _, high = bound_gain(own)
+    is_rest = name != m.names[0] and bool(own.sum() < NAME_SHARE * whole)
+    nearest = tuple(h for _, h in sorted(near, key=lambda n: n[0]))
+    return Finding(
+        mine, says_place, says_kind,
+        says_name and not at_range and enough, float(own.sum()), (float(low), float(high)),
+        float(own.sum()) / whole, _list_numbers(m, name),
+        at_range, is_rest, nearest,
+    )  # fmt: skip
+
+
+def _list_numbers(m: WeighedModel, name: str) -> tuple[FittedNumber, ...]:
+    intervals = find_intervals(m)
+    return tuple(
+        fit_number(u.name, m.values[u.name], intervals[u.name]) for u in m.picked[name].free
+    )
+
+
+def fit_number(name: str, value: float, interval: tuple[float, float]) -> FittedNumber:
+    """Return a fitted number with its interval and unit; one of the measuring chain has none."""
+    return FittedNumber(name, value, *interval, "" if name.startswith(CHAIN) else unit_of(name))
+
+
+def takes_enough(search: NameSearch, without: WeighedModel, m: WeighedModel) -> bool:
+    """Tell whether what a name takes off some channel is not small beside what stays there."""
+    weigher = search.weigher
+    taken = weigher.find_imprint(without, m)
+    left2 = weigher.like.mean_squares(m.d) / weigher.find_noise2(m) - 1.0
+    return bool((taken > LEFT_SHARE * np.sqrt(np.maximum(left2, 0.0))).any())
+
+
+def _may_rival(search: NameSearch, name: str, mine: Hypothesis) -> bool:
+    return name in search.best_scores or search.pool[name].place == mine.place
+
+
+def _choose_rivals(
+    search: NameSearch, scored: list[EvidenceScore], mine: Hypothesis
+) -> list[EvidenceScore]:
+    """Return the best, and the best of another kind and of another place."""
+    chosen, pool = scored[:RIVALS], search.pool
+    for rung in ("kind", "place"):
+        outside = (s for s in scored if getattr(pool[s.name], rung) != getattr(mine, rung))
+        first = next(outside, None)
+        if first is not None and first not in chosen:
+            chosen.append(first)
+    return chosen

@@ -25,11 +25,10 @@ from pamctl.diagnose.deciding.drawn_programs import (
 from pamctl.diagnose.deciding.explanations import Explanation
 from pamctl.diagnose.deciding.rig_limits import RigLimits, find_rig_limits
 from pamctl.diagnose.deciding.separation import ProgramTrial, Separation, find_pairs
-from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
 from pamctl.diagnose.measured.record import Record
 
 PROGRAMS = 200
-FINALISTS = 12
+FINALISTS = 8
 """Programs of each rough order whose separation is computed, with a refit by one step."""
 BEST = 6
 """The best of them; their blocks are mixed anew."""
@@ -89,13 +88,14 @@ class DecidingProgram:
                     "residual_over_floor": float(f"{s.residual_over_floor:.4g}"),
                 }
                 for s in self.separations
+                if s.is_forecast
             ],
             "pressure_kpa": round(1e-3 * self.pressure_pa, 1),
             "low_mm": round(1e3 * self.low_m, 2),
             "high_mm": round(1e3 * self.high_m, 2),
         }
         keys = self.program.model_dump(mode="json", exclude_none=True)
-        return {**keys, "forecast": forecast}
+        return {**keys, "forecast": forecast} if forecast["pairs"] else keys
 
 
 def choose_deciding_program(
@@ -174,9 +174,10 @@ def choose_repeated_part(
 
 
 def _are_of_muscle(explanations: Sequence[Explanation]) -> bool:
-    """Tell whether both blocks were driven, by a valve: then a program can be simulated whole."""
-    evidence = explanations[0].model.evidence
-    return evidence.nominal.actuator == "muscle" and {*evidence.blocks} == {PRESSURE, MECHANICS}
+    """Tell whether a valve drove both blocks: then a program can be simulated whole."""
+    e = explanations[0]
+    channels = {*e.weigher.train.channels}
+    return e.nominal.actuator == "muscle" and channels == {"pressure_pa", "position_m"}
 
 
 def _is_admitted(trial: ProgramTrial, limits: RigLimits) -> bool:

@@ -18,7 +18,7 @@ from math import inf, sqrt
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from pamctl.diagnose.evidence.constants import NAME_NATS, SEEN_SHARE
+from pamctl.diagnose.evidence.constants import LEFT_SHARE, NAME_NATS, SEEN_SHARE
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
 from pamctl.diagnose.evidence.pool import Hypothesis, list_effects
 from pamctl.diagnose.evidence.weigh import (
@@ -205,10 +205,12 @@ class _Beside:
         low, high = (np.array([getattr(n, k) for n in m.numbers]) for k in ("low", "high"))
         self.room = (low - m.x) / scale - ROOM, (high - m.x) / scale + ROOM
         noise2 = weigher.find_noise2(m)
-        robust2 = (weigher.like.counts * m.cost.scales2).sum(axis=1) / weigher.like.counts.sum(1)
-        self.least2 = np.minimum(noise2, robust2 * SEEN_SHARE / (1.0 - SEEN_SHARE))
-        """The mean square that is seen in each channel."""
-        self.robust2 = robust2
+        counts = weigher.like.counts
+        robust2 = (counts * m.cost.scales2).sum(axis=1) / counts.sum(axis=1)
+        seen2 = np.minimum(noise2, robust2 * SEEN_SHARE / (1.0 - SEEN_SHARE))
+        left2 = weigher.like.mean_squares(m.d) - noise2
+        self.least2 = np.maximum(seen2, LEFT_SHARE**2 * left2)
+        """The mean square that is seen in each channel, and not small beside what is left there."""
 
     def push(self, hypothesis: Hypothesis) -> Array:
         """Return the smallest doses of interest, each size alone and all together, weighed.

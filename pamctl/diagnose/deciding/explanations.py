@@ -1,4 +1,5 @@
 """Stub."""
+
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -8,5 +9,7 @@ from dataclasses import dataclass
 class Explanation:
     name: str
     plant: object = None
+
+
 def list_explanations(found):
     return ()

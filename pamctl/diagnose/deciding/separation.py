@@ -1,4 +1,5 @@
 """Stub."""
+
 from dataclasses import dataclass
 
 
@@ -19,5 +20,3 @@ class Separation:
     def is_decided(self) -> bool:
         """Whether the wrong one would be refuted."""
         return self.sureness > 1.0
-
-

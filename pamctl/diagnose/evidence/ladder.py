@@ -39,6 +39,8 @@ class JudgedRival:
     loses: float
     """Share of the bootstrap's draws in which it is behind."""
     is_beaten: bool
+    is_freer: bool
+    """A law without a name of the same place, which can always mimic a name."""
 
 
 @dataclass(frozen=True)
@@ -104,8 +106,9 @@ def _find_level(search: NameSearch, m: WeighedModel, name: str, whole: float) ->
         beaten = clearly or least > RIVAL_SHARE * own.sum()
         if not beaten:
             near.append((float(lead.sum()), its))
-        judged.append(_judge_rival(its, lead, beaten=beaten))
-        if its.is_term and (its.place == mine.place or its.name in mine.akin):
+        is_freer = its.is_term and (its.place == mine.place or its.name in mine.akin)
+        judged.append(_judge_rival(its, lead, beaten=bool(beaten), is_freer=is_freer))
+        if is_freer:
             if bound_gain(-lead)[0] > FREER_SHARE * own.sum():
                 says_name = False
                 says_kind &= its.kind == mine.kind
@@ -133,11 +136,13 @@ def _find_level(search: NameSearch, m: WeighedModel, name: str, whole: float) ->
     )  # fmt: skip
 
 
-def _judge_rival(hypothesis: Hypothesis, lead: Array, *, beaten: bool) -> JudgedRival:
+def _judge_rival(
+    hypothesis: Hypothesis, lead: Array, *, beaten: bool, is_freer: bool
+) -> JudgedRival:
     draws = bound_gain(lead, np.linspace(SURE, 1.0 - SURE, 199))
     loses = float((draws > 0.0).mean())
     interval = float(draws[0]), float(draws[-1])
-    return JudgedRival(hypothesis, float(lead.sum()), interval, loses, bool(beaten))
+    return JudgedRival(hypothesis, float(lead.sum()), interval, loses, beaten, is_freer)
 
 
 def _list_numbers(m: WeighedModel, name: str) -> tuple[FittedNumber, ...]:

@@ -66,14 +66,14 @@ def build_diagnosis_document(diagnosis: Diagnosis) -> dict[str, Any]:
 
 def _describe_effect(diagnosis: Diagnosis, finding: Finding) -> dict[str, Any]:
     name = finding.hypothesis.family
-    named_rivals = [j for j in finding.judged if not j.hypothesis.is_term]
+    others = [j for j in finding.judged if not j.is_freer]
     return {
         "name": name,
         "block": CATALOGUE[name].block,
         "form": find_form(diagnosis, finding),
         "parameters": {n.name.split(".")[1]: n.as_dict() for n in list_numbers(finding)},
         "rivals": [_describe_rival(j) for j in finding.judged],
-        "confidence": min((j.loses for j in named_rivals), default=1.0),
+        "confidence": min((j.loses for j in others), default=1.0),
     }
 
 
@@ -83,6 +83,7 @@ def _describe_rival(judged: JudgedRival) -> dict[str, Any]:
         "behind_nats": judged.behind_nats,
         "interval_nats": [*judged.interval_nats],
         "is_beaten": judged.is_beaten,
+        "is_freer": judged.is_freer,
     }
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pamctl.diagnose.diagnosis import Diagnosis
-from pamctl.diagnose.evidence.ladder import Finding
+from pamctl.diagnose.evidence.ladder import Finding, JudgedRival
 from pamctl.diagnose.evidence.pool import CHAIN, Hypothesis
 from pamctl.diagnose.plant_numbers import FittedNumber, unit_of
 from pamctl.diagnose.report.setup_words import SETUP_UNITS, label_fault
@@ -87,6 +87,15 @@ def list_candidates(finding: Finding) -> list[str]:
     """Return the labels of what may be there, the best first."""
     members = (finding.hypothesis, *finding.rivals)
     return list(dict.fromkeys(label_hypothesis(h) for h in members))
+
+
+def describe_standing(rival: JudgedRival) -> str:
+    """Say of a rival that is not beaten what that means; empty where it is beaten."""
+    if rival.is_beaten:
+        return ""
+    if rival.is_freer:
+        return ", a freer law of its place, which can always mimic it"
+    return ", which does not rule it out"
 
 
 def is_in_catalogue(finding: Finding) -> bool:

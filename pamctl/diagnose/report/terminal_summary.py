@@ -6,7 +6,13 @@ from collections.abc import Iterator
 
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.report.diagnosis_document import find_masked_shares
-from pamctl.diagnose.report.finding_words import list_numbers, spell_finding, spell_names
+from pamctl.diagnose.report.finding_words import (
+    describe_standing,
+    label_hypothesis,
+    list_numbers,
+    spell_finding,
+    spell_names,
+)
 from pamctl.diagnose.report.next_experiment import choose_next_experiment
 from pamctl.diagnose.report.open_findings import list_faults
 from pamctl.diagnose.report.phrases import SIGNAL_DISPLAYS, describe_noise
@@ -47,8 +53,8 @@ def _list_finding_rows(diagnosis: Diagnosis) -> Iterator[str]:
         gain = f"gain {finding.gain_nats:.0f} nats ({low:.0f} to {high:.0f})"
         yield f"{spell_finding(diagnosis, finding)}: {sure}; {gain}"
         for rival in finding.judged[:MOST_RIVALS]:
-            is_near = "behind" if rival.is_beaten else "behind, which does not rule it out"
-            yield f"  {spell_names(rival.hypothesis.name)}: {rival.behind_nats:.0f} nats {is_near}"
+            label = spell_names(label_hypothesis(rival.hypothesis))
+            yield f"  {label}: {rival.behind_nats:.0f} nats behind{describe_standing(rival)}"
 
 
 def _list_number_rows(diagnosis: Diagnosis) -> Iterator[str]:

@@ -21,6 +21,7 @@ from pamctl.diagnose.report.open_findings import list_faults
 from pamctl.diagnose.report.phrases import relative_shift
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.report.drawing.levels import Levels
+from pamctl.report.drawing.svg import MUTED
 from pamctl.report.html_page import Page
 
 MOST_RIVALS = 5
@@ -122,7 +123,7 @@ def _draw_rivals(finding: Finding) -> Levels:
     plot = Levels("Lost without it, and with a rival in its place", "nats")
     plot.bar("without it", finding.gain_nats, ends=finding.interval_nats)
     for j in finding.judged[:MOST_RIVALS]:
-        colour = 1 if j.is_beaten else 3
+        colour = 1 if j.is_beaten else MUTED if j.is_freer else 3
         label = spell_names(label_hypothesis(j.hypothesis))
         plot.bar(label, j.behind_nats, colour=colour, ends=j.interval_nats)
     return plot
@@ -131,11 +132,19 @@ def _draw_rivals(finding: Finding) -> Levels:
 def _write_caption(finding: Finding) -> str:
     if not finding.judged:
         return "No rival came near enough to be fitted in its place."
-    near = [j for j in finding.judged[:MOST_RIVALS] if not j.is_beaten]
-    left = f"{len(near)} of these rivals cannot be ruled out" if near else "All rivals are beaten"
+    shown = finding.judged[:MOST_RIVALS]
+    near = sum(not j.is_beaten and not j.is_freer for j in shown)
+    mimics = sum(not j.is_beaten and j.is_freer for j in shown)
+    left = f"{near} of these cannot be ruled out." if near else ""
+    freer = (
+        "The grey bar is a freer law of the same place: it can always mimic a name, and counts "
+        "only where it does better."
+        if mimics
+        else ""
+    )
     return (
         "Each rival was fitted in its place, beside the rest of the model. A rival is beaten if it "
-        f"surely loses a tenth of what is lost without the finding. {left}."
+        f"surely loses a tenth of what is lost without the finding. {left} {freer}".rstrip()
     )
 
 

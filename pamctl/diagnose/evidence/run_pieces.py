@@ -89,6 +89,10 @@ class RunPiece:
     grids: dict[float, SampleGrid]
     """By the length of the step."""
     starts_at_rest: bool
+    name: str = ""
+    """Of its record."""
+    begin_s: float = 0.0
+    """Where it begins in its record."""
 
 
 class Runs:
@@ -145,6 +149,7 @@ class Runs:
             }  # fmt: skip
             counted = None if counts is None else counts[cut]
             found.append(self._make_stretch(columns, grids, begin == 0, counted))
+            found[-1].name, found[-1].begin_s = record.name, float(t_s[begin])
         return found
 
     def _make_stretch(

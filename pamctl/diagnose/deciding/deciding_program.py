@@ -74,28 +74,37 @@ class DecidingProgram:
 
     @property
     def nearest(self) -> Separation:
-        """The pair that is separated least."""
-        return min(self.separations, key=lambda s: s.residual_over_floor)
+        """The pair that is separated least, of those with a forecast if there are any."""
+        sure = [s for s in self.separations if s.is_forecast] or self.separations
+        return min(sure, key=lambda s: s.residual_over_floor)
 
-    def to_experiment(self) -> dict[str, Any]:
-        """Return the keys of the experiment file, with the forecast in it."""
-        forecast = {
-            "pairs": [
-                {
-                    "true": s.true,
-                    "refuted": s.refuted,
-                    "block": s.block,
-                    "residual_over_floor": float(f"{s.residual_over_floor:.4g}"),
-                }
-                for s in self.separations
-                if s.is_forecast
-            ],
+    @property
+    def forecast(self) -> dict[str, Any]:
+        """What a later diagnosis judges: pairs whose figure holds, and what the rig is asked for.
+
+        The key `residual_over_floor` holds RMS over the sensor's noise.
+        """
+        pairs = [
+            {
+                "true": s.true,
+                "refuted": s.refuted,
+                "block": s.block,
+                "residual_over_floor": float(f"{s.residual_over_floor:.4g}"),
+            }
+            for s in self.separations
+            if s.is_forecast
+        ]
+        return {
+            "pairs": pairs,
             "pressure_kpa": round(1e-3 * self.pressure_pa, 1),
             "low_mm": round(1e3 * self.low_m, 2),
             "high_mm": round(1e3 * self.high_m, 2),
         }
+
+    def to_experiment(self) -> dict[str, Any]:
+        """Return the keys of the experiment file, with the forecast in it if there is one."""
         keys = self.program.model_dump(mode="json", exclude_none=True)
-        return {**keys, "forecast": forecast} if forecast["pairs"] else keys
+        return {**keys, "forecast": self.forecast} if self.forecast["pairs"] else keys
 
 
 def choose_deciding_program(

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
 from pamctl.diagnose.evidence.ladder import Finding
 from pamctl.diagnose.evidence.name_search import NameSearch
-from pamctl.diagnose.evidence.weigh import EvidenceVerdict
 from pamctl.diagnose.extend import assemble_plant
 from pamctl.plant.model import PlantSettings
 
@@ -56,25 +57,26 @@ def list_explanations(diagnosis: Diagnosis) -> tuple[Explanation, ...]:
     found = diagnosis.evidence
     if found is None or not found.findings:
         return ()
-    models = [found.model, *(m for f in found.findings for m in _fit_rivals(found, f))]
-    named = {name_explanation(m): m for m in reversed(models[:MOST_EXPLANATIONS])}
+    search, weigher = NameSearch(found.weigher, found.pool), found.weigher
+    named, floor2 = {name_explanation(found.model): replace(found.model)}, weigher.like.least2
+    for finding in found.findings:
+        if finding.level in ("name", "rest"):  # a name's freer terms can always mimic it
+            continue
+        for m in _fit_rivals(search, found.model, finding):
+            named.setdefault(name_explanation(m), m)
+        floor2 = np.maximum(floor2, weigher.floor2)
+    # As the ladder weighs them: under the resolution of the model without the finding.
+    weigher.floor2 = floor2
     return tuple(
-        Explanation(name, m, found.weigher, diagnosis.nominal)
-        for name, m in reversed([*named.items()])
+        Explanation(name, weigher.leave_out(m), weigher, diagnosis.nominal)
+        for name, m in [*named.items()][:MOST_EXPLANATIONS]
     )
 
 
-def _fit_rivals(found: EvidenceVerdict, finding: Finding) -> Iterator[WeighedModel]:
-    """Yield the model with a finding exchanged for each of what is not beaten, fitted.
-
-    A name's freer terms can always mimic it: they are no question to a program.
-    """
-    asked = [r.name for r in finding.rivals[:MOST_RIVALS]]
-    if finding.level in ("name", "rest") or not asked:
-        return
-    search = NameSearch(found.weigher, found.pool)
-    without = search.drop(found.model, finding.name)
-    for name in asked:
-        score = next(iter(search.score(without, [name])), None)
+def _fit_rivals(search: NameSearch, m: WeighedModel, finding: Finding) -> Iterator[WeighedModel]:
+    """Yield the model with a finding exchanged for each of what is not beaten, fitted."""
+    without = search.drop(m, finding.name)
+    for rival in finding.rivals[:MOST_RIVALS]:
+        score = next(iter(search.score(without, [rival.name])), None)
         if score is not None:
             yield from search.refit(without, [score], 1)[:1]

@@ -75,7 +75,10 @@ class ProgramTrial:
         self.program, self.explanations, self.period_s = program, tuple(explanations), period_s
         self.commands_v = sample_commands(program, period_s)
         weigher = explanations[0].weigher
-        self._runs = _make_runs(self.commands_v, period_s, weigher)
+        # The vent at the end goes on to the end of a block.
+        missing = -len(self.commands_v) % weigher.train.block
+        whole_v = np.pad(self.commands_v, (0, missing), mode="edge")
+        self._runs = _make_runs(whole_v, period_s, weigher)
         self._keep = self._runs.find_kept(weigher.like.level)
         self._shown: dict[str, Array] = {}
         self.runs: dict[str, ProgramRun] = {}

@@ -27,8 +27,8 @@ from pamctl.diagnose.deciding.rig_limits import RigLimits, find_rig_limits
 from pamctl.diagnose.deciding.separation import ProgramTrial, Separation, find_pairs
 from pamctl.diagnose.measured.record import Record
 
-PROGRAMS = 200
-FINALISTS = 8
+PROGRAMS = 100
+FINALISTS = 6
 """Programs of each rough order whose separation is computed, with a refit by one step."""
 BEST = 6
 """The best of them; their blocks are mixed anew."""

@@ -57,7 +57,8 @@ class Separation:
     sureness: float
     """Above 1, the wrong one loses surely more nats than a name must gain, on all records."""
     is_forecast: bool = True
-    """False where the refit goes so far that the figure may be off by more than a factor of 2."""
+    """False where the figure may be off by more than a factor of 2: the refit goes far, or what
+    is refitted is a curve."""
 
     @property
     def is_decided(self) -> bool:
@@ -145,6 +146,8 @@ class ProgramTrial:
         nats = self._count_nats(true.model, left, squares)
         sure = self._find_sureness(true.model, other.model, nats)
         name = BLOCKS[self._runs.channels[block]]
+        # A curve's knots follow the reach of the records: with this run it would be another.
+        agrees &= not any(v.is_curve for v in other.model.picked.values())
         return Separation(true.name, other.name, name, over, sure, agrees)
 
     def _count_nats(self, true: WeighedModel, left: Array, squares: Array) -> Array:

@@ -5,7 +5,7 @@ The words follow the level that a finding reaches. Nothing here says more than t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -46,6 +46,8 @@ _SHOWN: Mapping[str, tuple[float, str]] = {
     "m": (1e3, "mm"), "Pa": (1e-3, "kPa"), "V": (1.0, "V"), "m/s": (1e3, "mm/s"), "s": (1.0, "s"),
     "N": (1.0, "N"), "1": (100.0, "%"), "kg/s": (1e6, "mg/s"), "m3": (1e6, "cm3"),
 }  # fmt: skip
+MOST_IN_SENTENCE = 3
+"""Members of a set in a sentence; the document has all."""
 _BOTH_WAYS = ("wave", "hysteresis")
 
 
@@ -89,6 +91,14 @@ def list_candidates(finding: Finding) -> list[str]:
     return list(dict.fromkeys(label_hypothesis(h) for h in members))
 
 
+def spell_set(labels: Sequence[str]) -> str:
+    """Return `a, b or c`; of a long set the first ones."""
+    names = [*map(spell_names, labels[:MOST_IN_SENTENCE])]
+    if len(labels) > MOST_IN_SENTENCE:
+        names.append("others")
+    return " or ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
 def describe_standing(rival: JudgedRival) -> str:
     """Say of a rival that is not beaten what that means; empty where it is beaten."""
     if rival.is_beaten:
@@ -107,7 +117,7 @@ def spell_finding(diagnosis: Diagnosis, finding: Finding) -> str:
     """Return a finding as a noun, as far up as it is sure."""
     hypothesis = finding.hypothesis
     if finding.level == "set":
-        return " or ".join(map(spell_names, list_candidates(finding)))
+        return spell_set(list_candidates(finding))
     if finding.level in ("name", "rest"):
         return spell_names(label_hypothesis(hypothesis))
     if hypothesis.is_term and finding.level == "kind":

@@ -1,22 +1,47 @@
-"""Step 1, audit: what an excitation cannot show, and what it cannot tell apart.
+"""What an excitation cannot show, and what it cannot tell apart.
 
-Every effect is simulated at its smallest size of interest. What recalibration can imitate is
-removed, and the rest is compared with the floor: below the limit the effect is a blind spot. Of
-a pair of effects, one is simulated and the other fitted: if less than the limit is left, this
-excitation does not tell them apart. For example, the paper's full-scale squares cannot show a
-dead band of the valve: |u| is always 5 V, and the valve's gain absorbs the dead band.
+Every effect is simulated at its smallest size of interest. What the model's own numbers imitate
+is removed, by their tangent; the rest would gain so many nats under the scales of the likelihood,
+and it is seen or not. Both grow with the square of the size. An effect that gains less than a name
+must, or that no channel shows, is a blind spot. Of a pair one is simulated and the other fitted: if
+less than a name is left, this excitation does not tell them apart. For example, the paper's
+full-scale squares cannot show a dead band of the valve: |u| is always 5 V, and the valve's gain
+absorbs the dead band.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import inf
+from itertools import combinations
+from math import inf, sqrt
 
-from pamctl.diagnose.measured.record import Record
-from pamctl.plant.model import PlantSettings
+import numpy as np
+from scipy.optimize import lsq_linear
 
-INERT = 1e-9
-"""An effect that uses a smaller share of the room below the limit changes nothing."""
+from pamctl.diagnose.evidence.constants import LEFT_SHARE, NAME_NATS, SEEN_SHARE
+from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
+from pamctl.diagnose.evidence.pool import Hypothesis, list_effects
+from pamctl.diagnose.evidence.weigh import (
+    EvidenceVerdict,
+    list_pool,
+    prepare_weigher,
+    scales_of,
+)
+from pamctl.diagnose.experiments import find_separating_experiment
+from pamctl.diagnose.measured.noise.mend import mend_records
+from pamctl.diagnose.measured.noise.sensor_noise import estimate_channel_noise
+from pamctl.diagnose.measured.quality_rules import leave_out_unused
+from pamctl.diagnose.measured.record import Array, Record
+from pamctl.diagnose.measured.refuse import BadData, check_measured_runs, check_sensors
+from pamctl.diagnose.plant_numbers import look_up_parameter
+from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.model import PlantSettings, plant_parameters, settings_of
+
+INERT = 1e-12
+"""An effect with a smaller power changes nothing: it is no part of another actuator."""
+SINGULAR = 1e-9
+ROOM = 1e-6
+"""Scales; a number at its range has a little room, or there would be no range."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +79,7 @@ class BlindSpot:
 
 @dataclass(frozen=True)
 class Inseparable:
-    """Two effects of which one explains the other down to the floor."""
+    """Two effects of which one explains the other down to the noise."""
 
     names: tuple[str, str]
     experiment: str
@@ -77,7 +102,7 @@ class Audit:
         spots = (
             replace(s, experiment="") if s.experiment == experiment else s for s in self.blind_spots
         )
-        pairs = (_advise_pair(pair.names, (experiment,)) for pair in self.inseparable)
+        pairs = (_advise_pair(pair.names, experiment) for pair in self.inseparable)
         return Audit(self.sees, tuple(spots), tuple(pairs), self.unasked)
 
     def as_dict(self) -> dict[str, object]:
@@ -94,13 +119,181 @@ class Audit:
         }
 
 
-def audit_evidence(found: object, *, pairs: bool = True) -> Audit:
-    return Audit((), (), ())
-
-
 def audit_run(record: Record, plant: PlantSettings) -> Audit:
-    return Audit((), (), ())
+    """Audit one record, measured or simulated; raises `BadData`."""
+    (record,), _ = leave_out_unused([record], plant)
+    (record,), _ = mend_records([record])
+    check_measured_runs([record], plant)
+    noises = {c: estimate_channel_noise([record], c) for c in record.channels if c != "valve_v"}
+    check_sensors([record], noises, plant)
+    try:
+        weigher, start = prepare_weigher([record], (), plant)
+    except ValueError as error:
+        raise BadData(str(error)) from None
+    return audit_model(weigher, weigher.settle(start)).advise_beyond(record.experiment)
 
 
-def _advise_pair(names, without):
-    return Inseparable(names, "", "")
+def audit_evidence(found: EvidenceVerdict, *, pairs: bool = True) -> Audit:
+    """Audit the training records of a verdict, beside its extended model."""
+    return audit_model(found.weigher, found.model, pairs=pairs)
+
+
+def audit_model(weigher: Weigher, m: WeighedModel, *, pairs: bool = True) -> Audit:
+    """Audit the training records of a fitted model."""
+    plant = settings_of(weigher.base)
+    has_already = {*plant.acting, *m.names}
+    fitted = [
+        h
+        for h in list_pool(weigher.train, weigher.base, plant)
+        if h.family in CATALOGUE and not {h.family, h.name} & has_already
+    ]
+    machine = scales_of(weigher.train, plant)
+    mere = [
+        h
+        for h in list_effects(plant.actuator, machine, fitted=False)
+        if h.family not in has_already and not weigher.train.imposed
+    ]
+    beside = _Beside(weigher, m)
+    asked: dict[str, tuple[Hypothesis, Array]] = {}
+    for h in (*fitted, *mere):
+        doses = beside.push(h)
+        known = asked.get(h.family)
+        if known is None or beside.find_power(doses) > beside.find_power(known[1]):
+            asked[h.family] = h, doses
+    powers = {name: beside.find_power(doses) for name, (_, doses) in asked.items()}
+    not_fitted = {h.family for h in mere}
+    sees = tuple(n for n, power in powers.items() if power > 1.0 and n not in not_fitted)
+    blind = [
+        _describe_blind_spot(h, powers[n], plant, is_fitted=n not in not_fitted)
+        for n, (h, _) in asked.items()
+        if n not in sees and (plant.actuator == "muscle" or powers[n] > INERT)
+    ]
+    here = [n for n, e in CATALOGUE.items() if plant.actuator in e.actuators]
+    blind += [
+        BlindSpot(n, "these records do not drive its block", CATALOGUE[n].best_experiment, None)
+        for n in here
+        if n not in asked and n not in has_already and not CATALOGUE[n].unidentifiable
+    ]
+    alike = []
+    if pairs:
+        seen = [(n, asked[n][1]) for n in sees]
+        alike = [
+            _advise_pair((a, b))
+            for (a, one), (b, other) in combinations(seen, 2)
+            if beside.is_imitated(one, other) or beside.is_imitated(other, one)
+        ]
+    told = {*sees, *(spot.name for spot in blind)}
+    unasked = tuple(
+        (n, _explain_unasked(n, plant, has_already)) for n in CATALOGUE if n not in told
+    )
+    return Audit(sees, tuple(blind), tuple(alike), unasked)
+
+
+class _Beside:
+    """A model, and what an effect would add to its residual that its own numbers cannot take."""
+
+    def __init__(self, weigher: Weigher, m: WeighedModel) -> None:
+        assert m.tangent is not None
+        self.weigher, self.m = weigher, m
+        self.here = m.d + m.lag
+        scales2 = m.cost.scales2[:, weigher.like.level][:, None, :]
+        self.root = np.sqrt(weigher.like.keep / scales2)
+        """One over the scale of each coefficient; 0 for those that do not count."""
+        self.tangent = m.tangent.reshape(len(m.x), -1) * self.root.ravel()
+        self.basis, self.triangle = np.linalg.qr(self.tangent.T)
+        scale = np.array([n.scale for n in m.numbers])
+        low, high = (np.array([getattr(n, k) for n in m.numbers]) for k in ("low", "high"))
+        self.room = (low - m.x) / scale - ROOM, (high - m.x) / scale + ROOM
+        noise2 = weigher.find_noise2(m)
+        counts = weigher.like.counts
+        robust2 = (counts * m.cost.scales2).sum(axis=1) / counts.sum(axis=1)
+        seen2 = np.minimum(noise2, robust2 * SEEN_SHARE / (1.0 - SEEN_SHARE))
+        left2 = weigher.like.mean_squares(m.d) - noise2
+        self.least2 = np.maximum(seen2, LEFT_SHARE**2 * left2)
+        """The mean square that is seen in each channel, and not small beside what is left there."""
+
+    def push(self, hypothesis: Hypothesis) -> Array:
+        """Return the smallest doses of interest, each size alone and all together, weighed.
+
+        Shape (doses, coefficients). Two equal widths may hide where one shows.
+        """
+        variant = hypothesis.variants[0]
+        shapes = {
+            u.name: look_up_parameter(u.name).start if hypothesis.scan else u.value
+            for u in variant.shapes
+        }
+        sizes = {}
+        for u in variant.sizes:
+            neutral = u.neutral or 0.0
+            up = neutral + u.smallest <= u.high
+            sizes[u.name] = neutral + (u.smallest if up else -u.smallest)
+        off = {u.name: u.neutral or 0.0 for u in variant.sizes}
+        doses = [{**off, name: size} for name, size in sizes.items()]
+        doses += [sizes] if len(sizes) > 1 else []
+        rows = []
+        for dose in doses:
+            d = self.weigher.find_residual({**self.m.values, **variant.held, **shapes, **dose})
+            rows.append(((d - self.here) * self.root).ravel())
+        return np.stack([row + self._find_move(row) @ self.tangent for row in rows])
+
+    def _find_move(self, row: Array) -> Array:
+        """Return how the model's own numbers would imitate a dose, within their ranges."""
+        return np.asarray(lsq_linear(self.triangle, -self.basis.T @ row, self.room).x)
+
+    def find_power(self, doses: Array) -> float:
+        """Return how far the strongest dose is above what is sure and seen, as a square."""
+        return max(map(self._weigh, doses))
+
+    def _weigh(self, row: Array) -> float:
+        d = row.reshape(self.root.shape)
+        back = np.divide(d, self.root, out=np.zeros_like(d), where=self.root > 0.0)
+        seen = float((self.weigher.like.mean_squares(back) / self.least2).max())
+        return min(0.5 * float(row @ row) / NAME_NATS, seen)
+
+    def is_imitated(self, hidden: Array, fitted: Array) -> bool:
+        """Tell whether another effect, fitted, leaves less than a name of a dose."""
+        strongest = hidden[int((hidden**2).sum(axis=1).argmax())]
+        basis = _find_basis(fitted)
+        left = strongest - strongest @ basis.T @ basis
+        return 0.5 * float(left @ left) < NAME_NATS
+
+
+def _find_basis(rows: Array) -> Array:
+    """Return orthonormal rows that span the same."""
+    values, vectors = np.linalg.eigh(rows @ rows.T)
+    kept = values > SINGULAR * max(float(values[-1]), 1e-300)
+    return np.asarray((vectors[:, kept] / np.sqrt(values[kept])).T @ rows)
+
+
+def _advise_pair(pair: tuple[str, str], *without: str) -> Inseparable:
+    advice = find_separating_experiment(pair, without)
+    return Inseparable(pair, str(advice["name"]), str(advice["why"]))
+
+
+def _describe_blind_spot(
+    hypothesis: Hypothesis, power: float, plant: PlantSettings, *, is_fitted: bool
+) -> BlindSpot:
+    effect, size = CATALOGUE[hypothesis.family], hypothesis.variants[0].sizes[0]
+    number = size.name.rpartition(".")[2]
+    p = next((p for p in effect.parameters if p.name == number), effect.parameters[0])
+    unit = "" if p.unit == "1" else p.unit
+    dose = f"{size.smallest:g} {unit}".rstrip()
+    if size.neutral:
+        dose += f" away from {size.neutral:g}"
+    why = f"a size of {dose} is lost in the sensors' noise"
+    if effect.unidentifiable and not is_fitted:
+        because = effect.unidentifiable(plant_parameters(plant).paper)
+        why = f"{why}: {because}"
+        if power > 1.0:
+            why = f"it is not fitted, though its smallest size would show: {because}"
+    needed = size.smallest / sqrt(power) if power > 0.0 else inf
+    if needed > max(abs(size.high), abs(size.low)):
+        return BlindSpot(effect.name, why, effect.best_experiment, None)
+    return BlindSpot(effect.name, why, effect.best_experiment, (needed, unit), 1.0 / sqrt(power))
+
+
+def _explain_unasked(name: str, plant: PlantSettings, has_already: set[str]) -> str:
+    """Say why an effect is neither among those that show nor among the blind spots."""
+    if plant.actuator not in CATALOGUE[name].actuators:
+        return f"it is no part of a plant with `actuator: {plant.actuator}`"
+    return "the model has it already" if name in has_already else "it changes nothing here"

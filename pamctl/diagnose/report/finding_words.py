@@ -52,24 +52,33 @@ _BOTH_WAYS = ("wave", "hysteresis")
 
 
 def spell_names(*names: str) -> str:
-    """Return names of effects as a text has them: `valve_leak` is a valve leak."""
-    return " and ".join(
-        name if " of " in name else name.replace("_", " ").replace(":", " of ") for name in names
-    )
+    """Return names of effects as a text has them: `valve_leak` is a valve leak.
+
+    A law without a name, such as `force~lag(position)`, is a lag of force over position.
+    """
+    spelled = []
+    for name in (part for joined in names for part in joined.split(" and ")):
+        is_label = " of " in name
+        named = label_term(name) if "~" in name else name
+        spelled.append(named if is_label else named.replace("_", " ").replace(":", " of "))
+    return " and ".join(spelled)
+
+
+def label_term(name: str) -> str:
+    """Name a law without a name in a list: `curve of force over time`.
+
+    A law of a sensor or of the command is called after its column.
+    """
+    location, _, rest = name.partition("~")
+    operator, _, driver = rest.rstrip(")").partition("(")
+    return f"{operator} of {_COLUMNS.get(location, location)} over {driver}"
 
 
 def label_hypothesis(hypothesis: Hypothesis) -> str:
-    """Name a hypothesis in a list: an effect, a fault, or a law such as `curve of force over time`.
-
-    A law of a sensor is called after its column.
-    """
+    """Name a hypothesis in a list: an effect, a fault of the set-up, or a law without a name."""
     if hypothesis.setup:
         return label_fault(*hypothesis.setup)
-    if not hypothesis.is_term:
-        return hypothesis.name
-    location, _, rest = hypothesis.name.partition("~")
-    operator, _, driver = rest.rstrip(")").partition("(")
-    return f"{operator} of {_COLUMNS.get(location, location)} over {driver}"
+    return label_term(hypothesis.name) if hypothesis.is_term else hypothesis.name
 
 
 def spell_kind(kind: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from pamctl.diagnose.report.diagnosis_folder import write_diagnosis
-from pamctl.diagnose.report.phrases import spell_names
+from pamctl.diagnose.report.finding_words import spell_names
 from pamctl.on_rig.decide_on_rig import Investigation, list_logs
 from pamctl.on_rig.rig_round import RigRound
 from pamctl.report.html_page import Page

@@ -5,7 +5,7 @@ The words follow the level that a finding reaches. Nothing here says more than t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -46,28 +46,39 @@ _SHOWN: Mapping[str, tuple[float, str]] = {
     "m": (1e3, "mm"), "Pa": (1e-3, "kPa"), "V": (1.0, "V"), "m/s": (1e3, "mm/s"), "s": (1.0, "s"),
     "N": (1.0, "N"), "1": (100.0, "%"), "kg/s": (1e6, "mg/s"), "m3": (1e6, "cm3"),
 }  # fmt: skip
+MOST_IN_SENTENCE = 3
+"""Members of a set in a sentence; the document has all."""
 _BOTH_WAYS = ("wave", "hysteresis")
 
 
 def spell_names(*names: str) -> str:
-    """Return names of effects as a text has them: `valve_leak` is a valve leak."""
-    return " and ".join(
-        name if " of " in name else name.replace("_", " ").replace(":", " of ") for name in names
-    )
+    """Return names of effects as a text has them: `valve_leak` is a valve leak.
+
+    A law without a name, such as `force~lag(position)`, is a lag of force over position.
+    """
+    spelled = []
+    for name in (part for joined in names for part in joined.split(" and ")):
+        is_label = " of " in name
+        named = label_term(name) if "~" in name else name
+        spelled.append(named if is_label else named.replace("_", " ").replace(":", " of "))
+    return " and ".join(spelled)
+
+
+def label_term(name: str) -> str:
+    """Name a law without a name in a list: `curve of force over time`.
+
+    A law of a sensor or of the command is called after its column.
+    """
+    location, _, rest = name.partition("~")
+    operator, _, driver = rest.rstrip(")").partition("(")
+    return f"{operator} of {_COLUMNS.get(location, location)} over {driver}"
 
 
 def label_hypothesis(hypothesis: Hypothesis) -> str:
-    """Name a hypothesis in a list: an effect, a fault, or a law such as `curve of force over time`.
-
-    A law of a sensor is called after its column.
-    """
+    """Name a hypothesis in a list: an effect, a fault of the set-up, or a law without a name."""
     if hypothesis.setup:
         return label_fault(*hypothesis.setup)
-    if not hypothesis.is_term:
-        return hypothesis.name
-    location, _, rest = hypothesis.name.partition("~")
-    operator, _, driver = rest.rstrip(")").partition("(")
-    return f"{operator} of {_COLUMNS.get(location, location)} over {driver}"
+    return label_term(hypothesis.name) if hypothesis.is_term else hypothesis.name
 
 
 def spell_kind(kind: str) -> str:
@@ -89,6 +100,14 @@ def list_candidates(finding: Finding) -> list[str]:
     return list(dict.fromkeys(label_hypothesis(h) for h in members))
 
 
+def spell_set(labels: Sequence[str]) -> str:
+    """Return `a, b or c`; of a long set the first ones."""
+    names = [*map(spell_names, labels[:MOST_IN_SENTENCE])]
+    if len(labels) > MOST_IN_SENTENCE:
+        names.append("others")
+    return " or ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
 def describe_standing(rival: JudgedRival) -> str:
     """Say of a rival that is not beaten what that means; empty where it is beaten."""
     if rival.is_beaten:
@@ -107,7 +126,7 @@ def spell_finding(diagnosis: Diagnosis, finding: Finding) -> str:
     """Return a finding as a noun, as far up as it is sure."""
     hypothesis = finding.hypothesis
     if finding.level == "set":
-        return " or ".join(map(spell_names, list_candidates(finding)))
+        return spell_set(list_candidates(finding))
     if finding.level in ("name", "rest"):
         return spell_names(label_hypothesis(hypothesis))
     if hypothesis.is_term and finding.level == "kind":

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from pamctl.diagnose.diagnosis import Diagnosis
+from pamctl.diagnose.diagnosis import LEFT_TIMES, Diagnosis
 from pamctl.diagnose.evidence.ladder import Finding
 from pamctl.diagnose.evidence.pool import CHAIN
 from pamctl.diagnose.plant_numbers import FittedNumber
@@ -110,7 +110,7 @@ def describe_bounds(diagnosis: Diagnosis) -> str:
 
 
 def describe_gap(diagnosis: Diagnosis) -> str:
-    """Say what each model leaves of each channel, in plain units, beside the sensor's noise."""
+    """Say what each model leaves of each channel, in plain units, and whether that is noise."""
     parts = []
     for channel, gap in diagnosis.gap.items():
         display = SIGNAL_DISPLAYS[channel]
@@ -121,7 +121,24 @@ def describe_gap(diagnosis: Diagnosis) -> str:
         noise = display.spell_gap(gap.floor)
         parts.append(f"{display.short} {', '.join(steps)} (noise of its sensor {noise})")
     where = "On held-out records" if diagnosis.holdout else "On the fitted records"
-    return f"{where} the RMS that is left is: {'; '.join(parts)}."
+    said = f"{where} the RMS that is left is: {'; '.join(parts)}."
+    return f"{said} {describe_left(diagnosis)}".rstrip()
+
+
+def describe_left(diagnosis: Diagnosis) -> str:
+    """Say of which channels more is left than noise; empty where nothing is."""
+    left = diagnosis.evidence.left_over_noise if diagnosis.evidence else {}
+    high = [
+        f"{times:.3g} times the noise of its sensor in the {SIGNAL_DISPLAYS[c].short}"
+        for c, times in left.items()
+        if times > LEFT_TIMES
+    ]
+    if not high:
+        return ""
+    return (
+        f"That is still {join_words(high)}: more is missing, or the rig does not repeat itself "
+        "any better."
+    )
 
 
 def describe_rest(diagnosis: Diagnosis) -> str:

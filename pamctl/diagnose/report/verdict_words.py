@@ -10,17 +10,15 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from pamctl.diagnose.diagnosis import LEFT_TIMES, Diagnosis, Verdict
-from pamctl.diagnose.report.finding_words import spell_names
+from pamctl.diagnose.diagnosis import Diagnosis, Verdict
+from pamctl.diagnose.report.finding_words import spell_names, spell_set
 from pamctl.diagnose.report.next_experiment import choose_next_experiment
 from pamctl.diagnose.report.open_findings import list_ambiguous, list_faults
 from pamctl.diagnose.report.phrases import (
-    SIGNAL_DISPLAYS,
     describe_bounds,
     describe_gap,
     describe_rest,
     describe_sizes,
-    join_words,
     list_shifts,
     spell_findings,
 )
@@ -67,7 +65,7 @@ def sentence(diagnosis: Diagnosis) -> str:
 def _say_setup(diagnosis: Diagnosis) -> str:
     parts = []
     for fault in list_faults(diagnosis):
-        others = " or ".join(map(spell_names, fault.cannot_be_told_from))
+        others = spell_set(fault.cannot_be_told_from)
         apart = f" These data cannot tell it from {others}." if others else ""
         parts.append(f"Set-up: {fault.text}.{apart}")
     return " ".join(parts)
@@ -179,7 +177,7 @@ def _word_described(diagnosis: Diagnosis) -> VerdictWords:
 
 
 def _word_ambiguous(diagnosis: Diagnosis) -> VerdictWords:
-    sets = "; and ".join(" or ".join(map(spell_names, s)) for s in list_ambiguous(diagnosis))
+    sets = "; and ".join(map(spell_set, list_ambiguous(diagnosis)))
     settled = spell_findings(diagnosis, "name", "kind", "place")
     beside = f" beside {settled}" if settled else ""
     body = _join(describe_sizes(diagnosis), describe_gap(diagnosis), describe_rest(diagnosis))
@@ -214,18 +212,16 @@ def _word_partial(diagnosis: Diagnosis) -> VerdictWords:
 
 
 def _word_none_known(diagnosis: Diagnosis) -> VerdictWords:
-    left = diagnosis.evidence.left_over_noise if diagnosis.evidence else {}
-    high = [SIGNAL_DISPLAYS[c].short for c, times in left.items() if times > LEFT_TIMES]
     gap = describe_gap(diagnosis)
     return VerdictWords(
         f"Something is missing, and nothing that was asked explains it{describe_bounds(diagnosis)}",
-        f"The {join_words(high)} is left far above the sensor's noise. {gap}",
+        gap,
         "After recalibration, no effect, no fault of the set-up and no law without a name explains "
         f"what is left on stretches that it was not fitted to. {gap}",
         (
             "Look at the residual below, and at the rig: "
-            f"{words_of_rig(diagnosis).suspects}. A rig that does not repeat itself leaves this "
-            "too: record the same experiment twice. plant.yaml has the recalibrated numbers.",
+            f"{words_of_rig(diagnosis).suspects}. Record the same experiment twice: it shows how "
+            "far the rig repeats itself. plant.yaml has the recalibrated numbers.",
         ),
         "bad",
     )

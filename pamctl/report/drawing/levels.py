@@ -72,8 +72,8 @@ class Levels:
 
     def _place_of(self, value: float) -> int:
         shown = [v for bar in self._bars for v in (bar.value, *(bar.ends or ()))]
-        low, high = min(0.0, *shown), max(0.0, *shown)
-        return round((value - low) / ((high - low) or 1.0) * _WIDTH)
+        low, high = min([0.0, *shown]), max([0.0, *shown])
+        return round(float((value - low) / ((high - low) or 1.0) * _WIDTH))
 
     def _draw_ends(self, bar: _Bar) -> str:
         if bar.ends is None:

@@ -44,7 +44,9 @@ class ShownRun:
     channels: tuple[str, ...]
     measured: Array
     residuals: dict[str, Array]
-    """Measured minus simulated by stage; NaN where a sample does not count."""
+    """Measured minus simulated by stage."""
+    counted: Array
+    """1 where a sample counts, NaN where not."""
     noise: Array
     moments: tuple[Moment, ...] = ()
 
@@ -77,8 +79,8 @@ def show_runs(diagnosis: Diagnosis, stages: Sequence[ModelStage]) -> list[ShownR
     }
     noise = np.array([evidence.noise_rms[c] for c in runs.channels])
     most = MOST_NOISE * noise[:, None]
-    left = {k: np.clip(shown - row, -most, most) * counted for k, row in simulated.items()}
-    return list(_cut_pieces(diagnosis, runs, shown, left, noise))
+    left = {k: np.clip(shown - row, -most, most) for k, row in simulated.items()}
+    return list(_cut_pieces(diagnosis, runs, shown, left, counted, noise))
 
 
 def _flatten(blocks: np.ndarray) -> np.ndarray:
@@ -86,8 +88,9 @@ def _flatten(blocks: np.ndarray) -> np.ndarray:
 
 
 def _cut_pieces(
-    diagnosis: Diagnosis, runs: Runs, shown: Array, left: dict[str, Array], noise: Array
-) -> Iterator[ShownRun]:
+    diagnosis: Diagnosis, runs: Runs, shown: Array, left: dict[str, Array], counted: Array,
+    noise: Array,
+) -> Iterator[ShownRun]:  # fmt: skip
     when_s, at = runs.when_s.ravel(), 0
     moments = {r.name: r.moments for r in (*diagnosis.train, *diagnosis.holdout)}
     for piece, size in zip(runs.stretches, runs.sizes, strict=True):
@@ -96,8 +99,8 @@ def _cut_pieces(
         command = piece.inputs.get("valve_v")
         yield ShownRun(
             piece.name, piece.begin_s + when_s[part], None if command is None else command[:n],
-            runs.channels, shown[:, part], {k: rows[:, part] for k, rows in left.items()}, noise,
-            moments.get(piece.name, ()),
+            runs.channels, shown[:, part], {k: rows[:, part] for k, rows in left.items()},
+            counted[:, part], noise, moments.get(piece.name, ()),
         )  # fmt: skip
         at += size
 
@@ -112,7 +115,8 @@ def write_traces(page: Page, diagnosis: Diagnosis) -> None:
     run, part = find_telling_stretch(runs, stages)
     close_up = [*_draw_close_up(run, part, stages)]
     same_scale = [*_draw_same_scale(run, stages[-1])]
-    whole = [*_draw_whole(run, part, stages)]
+    is_part = part.stop - part.start < len(run.t_s)
+    whole = [*_draw_whole(run, part, stages)] if is_part else []
     mark_moments([*close_up, *same_scale, *whole], run.moments)
     page.section("Measured and simulated")
     why = (
@@ -121,17 +125,22 @@ def write_traces(page: Page, diagnosis: Diagnosis) -> None:
         else "where the residual is largest"
     )
     use = "held-out" if diagnosis.holdout else "fitted"
-    page.figure(*close_up, caption=f"{STRETCH_S:g} s of the {use} record {run.name}, {why}.")
+    page.figure(
+        *close_up,
+        caption=f"The {use} record {run.name}, at most {STRETCH_S:g} s of it, {why}. A residual "
+        "breaks where samples do not count.",
+    )
     page.figure(
         *same_scale,
         caption="The measured signal without its mean, and the residual, at the same scale: what "
         f'the model "{stages[-1].label}" leaves of what there was to explain.',
     )
-    page.figure(
-        *whole,
-        caption=f"What is left over the whole record {run.name}. The stretch above lies between "
-        "the dashed lines. A line breaks where samples do not count.",
-    )
+    if whole:
+        page.figure(
+            *whole,
+            caption=f"What is left over the whole record {run.name}. The stretch above lies "
+            "between the dashed lines.",
+        )
 
 
 def find_telling_stretch(
@@ -147,7 +156,7 @@ def find_telling_stretch(
         gains = np.zeros(len(run.t_s) - length + 1)
         for c, noise in enumerate(run.noise):
             before, after = (
-                _measure_movement(np.nan_to_num(run.residuals[s.key][c]), length)
+                _measure_movement(np.nan_to_num(run.residuals[s.key][c] * run.counted[c]), length)
                 for s in (stages[0], stages[-1])
             )
             gains += (before - after if len(stages) > 1 else before) / noise**2
@@ -191,7 +200,7 @@ def _draw_residual(
 ) -> list[SvgPlot]:
     display = SIGNAL_DISPLAYS[run.channels[c]]
     title = f"{display.title.split(',')[0]}, measurement \N{MINUS SIGN} simulation"
-    residuals = {s.key: run.residuals[s.key][c, part] for s in stages}
+    residuals = {s.key: (run.residuals[s.key] * run.counted)[c, part] for s in stages}
     largest = max(float(np.abs(np.nan_to_num(r)).max()) for r in residuals.values())
     factor, unit = display.choose_unit(largest)
 
@@ -211,7 +220,7 @@ def _draw_same_scale(run: ShownRun, stage: ModelStage) -> Iterator[SvgPlot]:
     for c, channel in enumerate(run.channels):
         display = SIGNAL_DISPLAYS[channel]
         moved = display.factor * (run.measured[c] - np.mean(run.measured[c]))
-        left = display.factor * run.residuals[stage.key][c]
+        left = display.factor * run.residuals[stage.key][c] * run.counted[c]
         plot = SvgPlot(
             f"{display.title.split(',')[0]}, signal and residual", _TIME,
             PlotAxis(display.short, display.unit),

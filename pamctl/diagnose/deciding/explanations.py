@@ -5,18 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
 from pamctl.diagnose.evidence.ladder import Finding
 from pamctl.diagnose.evidence.name_search import NameSearch
+from pamctl.diagnose.evidence.weigh import EvidenceVerdict
 from pamctl.diagnose.extend import assemble_plant
 from pamctl.plant.model import PlantSettings
-
-if TYPE_CHECKING:
-    from pamctl.diagnose.diagnosis import Diagnosis
 
 MOST_EXPLANATIONS = 4
 """The nearest ones; each pair of them is a question to the program."""
@@ -49,13 +46,12 @@ def name_explanation(model: WeighedModel) -> str:
     return " and ".join(sorted(model.names)) or "recalibration alone"
 
 
-def list_explanations(diagnosis: Diagnosis) -> tuple[Explanation, ...]:
+def list_explanations(found: EvidenceVerdict, nominal: PlantSettings) -> tuple[Explanation, ...]:
     """Return what the data leave open: the chosen model first, then its rivals, the nearest first.
 
     Fewer than two explanations leave nothing to decide.
     """
-    found = diagnosis.evidence
-    if found is None or not found.findings:
+    if not found.findings:
         return ()
     search, weigher = NameSearch(found.weigher, found.pool), found.weigher
     named, floor2 = {name_explanation(found.model): replace(found.model)}, weigher.like.least2
@@ -68,7 +64,7 @@ def list_explanations(diagnosis: Diagnosis) -> tuple[Explanation, ...]:
     # As the ladder weighs them: under the resolution of the model without the finding.
     weigher.floor2 = floor2
     return tuple(
-        Explanation(name, weigher.leave_out(m), weigher, diagnosis.nominal)
+        Explanation(name, weigher.leave_out(m), weigher, nominal)
         for name, m in [*named.items()][:MOST_EXPLANATIONS]
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -18,9 +18,6 @@ from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.run_pieces import Runs
 from pamctl.diagnose.evidence.weigh import EvidenceVerdict
 from pamctl.diagnose.measured.record import Record
-
-if TYPE_CHECKING:
-    from pamctl.diagnose.diagnosis import Diagnosis
 
 GOOD = 2.0
 """A forecast within this factor of what was found was good."""
@@ -64,14 +61,13 @@ def read_forecast(record: Record) -> ForecastSettings | None:
         return None
 
 
-def judge_forecasts(diagnosis: Diagnosis, records: Sequence[Record]) -> tuple[JudgedForecast, ...]:
+def judge_forecasts(
+    found: EvidenceVerdict, records: Sequence[Record]
+) -> tuple[JudgedForecast, ...]:
     """Compare what was expected of each record with what its refuted explanations leave.
 
     A forecast is judged where the explanation that it took for true is the one that was found.
     """
-    found = diagnosis.evidence
-    if found is None:
-        return ()
     here, judged = name_explanation(found.model), []
     fitted: dict[str, WeighedModel | None] = {}
     for record in records:

@@ -212,7 +212,7 @@ class ProgramTrial:
             np.array([getattr(n, k) for n in m.numbers]) for k in ("low", "high", "scale")
         )
         at = m.x + moved * scale
-        return np.clip(way, (low - at) / scale, (high - at) / scale)
+        return np.asarray(np.clip(way, (low - at) / scale, (high - at) / scale))
 
     def _find_tangent(self, other: Explanation) -> Array:
         """Return the change of an explanation's own residual for a scale of each number."""
@@ -236,7 +236,7 @@ def _make_runs(commands_v: Array, period_s: float, weigher: Weigher) -> Runs:
     still, vented = np.zeros(len(commands_v)), weigher.base["atmospheric_pressure_pa"]
     record = Record(
         "program",
-        np.arange(len(commands_v)) * period_s,
+        period_s * np.arange(len(commands_v), dtype=np.float64),
         valve_v=commands_v,
         pressure_pa=still + vented,
         position_m=still,

@@ -20,7 +20,7 @@ parts:
   - {wave: square, frequency_hz: 1, amplitude_v: 5, cycles: 2}
   - {wave: hold, valve_v: -5, duration_s: 1.2}
 """
-"""Two full strokes alone do not tell a delay from a slow spool."""
+"""Two full strokes alone do not tell a delay from a limited slew."""
 
 
 @pytest.fixture(scope="package")

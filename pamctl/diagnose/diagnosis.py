@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import NamedTuple
 
 from pamctl.diagnose.audit import Audit
 from pamctl.diagnose.deciding.deciding_program import DecidingProgram
@@ -17,6 +18,8 @@ from pamctl.diagnose.measured.refuse import AcceptedDoubt
 from pamctl.diagnose.plant_numbers import FittedNumber, value_of
 from pamctl.plant.model import PlantSettings
 
+OPEN_TIMES = 1.2
+"""A channel that recalibration leaves at so many times its noise may have something missing."""
 LEFT_TIMES = 3.0
 """A channel that is left at so many times its sensor's noise (RMS) holds something more."""
 
@@ -37,6 +40,27 @@ class Verdict(StrEnum):
     NONE_KNOWN = "none_known"
     """Nothing that was asked explains anything, and something is left."""
     BAD_DATA = "bad_data"
+
+
+class HeldOutGap(NamedTuple):
+    """RMS of measurement minus simulation of one channel, SI, by model; and its sensor's noise."""
+
+    nominal: float
+    recalibrated: float
+    extended: float
+    floor: float
+    """RMS of the sensor's own noise."""
+
+    @property
+    def is_open(self) -> bool:
+        """Tell whether recalibration leaves so much that something may be missing."""
+        return self.recalibrated > OPEN_TIMES * self.floor
+
+    @property
+    def closed(self) -> float:
+        """Share of the way from recalibrated to the sensor's noise that the findings go."""
+        way = self.recalibrated - self.floor
+        return min(max((self.recalibrated - self.extended) / way, 0.0), 1.0) if way > 0.0 else 1.0
 
 
 @dataclass(frozen=True)
@@ -85,9 +109,29 @@ class Diagnosis:
         return (*self.recalibrated, *(n for f in self.findings for n in f.numbers))
 
     @property
+    def gap(self) -> Mapping[str, HeldOutGap]:
+        """What each model leaves of each channel; of held-out records, if there are any."""
+        if self.evidence is None:
+            return {}
+        nominal, recalibrated, extended = (
+            self.evidence.gap[stage] for stage in ("nominal", "recalibrated", "extended")
+        )
+        return {
+            c: HeldOutGap(nominal[c], recalibrated[c], extended[c], floor)
+            for c, floor in self.evidence.noise_rms.items()
+        }
+
+    @property
+    def explained(self) -> float | None:
+        """The least `closed` of the channels that are open; None where none is."""
+        closed = [gap.closed for gap in self.gap.values() if gap.is_open]
+        return min(closed, default=None)
+
+    @property
     def at_bound(self) -> tuple[str, ...]:
         """Fitted numbers at an end of their range."""
-        return self.evidence.at_range if self.evidence else ()
+        ended = self.evidence.at_range if self.evidence else ()
+        return (*dict.fromkeys((*ended, *(name for f in self.findings for name in f.at_range))),)
 
     def start_value(self, name: str) -> float:
         """Return a number of the start model."""

@@ -6,8 +6,6 @@ import numpy as np
 
 from pamctl.control.excitation import ProgramSettings, generate_commands
 from pamctl.diagnose import Record
-from pamctl.diagnose.fitting.candidates import Candidate, list_candidates
-from pamctl.diagnose.fitting.evidence import Evidence
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.drive import drive_coupled
 from pamctl.plant.flat import parameters_of
@@ -77,8 +75,3 @@ def pair(**hidden: float) -> tuple[list[Record], list[Record]]:
 def all_but(*names: str) -> set[str]:
     """Return the rest of the catalogue, which a test leaves out to save time."""
     return {*CATALOGUE} - {*names}
-
-
-def find_candidate(name: str, evidence: Evidence) -> Candidate:
-    """Return the first form of an effect as a candidate."""
-    return next(c for c in list_candidates(evidence) if c.name == name)

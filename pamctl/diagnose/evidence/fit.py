@@ -340,7 +340,7 @@ def find_intervals(m: WeighedModel) -> dict[str, tuple[float, float]]:
     }
 
 
-def bound_gain(gain: Array, quantiles: Sequence[float] = (SURE, 0.5, 1.0 - SURE)) -> Array:
+def bound_gain(gain: Array, quantiles: Sequence[float] | Array = (SURE, 0.5, 1.0 - SURE)) -> Array:
     """Return quantiles of a total gain: circular bootstrap over stretches of blocks."""
     n, rng = len(gain), np.random.default_rng(0)
     pieces = max(1, -(-n // STRETCH))

@@ -17,8 +17,9 @@ from pamctl.diagnose.evidence.constants import (
     NAME_NATS,
     NAME_SHARE,
     RIVAL_SHARE,
+    SURE,
 )
-from pamctl.diagnose.evidence.fit import WeighedModel, bound_gain, find_intervals
+from pamctl.diagnose.evidence.fit import Array, WeighedModel, bound_gain, find_intervals
 from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.pool import CHAIN, Hypothesis
 from pamctl.diagnose.evidence.scores import EvidenceScore
@@ -27,6 +28,20 @@ from pamctl.diagnose.plant_numbers import FittedNumber, unit_of
 RIVALS = 4
 """Names that are fitted in its stead, and half as many free terms, beside the best of another kind
 and of another place."""
+
+
+@dataclass(frozen=True)
+class JudgedRival:
+    """A rival that was fitted in the stead of a finding, and by how much it is behind."""
+
+    hypothesis: Hypothesis
+    behind_nats: float
+    interval_nats: tuple[float, float]
+    loses: float
+    """Share of the bootstrap's draws in which it is behind."""
+    is_beaten: bool
+    is_freer: bool
+    """A law without a name of the same place, which can always mimic a name."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +63,8 @@ class Finding:
     """Whether it is small beside what was found before it: it mends the model, and is no cause."""
     rivals: tuple[Hypothesis, ...]
     """What is not beaten, the nearest first."""
+    judged: tuple[JudgedRival, ...] = ()
+    """All rivals that were fitted, the nearest first."""
 
     @property
     def name(self) -> str:
@@ -81,7 +98,7 @@ def _find_level(search: NameSearch, m: WeighedModel, name: str, whole: float) ->
     weigher.meet(without, m)
     says_place = says_kind = True
     says_name = not mine.is_term
-    near = []
+    near, judged = [], list[JudgedRival]()
     for rival in rivals:
         weigher.leave_out(rival)
         its, lead = pool[rival.names[-1]], rival.left_out - m.left_out
@@ -94,7 +111,9 @@ def _find_level(search: NameSearch, m: WeighedModel, name: str, whole: float) ->
         )
         if not beaten:
             near.append((float(lead.sum()), its))
-        if its.is_term and (its.place == mine.place or its.name in mine.akin):
+        is_freer = its.is_term and (its.place == mine.place or its.name in mine.akin)
+        judged.append(_judge_rival(its, lead, beaten=bool(beaten), is_freer=is_freer))
+        if is_freer:
             if bound_gain(-lead)[0] > FREER_SHARE * own.sum():
                 says_name = False
                 says_kind &= its.kind == mine.kind
@@ -118,8 +137,17 @@ def _find_level(search: NameSearch, m: WeighedModel, name: str, whole: float) ->
         mine, says_place, says_kind,
         says_name and not at_range and enough, float(own.sum()), (float(low), float(high)),
         float(own.sum()) / whole, _list_numbers(m, name),
-        at_range, is_rest, nearest,
+        at_range, is_rest, nearest, tuple(sorted(judged, key=lambda j: j.behind_nats)),
     )  # fmt: skip
+
+
+def _judge_rival(
+    hypothesis: Hypothesis, lead: Array, *, beaten: bool, is_freer: bool
+) -> JudgedRival:
+    draws = bound_gain(lead, np.linspace(SURE, 1.0 - SURE, 199))
+    loses = float((draws > 0.0).mean())
+    interval = float(draws[0]), float(draws[-1])
+    return JudgedRival(hypothesis, float(lead.sum()), interval, loses, beaten, is_freer)
 
 
 def _list_numbers(m: WeighedModel, name: str) -> tuple[FittedNumber, ...]:

@@ -127,10 +127,15 @@ PAPER_SCALES = Scales()
 # --- effects -------------------------------------------------------------------------------------
 
 
-def list_effects(actuator: Actuator, machine: Scales) -> Iterator[Hypothesis]:
-    """Yield the effects of the catalogue that may act on this actuator; a drift for each number."""
+def list_effects(
+    actuator: Actuator, machine: Scales, *, fitted: bool = True
+) -> Iterator[Hypothesis]:
+    """Yield the effects of the catalogue that may act on this actuator; a drift for each number.
+
+    With `fitted` False, yield those that no records identify instead.
+    """
     for name, effect in CATALOGUE.items():
-        if effect.unidentifiable or actuator not in effect.actuators:
+        if (effect.unidentifiable is None) != fitted or actuator not in effect.actuators:
             continue
         if "phase_rad" in {p.name for p in effect.parameters}:
             yield _make_ripple(effect)

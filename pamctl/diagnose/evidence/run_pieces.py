@@ -68,12 +68,29 @@ FAR = 1e4
 class Recording(Protocol):
     """What is needed of a record: columns in SI of one length, None where nothing was measured."""
 
-    name: str
-    t_s: Any
-    valve_v: Any
-    pressure_pa: Any
-    position_m: Any
-    force_n: Any
+    @property
+    def name(self) -> str:
+        """Which record it is."""
+
+    @property
+    def t_s(self) -> Any:
+        """Times of the samples, s."""
+
+    @property
+    def valve_v(self) -> Any:
+        """Command, V."""
+
+    @property
+    def pressure_pa(self) -> Any:
+        """Absolute pressure, Pa."""
+
+    @property
+    def position_m(self) -> Any:
+        """Position, m."""
+
+    @property
+    def force_n(self) -> Any:
+        """Driving force, N."""
 
 
 @dataclass
@@ -89,6 +106,10 @@ class RunPiece:
     grids: dict[float, SampleGrid]
     """By the length of the step."""
     starts_at_rest: bool
+    name: str = ""
+    """Of its record."""
+    begin_s: float = 0.0
+    """Where it begins in its record."""
 
 
 class Runs:
@@ -145,6 +166,7 @@ class Runs:
             }  # fmt: skip
             counted = None if counts is None else counts[cut]
             found.append(self._make_stretch(columns, grids, begin == 0, counted))
+            found[-1].name, found[-1].begin_s = record.name, float(t_s[begin])
         return found
 
     def _make_stretch(

@@ -9,6 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pamctl.diagnose.fitting.drives import Drive
+from pamctl.diagnose.naming.remainder import regress_remainder
+from pamctl.diagnose.naming.rivals import Rival
+from pamctl.diagnose.naming.whiteness import ResidualSign
+from pamctl.diagnose.report.compared_models import HeldOutRun, HeldOutSignal, ModelStage
 from support.browser import look, printed
 from support.command_line import parse_command
 from typer.testing import CliRunner
@@ -16,11 +21,6 @@ from typer.testing import CliRunner
 from pamctl.cli.app import app
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, record_of, summary
 from pamctl.diagnose.extend import assemble_plant
-from pamctl.diagnose.fitting.drives import Drive
-from pamctl.diagnose.naming.remainder import regress_remainder
-from pamctl.diagnose.naming.rivals import Rival
-from pamctl.diagnose.naming.whiteness import ResidualSign
-from pamctl.diagnose.report.compared_models import HeldOutRun, HeldOutSignal, ModelStage
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.next_experiment import choose_next_experiment
 from pamctl.diagnose.report.page.diagnosis_page import build_diagnosis_page

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-
 from pamctl.diagnose.fitting.drives import prepare_mechanics_drive, prepare_pressure_drive
+
 from pamctl.diagnose.measured.from_log import record_of
 from pamctl.diagnose.measured.missed_ticks import find_long_intervals, smooth_over_missed
 from pamctl.diagnose.measured.noise.sensor_noise import estimate_channel_noise

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pamctl.diagnose.fitting.floor import doubt_floor
+from pamctl.diagnose.fitting.repeatability import find_repeats
 from scipy.signal import butter, filtfilt, lfilter
 from support.made_records import all_but, measured
 
 from pamctl.diagnose import Record, diagnose
-from pamctl.diagnose.fitting.floor import doubt_floor
-from pamctl.diagnose.fitting.repeatability import find_repeats
 from pamctl.diagnose.measured.from_log import record_of
 from pamctl.diagnose.measured.noise.filtering import find_filtering
 from pamctl.diagnose.measured.noise.moving_noise import measure_growth

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pamctl.diagnose.judging.segments import differentiate
 from scipy.signal import butter, savgol_filter, sosfiltfilt, sosfreqz
 from scipy.signal.windows import blackmanharris
 from scipy.stats import false_discovery_control
 
-from pamctl.diagnose.judging.segments import differentiate
 from pamctl.diagnose.locate import flag_discoveries
 from pamctl.diagnose.measured.noise.spectrum import _shape_window
 from pamctl.diagnose.measured.zero_phase import pass_band, respond_band_pass, smooth_below

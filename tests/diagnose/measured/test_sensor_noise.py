@@ -6,8 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pamctl.diagnose.fitting.floor import doubt_floor
-from pamctl.diagnose.fitting.repeatability import find_repeats
 from scipy.signal import butter, filtfilt, lfilter
 from support.made_records import all_but, measured
 

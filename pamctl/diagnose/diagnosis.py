@@ -19,7 +19,7 @@ from pamctl.diagnose.plant_numbers import FittedNumber, value_of
 from pamctl.plant.model import PlantSettings
 
 OPEN_TIMES = 1.2
-"""A channel that recalibration leaves at so many times its noise may have something missing."""
+"""Of the sensor's noise: what is left above it is visible."""
 LEFT_TIMES = 3.0
 """A channel that is left at so many times its sensor's noise (RMS) holds something more."""
 
@@ -53,7 +53,7 @@ class HeldOutGap(NamedTuple):
 
     @property
     def is_open(self) -> bool:
-        """Tell whether recalibration leaves so much that something may be missing."""
+        """Tell whether recalibration leaves visibly more than noise."""
         return self.recalibrated > OPEN_TIMES * self.floor
 
     @property
@@ -145,7 +145,7 @@ def decide_verdict(evidence: EvidenceVerdict) -> Verdict:
         left = max(evidence.left_over_noise.values(), default=0.0)
         if left > LEFT_TIMES:
             return Verdict.NONE_KNOWN
-        return Verdict.MISCALIBRATED if evidence.shifted else Verdict.NO_DISCREPANCY
+        return Verdict.MISCALIBRATED if _is_start_off(evidence) else Verdict.NO_DISCREPANCY
     if any(f.level == "set" for f in said):
         return Verdict.AMBIGUOUS
     named = [f for f in said if f.level == "name"]
@@ -153,3 +153,11 @@ def decide_verdict(evidence: EvidenceVerdict) -> Verdict:
         return Verdict.PARTIAL if named else Verdict.DESCRIBED
     only_setup = all(f.hypothesis.setup for f in named)
     return Verdict.MISCALIBRATED if only_setup else Verdict.NAMED
+
+
+def _is_start_off(evidence: EvidenceVerdict) -> bool:
+    """Tell whether the start model leaves visibly more than the recalibrated one."""
+    start, fitted = evidence.gap["nominal"], evidence.gap["recalibrated"]
+    return any(
+        start[c] > OPEN_TIMES * max(fitted[c], noise) for c, noise in evidence.noise_rms.items()
+    )

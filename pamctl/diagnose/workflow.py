@@ -65,10 +65,11 @@ def diagnose(
     except (BadData, ValueError) as error:
         given = tuple(records)
         return Diagnosis(Verdict.BAD_DATA, plant, plant, str(error), train=given)
+    verdict = decide_verdict(found)
     diagnosis = Diagnosis(
-        decide_verdict(found),
+        verdict,
         plant,
-        extend_plant(plant, found),
+        plant if verdict is Verdict.NO_DISCREPANCY else extend_plant(plant, found),
         evidence=found,
         train=tuple(train),
         holdout=tuple(holdout),

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from hidden.excitations import brief
 from hidden.rig import hidden_rig
-
-from pamctl.diagnose import Record, diagnose
-from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.setup.late_commands import find_delay_s
 from pamctl.diagnose.setup.suspects import find_shown_rows, put_back_commands
+
+from pamctl.diagnose import Record, diagnose
+from pamctl.diagnose.measured.record import Array
 from pamctl.plant.model import PlantSettings
 
 ROWS = 3000

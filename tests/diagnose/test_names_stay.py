@@ -28,4 +28,4 @@ def test_a_drooping_supply_stays_named_beside_a_term_of_the_mechanics() -> None:
     assert "supply droop" in document["sentence"]
     (term,) = document["terms"]
     assert (term["location"], term["operator"]) == ("force", "hysteresis")
-    assert document["explained_by_block"]["pressure"] > 0.9
+    assert document["explained"] > 0.9

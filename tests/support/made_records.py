@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import Any
+
 import numpy as np
 
 from pamctl.control.excitation import ProgramSettings, generate_commands
-from pamctl.diagnose import Record
+from pamctl.diagnose import Diagnosis, Record
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.drive import drive_coupled
 from pamctl.plant.flat import parameters_of
@@ -75,3 +78,20 @@ def pair(**hidden: float) -> tuple[list[Record], list[Record]]:
 def all_but(*names: str) -> set[str]:
     """Return the rest of the catalogue, which a test leaves out to save time."""
     return {*CATALOGUE} - {*names}
+
+
+def names_of(found: Diagnosis) -> list[str]:
+    """Return what a diagnosis says by name."""
+    return [f.name for f in found.findings if f.level == "name"]
+
+
+def numbers_of(found: Diagnosis) -> dict[str, float]:
+    """Return the extended model's numbers by flat name."""
+    assert found.evidence is not None
+    return found.evidence.values
+
+
+def to_records(parts: Iterable[Iterable[Any]]) -> tuple[list[Record], list[Record]]:
+    """Return the records of a hidden rig as the diagnosis takes them."""
+    train, held = ([Record(name=r.name, **r.columns()) for r in part] for part in parts)
+    return train, held

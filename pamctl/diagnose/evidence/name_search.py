@@ -49,11 +49,13 @@ class NameSearch:
             for score in scored[:KEPT]:
                 known = self.best_scores.get(score.name, 0.0)
                 self.best_scores[score.name] = max(known, score.gain)
-            self.tell(f"scores {[(s.name, round(s.gain)) for s in scored[:8]]}")
+            best = ", ".join(f"{s.name} {s.gain:.0f}" for s in scored[:3])
+            self.tell(f"{len(scored)} explanations asked; they promise, in nats: {best}")
             if not scored or scored[0].gain < NAME_NATS:
                 break
             fits = self.refit(m, scored)
-            self.tell(f"fits {[(f.names[-1], round(m.total - f.total)) for f in fits]}")
+            best = ", ".join(f"{f.names[-1]} {m.total - f.total:.0f}" for f in fits[:3])
+            self.tell(f"fitted, they gain, in nats: {best}")
             taken = next((f for f in fits[:3] if self.weigher.counts(m, f)), None)
             if taken is None:
                 break
@@ -152,14 +154,14 @@ class NameSearch:
                 without = self.drop(m, name)
                 loss = without.total - m.total
                 if not self.counts_in(without, m, name):
-                    self.tell(f"dropped {name}")
+                    self.tell(f"{name} counts no longer: dropped")
                     m = weigher.settle(without, 4)
                     break
                 if loss > EXCHANGE_SHARE * whole:
                     continue
                 better = self._find_better(without, m, name, loss)
                 if better is not None:
-                    self.tell(f"exchanged {name} for {better.names[-1]}")
+                    self.tell(f"{better.names[-1]} does better than {name}: exchanged")
                     m = weigher.settle(better, 4)
                     break
             else:
@@ -199,6 +201,6 @@ class NameSearch:
             if not weak:
                 break
             _, name, without = min(weak, key=lambda w: w[0])
-            self.tell(f"pruned {name}")
+            self.tell(f"{name} does not count beside the rest: dropped")
             m = weigher.settle(without, 4)
         return m

@@ -132,7 +132,7 @@ def spell_finding(diagnosis: Diagnosis, finding: Finding) -> str:
     if hypothesis.is_term and finding.level == "kind":
         return FreeTerm.read(diagnosis, finding).text
     what = spell_kind(hypothesis.kind) if finding.level == "kind" else "something"
-    return f"{what} in {spell_place(hypothesis.place)}"
+    return f"{what} in {spell_place(hypothesis.place)} ({spell_set(list_candidates(finding))})"
 
 
 # --- numbers -------------------------------------------------------------------------------------

@@ -43,7 +43,12 @@ class SignalDisplay(NamedTuple):
     def spell_gap(self, size: float) -> str:
         """Return a gap with its unit."""
         factor, unit = self.choose_unit(size)
-        return f"{factor * size:.3g} {unit}"
+        return f"{spell_figure(factor * size)} {unit}"
+
+
+def spell_figure(value: float) -> str:
+    """Return a figure with three digits, and a large one without a power of ten."""
+    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
 
 
 SIGNAL_DISPLAYS: Mapping[str, SignalDisplay] = {
@@ -129,7 +134,7 @@ def describe_left(diagnosis: Diagnosis) -> str:
     """Say of which channels more is left than noise; empty where nothing is."""
     left = diagnosis.evidence.left_over_noise if diagnosis.evidence else {}
     high = [
-        f"{times:.3g} times the noise of its sensor in the {SIGNAL_DISPLAYS[c].short}"
+        f"{spell_figure(times)} times the noise of its sensor in the {SIGNAL_DISPLAYS[c].short}"
         for c, times in left.items()
         if times > LEFT_TIMES
     ]

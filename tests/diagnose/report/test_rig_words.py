@@ -9,15 +9,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pamctl.diagnose.report.compared_models import SIGNAL_DISPLAYS
+from pamctl.diagnose.report.sensor_units import write_ratio
 
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, summary
 from pamctl.diagnose.experiments import MOTIONS, write_advice
-from pamctl.diagnose.report.compared_models import SIGNAL_DISPLAYS
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.page.diagnosis_page import build_diagnosis_page
 from pamctl.diagnose.report.phrases import format_interval, mark_bound
 from pamctl.diagnose.report.rig_at_hand import runs_here
-from pamctl.diagnose.report.sensor_units import write_ratio
 from pamctl.diagnose.report.verdict_words import advise_next_steps, sentence
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.drive import drive_coupled

@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 from hidden.examination.cases import Case
 from hidden.examination.examine import records_of, rig_of, start_plant
+from support.made_records import names_of, numbers_of, to_records
 
-from pamctl.diagnose import Record, diagnose
-from pamctl.diagnose.naming.verdict import Verdict
+from pamctl.diagnose import Verdict, diagnose
 from pamctl.plant.catalogue import CATALOGUE
 
 FRICTION = {"stribeck", "coulomb_friction"}
@@ -26,11 +26,11 @@ FRICTION = {"stribeck", "coulomb_friction"}
 )
 def test_steep_stribeck_friction_is_named_with_its_numbers(case: Case) -> None:
     case = replace(case, program="brief")
-    train, held = ([Record(name=r.name, **r.columns()) for r in part] for part in records_of(case))
-    found = diagnose(train, held, start_plant(case), without=CATALOGUE.keys() - FRICTION)
+    found = diagnose(
+        *to_records(records_of(case)), start_plant(case), without=CATALOGUE.keys() - FRICTION
+    )
     assert found.verdict is Verdict.NAMED
-    assert found.model is not None
-    assert found.model.names == ("stribeck",)
-    truth, values = rig_of(case).truth, found.model.effect_values
+    assert names_of(found) == ["stribeck"]
+    truth, values = rig_of(case).truth, numbers_of(found)
     assert values["stribeck.rise"] == pytest.approx(truth.stribeck, rel=0.02)
     assert values["stribeck.speed_m_per_s"] == pytest.approx(truth.stribeck_m_per_s, rel=0.05)

@@ -85,5 +85,10 @@ def exchange_name(search: NameSearch, m: WeighedModel, gone: str, new: str) -> W
     without = search.drop(m, gone) if gone else m
     if not new:
         return without
-    score = next(iter(search.score(without, [new])), None)
-    return None if score is None else search.refit(without, [score], 1)[0]
+    score, weigher = next(iter(search.score(without, [new])), None), search.weigher
+    if score is None:
+        return None
+    floor2 = weigher.floor2
+    fitted = weigher.settle(search.refit(without, [score], 1)[0])
+    weigher.floor2 = floor2
+    return weigher.leave_out(fitted)

@@ -69,4 +69,4 @@ def value_of(settings: PlantSettings, name: str) -> float:
 def with_values(settings: PlantSettings, values: Mapping[str, float]) -> PlantSettings:
     """Return the plant with these numbers; raise pydantic's ValidationError if out of range."""
     moved = settings_of({**values_of(settings), **values})
-    return moved.model_copy(update={"known": settings.known})
+    return moved.model_copy(update={"known": settings.known, "noise": settings.noise})

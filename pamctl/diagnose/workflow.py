@@ -16,7 +16,7 @@ from pamctl.diagnose.deciding.deciding_program import choose_deciding_program
 from pamctl.diagnose.deciding.explanations import list_explanations
 from pamctl.diagnose.deciding.forecast import judge_forecasts
 from pamctl.diagnose.diagnosis import Diagnosis, Verdict, decide_verdict
-from pamctl.diagnose.evidence import weigh_evidence
+from pamctl.diagnose.evidence import EvidenceVerdict, weigh_evidence
 from pamctl.diagnose.extend import extend_plant
 from pamctl.diagnose.measured.noise.channel_noise import describe_channels
 from pamctl.diagnose.measured.noise.mend import SensorFault, mend_records
@@ -77,18 +77,20 @@ def diagnose(
         accepted=accepted,
         noise=describe_channels(records, noises, faults),
     )
-    return _decide_next(diagnosis, records, progress)
+    return _decide_next(diagnosis, found, records, progress)
 
 
-def _decide_next(found: Diagnosis, records: Sequence[Record], progress: Progress) -> Diagnosis:
+def _decide_next(
+    diagnosis: Diagnosis, found: EvidenceVerdict, records: Sequence[Record], progress: Progress
+) -> Diagnosis:
     """Add the program that would decide what is left, and what earlier forecasts were worth."""
-    explanations = list_explanations(found)
+    explanations = list_explanations(found, diagnosis.nominal)
     chosen = None
     if len(explanations) > 1:
         progress("choosing the program that decides: " + ", ".join(e.name for e in explanations))
         chosen = choose_deciding_program(explanations, records, seed=len(records))
     return replace(
-        found,
+        diagnosis,
         explanations=tuple(e.name for e in explanations),
         deciding=chosen,
         forecasts=judge_forecasts(found, records),

@@ -13,11 +13,10 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy.signal import savgol_filter
+from scipy.signal import butter, savgol_filter, sosfiltfilt
 
 from pamctl.diagnose.measured.noise.sensor_noise import Noise
 from pamctl.diagnose.measured.record import Array, Record
-from pamctl.diagnose.measured.zero_phase import smooth_below
 from pamctl.monitor.activity import find_mechanics_activity, find_pressure_activity
 from pamctl.plant.drive import build_grid, count_steps, drive_mechanics, drive_pressure
 from pamctl.plant.model import PlantSettings, plant_parameters
@@ -115,7 +114,8 @@ class WindowJudge:
     ) -> WindowMisfit:
         noise, driving = self.noises["position_m"], self.noises["pressure_pa"]
         grid = build_grid(record.step_s, len(record), count_steps(record.period_s))
-        below = partial(smooth_below, cutoff=SMOOTH_HZ * record.period_s)
+        sections = butter(2, SMOOTH_HZ, fs=1.0 / record.period_s, output="sos")
+        below = partial(sosfiltfilt, sections, padtype="even")
         pressure_pa = _smooth(record, record["pressure_pa"], below)
 
         def simulate(driven_pa: Array, measured_m: Array) -> Array:

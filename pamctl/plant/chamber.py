@@ -361,6 +361,12 @@ def fill_chamber(
     return end_pa, idle_pa + weight * end_pa
 
 
+def without_flow_pa(p: PlantParameters, begin: AirBegin, exponent: float, end_m: float) -> float:
+    """Return the pressure after a step in which only the volume changes."""
+    amount = amount_of_air(p, exponent, begin.position_m, begin.pressure_pa)
+    return solve_pressure_of_air(p, exponent, amount, end_m, 0.0, begin.pressure_pa)
+
+
 def net_flow(
     p: PlantParameters,
     now: AirNow,
@@ -381,13 +387,16 @@ def stop_at_balance(
     pressure_pa: float,
     next_pa: float,
     net_kg_per_s: float,
+    still_pa: float,
     step_s: float,
 ) -> tuple[float, bool]:
     """Stop at the pressure where inflow and outflow balance; return whether it is reached.
 
-    `net_kg_per_s` is the net flow at `pressure_pa`, which the caller has computed already. With one
-    source the balance is at the source's pressure, as in `pressure.py`. With a resistance in the
-    line the flow decays smoothly and needs no stop.
+    `net_kg_per_s` is the net flow at `pressure_pa`, which the caller has computed already, and
+    `still_pa` the pressure after a step without flow. With one source the balance is at the
+    source's pressure, as in `pressure.py`. With two, motion may carry the pressure across the
+    balance: there the flow at the end of the step counts, and nothing is held. With a resistance
+    in the line the flow decays smoothly and needs no stop.
     """
     if restricts(p.effects.air.line_restriction):
         return next_pa, False
@@ -397,14 +406,17 @@ def stop_at_balance(
         comes = net_kg_per_s > 0.0
         if comes == (net_flow(p, now, air, open_to, next_pa, step_s) > 0.0):
             return next_pa, False
-        one, other = pressure_pa, next_pa
-        while abs(other - one) > 1e-3:
-            between = 0.5 * (one + other)
-            if comes == (net_flow(p, now, air, open_to, between, step_s) > 0.0):
-                one = between
+        worth = (next_pa - still_pa) / net_kg_per_s
+        low = min(pressure_pa, min(next_pa, still_pa))
+        high = max(pressure_pa, max(next_pa, still_pa))
+        while high - low > 1e-3:
+            between = 0.5 * (low + high)
+            flow = net_flow(p, now, air, open_to, between, step_s)
+            if between < still_pa + worth * flow:
+                low = between
             else:
-                other = between
-        return one, True
+                high = between
+        return low, False
     if open_to.tank_m2 <= 0.0 and not escapes:
         return next_pa, False
     source_pa = p.paper.atmospheric_pressure_pa
@@ -424,8 +436,10 @@ def chamber_middle_pa(p: PlantParameters, now: AirNow, begin: AirBegin) -> tuple
     net = fed_by.inflow_kg_per_s + leak
     exponent = step_exponent(p, share_heat(p, begin, half_s))
     worth = worth_of_flow(p, exponent, air.warmth, begin.position_m, pressure_pa, net)
-    middle_pa, _ = fill_chamber(p, begin, fed_by, leak, exponent, worth, begin.middle_m, half_s)
-    return stop_at_balance(p, now, air, open_to, pressure_pa, middle_pa, net, half_s)
+    middle_m = begin.middle_m
+    middle_pa, _ = fill_chamber(p, begin, fed_by, leak, exponent, worth, middle_m, half_s)
+    still_pa = without_flow_pa(p, begin, exponent, middle_m)
+    return stop_at_balance(p, now, air, open_to, pressure_pa, middle_pa, net, still_pa, half_s)
 
 
 def chamber_step(
@@ -446,7 +460,8 @@ def chamber_step(
     worth = worth_of_flow(p, exponent, air.warmth, begin.middle_m, middle_pa, net)
     end_pa, line_pa = fill_chamber(p, begin, fed_by, leak, exponent, worth, end_m, step_s)
     if not restricts(p.effects.air.line_restriction):
-        end_pa, _ = stop_at_balance(p, now, air, open_to, middle_pa, end_pa, net, half_s)
+        still_pa = without_flow_pa(p, begin, exponent, end_m)
+        end_pa, _ = stop_at_balance(p, now, air, open_to, middle_pa, end_pa, net, still_pa, half_s)
     end_pa, warmth = exchange_heat(p, begin, heat, end_pa, end_m)
     if not restricts(p.effects.air.line_restriction):
         line_pa = end_pa

@@ -9,6 +9,7 @@ from hidden.rungs import Said, Where
 from hidden.score_list import Handed
 from pamctl.diagnose.evidence import weigh_evidence
 from pamctl.diagnose.evidence.ladder import Finding
+from pamctl.diagnose.evidence.pool import Hypothesis
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
 
@@ -26,13 +27,14 @@ def where_at(place: str, kind: str) -> Where:
     return PLACES.get(place, place), KINDS.get(kind, "time" if in_time else "curve")
 
 
-def word_of(name: str, place: str, kind: str) -> str:
-    """Return the name of an effect, or that of a finding of the same place and kind."""
-    effect = name.split(":")[0]
-    if effect in CATALOGUE:
-        return effect
-    found = {"lag": "skew", "time": "drift"}.get(where_at(place, kind)[1], "curve")
-    return f"{found}.{NUMBERS[place]}"
+def word_of(h: Hypothesis) -> str:
+    """Return the name of an effect or a fault, or that of a finding of the same place and kind."""
+    if h.setup is not None:
+        return ".".join(h.setup)
+    if h.family in CATALOGUE:
+        return h.family
+    found = {"lag": "skew", "time": "drift"}.get(where_at(h.place, h.kind)[1], "curve")
+    return f"{found}.{NUMBERS[h.place]}"
 
 
 def diagnose_case(records: Handed, plant: Mapping[str, Any]) -> Said:
@@ -41,7 +43,7 @@ def diagnose_case(records: Handed, plant: Mapping[str, Any]) -> Said:
     verdict = weigh_evidence(train, held_out, PlantSettings.model_validate(plant))
     names, sets, places, numbers = set(), [], set(), {}
     for rung in verdict.findings:
-        word = word_of(rung.name, rung.hypothesis.place, rung.hypothesis.kind)
+        word = word_of(rung.hypothesis)
         if rung.level == "name":
             names.add(word)
             numbers |= {n.name: (n.value, n.low, n.high) for n in rung.numbers}
@@ -55,4 +57,4 @@ def diagnose_case(records: Handed, plant: Mapping[str, Any]) -> Said:
 
 
 def _make_set(rung: Finding, word: str) -> frozenset[str]:
-    return frozenset({word, *(word_of(r.name, r.place, r.kind) for r in rung.rivals)})
+    return frozenset({word, *(word_of(r) for r in rung.rivals)})

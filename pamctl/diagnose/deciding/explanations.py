@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+
+import numpy as np
 
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
 from pamctl.diagnose.evidence.ladder import Finding
@@ -13,9 +14,6 @@ from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.weigh import EvidenceVerdict
 from pamctl.diagnose.extend import assemble_plant
 from pamctl.plant.model import PlantSettings
-
-if TYPE_CHECKING:
-    from pamctl.diagnose.diagnosis import Diagnosis
 
 MOST_EXPLANATIONS = 4
 """The nearest ones; each pair of them is a question to the program."""
@@ -48,33 +46,49 @@ def name_explanation(model: WeighedModel) -> str:
     return " and ".join(sorted(model.names)) or "recalibration alone"
 
 
-def list_explanations(diagnosis: Diagnosis) -> tuple[Explanation, ...]:
+def list_explanations(found: EvidenceVerdict, nominal: PlantSettings) -> tuple[Explanation, ...]:
     """Return what the data leave open: the chosen model first, then its rivals, the nearest first.
 
     Fewer than two explanations leave nothing to decide.
     """
-    found = diagnosis.evidence
-    if found is None or not found.findings:
+    if not found.findings:
         return ()
-    models = [found.model, *(m for f in found.findings for m in _fit_rivals(found, f))]
-    named = {name_explanation(m): m for m in reversed(models[:MOST_EXPLANATIONS])}
+    search, weigher = NameSearch(found.weigher, found.pool), found.weigher
+    named, floor2 = {name_explanation(found.model): replace(found.model)}, weigher.like.least2
+    for finding in found.findings:
+        if finding.level in ("name", "rest"):  # a name's freer terms can always mimic it
+            continue
+        for m in _fit_rivals(search, found.model, finding):
+            named.setdefault(name_explanation(m), m)
+        floor2 = np.maximum(floor2, weigher.floor2)
+    # As the ladder weighs them: under the resolution of the model without the finding.
+    weigher.floor2 = floor2
     return tuple(
-        Explanation(name, m, found.weigher, diagnosis.nominal)
-        for name, m in reversed([*named.items()])
+        Explanation(name, weigher.leave_out(m), weigher, nominal)
+        for name, m in [*named.items()][:MOST_EXPLANATIONS]
     )
 
 
-def _fit_rivals(found: EvidenceVerdict, finding: Finding) -> Iterator[WeighedModel]:
-    """Yield the model with a finding exchanged for each of what is not beaten, fitted.
+def _fit_rivals(search: NameSearch, m: WeighedModel, finding: Finding) -> Iterator[WeighedModel]:
+    """Yield the model with a finding exchanged for each of what is not beaten, names first."""
+    for rival in sorted(finding.rivals, key=lambda r: r.is_term)[:MOST_RIVALS]:
+        fitted = exchange_name(search, m, finding.name, rival.name)
+        if fitted is not None:
+            yield fitted
 
-    A name's freer terms can always mimic it: they are no question to a program.
+
+def exchange_name(search: NameSearch, m: WeighedModel, gone: str, new: str) -> WeighedModel | None:
+    """Return a model with one name instead of another, fitted; None where the new does nothing.
+
+    An empty name stands for none. The floor is that of the model without either.
     """
-    asked = [r.name for r in finding.rivals[:MOST_RIVALS]]
-    if finding.level in ("name", "rest") or not asked:
-        return
-    search = NameSearch(found.weigher, found.pool)
-    without = search.drop(found.model, finding.name)
-    for name in asked:
-        score = next(iter(search.score(without, [name])), None)
-        if score is not None:
-            yield from search.refit(without, [score], 1)[:1]
+    without = search.drop(m, gone) if gone else m
+    if not new:
+        return without
+    score, weigher = next(iter(search.score(without, [new])), None), search.weigher
+    if score is None:
+        return None
+    floor2 = weigher.floor2
+    fitted = weigher.settle(search.refit(without, [score], 1)[0])
+    weigher.floor2 = floor2
+    return weigher.leave_out(fitted)

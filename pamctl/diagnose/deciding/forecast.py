@@ -4,23 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
 
 from pamctl.control.excitation import ForecastSettings
-from pamctl.diagnose.deciding.explanations import name_explanation
+from pamctl.diagnose.deciding.explanations import exchange_name, name_explanation
 from pamctl.diagnose.deciding.separation import BLOCKS
 from pamctl.diagnose.evidence.constants import COARSE_STEP_S
-from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
+from pamctl.diagnose.evidence.fit import WeighedModel
 from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.run_pieces import Runs
 from pamctl.diagnose.evidence.weigh import EvidenceVerdict
 from pamctl.diagnose.measured.record import Record
-
-if TYPE_CHECKING:
-    from pamctl.diagnose.diagnosis import Diagnosis
 
 GOOD = 2.0
 """A forecast within this factor of what was found was good."""
@@ -64,14 +61,13 @@ def read_forecast(record: Record) -> ForecastSettings | None:
         return None
 
 
-def judge_forecasts(diagnosis: Diagnosis, records: Sequence[Record]) -> tuple[JudgedForecast, ...]:
+def judge_forecasts(
+    found: EvidenceVerdict, records: Sequence[Record]
+) -> tuple[JudgedForecast, ...]:
     """Compare what was expected of each record with what its refuted explanations leave.
 
     A forecast is judged where the explanation that it took for true is the one that was found.
     """
-    found = diagnosis.evidence
-    if found is None:
-        return ()
     here, judged = name_explanation(found.model), []
     fitted: dict[str, WeighedModel | None] = {}
     for record in records:
@@ -98,16 +94,12 @@ def _fit_again(found: EvidenceVerdict, explanation: str) -> WeighedModel | None:
     if len(gone) > 1 or len(new) > 1 or not new <= {*found.pool}:
         return None
     search = NameSearch(found.weigher, found.pool)
-    m = search.drop(found.model, gone.pop()) if gone else found.model
-    if not new:
-        return m
-    score = next(iter(search.score(m, [*new])), None)
-    return None if score is None else search.refit(m, [score], 1)[0]
+    return exchange_name(search, found.model, "".join(gone), "".join(new))
 
 
 def _measure(found: EvidenceVerdict, m: WeighedModel, block: str, record: Record) -> float | None:
     """Return the RMS that a model leaves of one record, over the sensor's noise."""
-    weigher: Weigher = found.weigher
+    weigher = found.weigher
     channel = next((c for c, name in BLOCKS.items() if name == block), "")
     if channel not in weigher.train.channels:
         return None

@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, permutations
-from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -20,6 +19,7 @@ from scipy.ndimage import uniform_filter1d
 from pamctl.control.excitation import ProgramSettings
 from pamctl.diagnose.deciding.drawn_programs import sample_commands
 from pamctl.diagnose.deciding.explanations import Explanation
+from pamctl.diagnose.deciding.rig_limits import ProgramRun
 from pamctl.diagnose.evidence.constants import COARSE_STEP_S, NAME_NATS, NU, NUGGET
 from pamctl.diagnose.evidence.fit import STEP, WeighedModel, Weigher, bound_gain
 from pamctl.diagnose.evidence.likelihood import to_haar
@@ -37,13 +37,6 @@ SLOW_S = 0.1
 """Differences that last longer are what a refit of gains and rates takes away."""
 
 
-class ProgramRun(NamedTuple):
-    """What a plant would do under a program, without the faults of the measuring chain."""
-
-    pressure_pa: Array
-    position_m: Array
-
-
 @dataclass(frozen=True)
 class Separation:
     """What one explanation leaves of a run where another is true."""
@@ -57,12 +50,8 @@ class Separation:
     sureness: float
     """Above 1, the wrong one loses surely more nats than a name must gain, on all records."""
     is_forecast: bool = True
-    """False where the refit goes so far that the figure may be off by more than a factor of 2."""
-
-    @property
-    def is_decided(self) -> bool:
-        """Whether the wrong one would be refuted."""
-        return self.sureness > 1.0
+    """False where the figure may be off by more than a factor of 2: the refit goes far, or what
+    is refitted is a curve."""
 
 
 class ProgramTrial:
@@ -75,7 +64,10 @@ class ProgramTrial:
         self.program, self.explanations, self.period_s = program, tuple(explanations), period_s
         self.commands_v = sample_commands(program, period_s)
         weigher = explanations[0].weigher
-        self._runs = _make_runs(self.commands_v, period_s, weigher)
+        # The vent at the end goes on to the end of a block.
+        missing = -len(self.commands_v) % weigher.train.block
+        whole_v = np.pad(self.commands_v, (0, missing), mode="edge")
+        self._runs = _make_runs(whole_v, period_s, weigher)
         self._keep = self._runs.find_kept(weigher.like.level)
         self._shown: dict[str, Array] = {}
         self.runs: dict[str, ProgramRun] = {}
@@ -142,6 +134,8 @@ class ProgramTrial:
         nats = self._count_nats(true.model, left, squares)
         sure = self._find_sureness(true.model, other.model, nats)
         name = BLOCKS[self._runs.channels[block]]
+        # A curve's knots follow the reach of the records: with this run it would be another.
+        agrees &= not any(v.is_curve for v in other.model.picked.values())
         return Separation(true.name, other.name, name, over, sure, agrees)
 
     def _count_nats(self, true: WeighedModel, left: Array, squares: Array) -> Array:
@@ -206,7 +200,7 @@ class ProgramTrial:
             np.array([getattr(n, k) for n in m.numbers]) for k in ("low", "high", "scale")
         )
         at = m.x + moved * scale
-        return np.clip(way, (low - at) / scale, (high - at) / scale)
+        return np.asarray(np.clip(way, (low - at) / scale, (high - at) / scale))
 
     def _find_tangent(self, other: Explanation) -> Array:
         """Return the change of an explanation's own residual for a scale of each number."""
@@ -230,7 +224,7 @@ def _make_runs(commands_v: Array, period_s: float, weigher: Weigher) -> Runs:
     still, vented = np.zeros(len(commands_v)), weigher.base["atmospheric_pressure_pa"]
     record = Record(
         "program",
-        np.arange(len(commands_v)) * period_s,
+        period_s * np.arange(len(commands_v), dtype=np.float64),
         valve_v=commands_v,
         pressure_pa=still + vented,
         position_m=still,
@@ -240,12 +234,3 @@ def _make_runs(commands_v: Array, period_s: float, weigher: Weigher) -> Runs:
 
 def _rms(rows: Array) -> Array:
     return np.asarray(np.sqrt((rows**2).mean(axis=1)))
-
-
-def find_pairs(separations: Sequence[Separation]) -> dict[frozenset[str], float]:
-    """Return by pair how surely the wrong one would be refuted, whichever is the true one."""
-    pairs: dict[frozenset[str], float] = {}
-    for s in separations:
-        key = frozenset({s.true, s.refuted})
-        pairs[key] = min(s.sureness, pairs.get(key, np.inf))
-    return pairs

@@ -282,8 +282,14 @@ class Weigher:
         sizes = [(abs(b.values[u.name] - (u.neutral or 0.0)), u.smallest) for u in variant.sizes]
         if all(size < SMALL_SHARE * smallest for size, smallest in sizes):
             return False
-        low, middle, _ = bound_gain(a.left_out - b.left_out)
+        gain = a.left_out - b.left_out
+        low, middle, _ = bound_gain(gain)
         if low <= 0.0 or middle <= NAME_NATS:
+            return False
+        if gain[self.like.n_blocks :].sum() < 0.0:  # the records that are held out
+            return False
+        bounds = find_intervals(b)
+        if all(bounds[u.name][0] <= (u.neutral or 0.0) <= bounds[u.name][1] for u in variant.sizes):
             return False
         seen = self.find_seen(a, b).max() > SEEN_SHARE
         return bool(seen or self.find_imprint(a, b).max() > 1.0)

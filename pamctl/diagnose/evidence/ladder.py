@@ -26,7 +26,8 @@ from pamctl.diagnose.evidence.scores import EvidenceScore
 from pamctl.diagnose.plant_numbers import FittedNumber, unit_of
 
 RIVALS = 4
-"""Rivals that are fitted, beside the best of another kind and of another place."""
+"""Names that are fitted in its stead, and half as many free terms, beside the best of another kind
+and of another place."""
 
 
 @dataclass(frozen=True)
@@ -102,8 +103,12 @@ def _find_level(search: NameSearch, m: WeighedModel, name: str, whole: float) ->
         weigher.leave_out(rival)
         its, lead = pool[rival.names[-1]], rival.left_out - m.left_out
         least = bound_gain(lead)[0]
-        clearly = least > NAME_NATS and takes_enough(search, rival, m)
-        beaten = clearly or least > RIVAL_SHARE * own.sum()
+        extra = len(rival.x) - len(m.x)
+        beaten = (
+            least > RIVAL_SHARE * own.sum()
+            or (least > NAME_NATS and takes_enough(search, rival, m))
+            or (extra > 0 and lead.sum() > -extra)  # it gains nothing for its further numbers
+        )
         if not beaten:
             near.append((float(lead.sum()), its))
         is_freer = its.is_term and (its.place == mine.place or its.name in mine.akin)
@@ -162,7 +167,8 @@ def takes_enough(search: NameSearch, without: WeighedModel, m: WeighedModel) -> 
     weigher = search.weigher
     taken = weigher.find_imprint(without, m)
     left2 = weigher.like.mean_squares(m.d) / weigher.find_noise2(m) - 1.0
-    return bool((taken > LEFT_SHARE * np.sqrt(np.maximum(left2, 0.0))).any())
+    there = int(taken.argmax())
+    return bool(taken[there] > LEFT_SHARE * max(float(left2[there]), 0.0) ** 0.5)
 
 
 def _may_rival(search: NameSearch, name: str, mine: Hypothesis) -> bool:
@@ -172,8 +178,10 @@ def _may_rival(search: NameSearch, name: str, mine: Hypothesis) -> bool:
 def _choose_rivals(
     search: NameSearch, scored: list[EvidenceScore], mine: Hypothesis
 ) -> list[EvidenceScore]:
-    """Return the best, and the best of another kind and of another place."""
-    chosen, pool = scored[:RIVALS], search.pool
+    """Return the best names and the best terms, and the best of another kind and place."""
+    pool = search.pool
+    named, terms = ([s for s in scored if pool[s.name].is_term is t] for t in (False, True))
+    chosen = [*named[:RIVALS], *terms[: RIVALS // 2]]
     for rung in ("kind", "place"):
         outside = (s for s in scored if getattr(pool[s.name], rung) != getattr(mine, rung))
         first = next(outside, None)

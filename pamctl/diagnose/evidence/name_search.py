@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 from pamctl.diagnose.evidence.constants import (
     EXCHANGE_SHARE,
@@ -13,7 +14,7 @@ from pamctl.diagnose.evidence.constants import (
     SHORTLIST,
 )
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
-from pamctl.diagnose.evidence.pool import Hypothesis
+from pamctl.diagnose.evidence.pool import Hypothesis, Variant
 from pamctl.diagnose.evidence.scores import EvidenceScore, drop_name, extend_model, score_all
 
 ROUGH_STEPS = 3
@@ -59,6 +60,7 @@ class NameSearch:
             taken = next((f for f in fits[:3] if self.weigher.counts(m, f)), None)
             if taken is None:
                 break
+            taken = self.choose_form(m, taken)
             m = self.exchange(base, self.weigher.settle(taken, 4))
         return self.prune(m)
 
@@ -94,14 +96,10 @@ class NameSearch:
         )
 
     def choose(self, scored: Sequence[EvidenceScore], many: int) -> list[EvidenceScore]:
-        """Return the best; where a free term is among them, the two best names of its place too."""
+        """Return the best; for each free term among them, the two best names that may be it too."""
         chosen = list(scored[:many])
-        for place in {self.pool[s.name].place for s in chosen if self.pool[s.name].is_term}:
-            names = [
-                s
-                for s in scored[:KEPT]
-                if self.pool[s.name].place == place and not self.pool[s.name].is_term
-            ]
+        for term in [self.pool[s.name] for s in chosen if self.pool[s.name].is_term]:
+            names = [s for s in scored if self.pool[s.name].may_be(term)]
             chosen += [s for s in names[:2] if s not in chosen]
         return chosen
 
@@ -131,12 +129,27 @@ class NameSearch:
             self._prefer_name(m, fits)
         return fits
 
+    def choose_form(self, m: WeighedModel, e: WeighedModel) -> WeighedModel:
+        """Return the form of a model's last name that does best; of equal ones the simplest."""
+        weigher, its = self.weigher, self.pool[e.names[-1]]
+        forms: dict[tuple[object, ...], list[Variant]] = {}
+        for variant in its.variants:
+            forms.setdefault(variant.form, []).append(variant)
+        for form, variants in forms.items():
+            if form == e.picked[its.name].form:
+                continue
+            scored = score_all(weigher, m, [replace(its, variants=tuple(variants))])
+            for score in scored:
+                other = weigher.polish(extend_model(weigher, m, score))
+                if other.total + len(other.x) < e.total + len(e.x):
+                    e = other
+        return e
+
     def _prefer_name(self, m: WeighedModel, fits: list[WeighedModel]) -> None:
         """Put a name before a freer term of its place that does little better."""
         first = fits[0]
         for e in fits[1:5]:
-            its = self.pool[e.names[-1]]
-            if its.is_term or its.place != self.pool[first.names[-1]].place:
+            if not self.pool[e.names[-1]].may_be(self.pool[first.names[-1]]):
                 continue
             self.weigher.polish(e)
             if m.total - e.total > (1.0 - FREER_SHARE) * (m.total - first.total):

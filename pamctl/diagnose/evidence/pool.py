@@ -60,6 +60,11 @@ class Variant(NamedTuple):
         return (*self.sizes, *self.shapes)
 
     @property
+    def form(self) -> tuple[object, ...]:
+        """What it has in common with the variants that differ in their starts only."""
+        return (tuple(sorted(self.held.items())), tuple(u.name for u in self.free))
+
+    @property
     def is_curve(self) -> bool:
         """Tell whether the sizes are the knots of a curve."""
         return len(self.sizes) == KNOTS
@@ -85,6 +90,10 @@ class Hypothesis:
     """Of a fault of the set-up: what is wrong, as documents call it, and the number or column."""
     scan: str = ""
     """Of a wave: the driver over which it repeats; its period is looked for first."""
+
+    def may_be(self, term: Hypothesis) -> bool:
+        """Tell whether this is a name of what a free term describes."""
+        return not self.is_term and (self.place == term.place or term.name in self.akin)
 
 
 class Scales(NamedTuple):
@@ -261,12 +270,13 @@ def _make_wave(
 # --- free terms ----------------------------------------------------------------------------------
 
 CURVES: Mapping[str, tuple[str, ...]] = {
+    "command": ("time",),
     "filling": ("command",),
     "exhausting": ("command",),
     "opening": ("time",),
     "supply": ("time",),
     "flow": ("pressure", "position", "time"),
-    "volume": ("position",),
+    "volume": ("position", "pressure"),
     "force": ("position", "pressure", "time"),
     "stiffness": ("time",),
     "damping": ("velocity", "position", "pressure"),
@@ -282,6 +292,7 @@ OTHERS: Sequence[tuple[str, str, str, tuple[float, ...]]] = (
     ("force", "lag", "position", (0.3, 3.0)),
     ("command", "lag", "command", (0.002, 0.02)),
     ("force", "beyond", "position", (0.5,)),
+    ("command", "onset", "time", (0.25, 0.5, 0.75)),
     ("flow", "onset", "time", (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)),
     ("force", "onset", "time", (0.25, 0.5, 0.75)),
     ("opening", "onset", "time", (0.25, 0.5, 0.75)),

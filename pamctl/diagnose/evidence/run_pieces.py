@@ -190,8 +190,7 @@ class Runs:
             width_s = SPEED_S if self.imposed else SMOOTH_S
             rates = _find_rates(columns["position_m"], self.period_s, width_s, grids[COARSE_STEP_S])
         if self.imposed:
-            speed = np.abs(rates["speed"])
-            masked |= speed < REST_SHARE * np.quantile(speed, 0.95)
+            masked |= _has_no_speed(rates["speed"], grids[COARSE_STEP_S].samples_s)
         return RunPiece(columns, shown, masked, rates, grids, at_rest)
 
     def _lay_out(self) -> None:
@@ -420,6 +419,16 @@ def _find_rates(
         for deriv, name in enumerate(("smooth", "speed", "push"))
     }
     return {name: np.interp(grid.samples_s, even_s, row) for name, row in found.items()}
+
+
+def _has_no_speed(speed: Array, samples_s: Array) -> Mask:
+    """Tell where a log has no speed: at rest, and where its average goes over a reversal."""
+    size = np.abs(speed)
+    turns_s = samples_s[np.flatnonzero(np.diff(np.sign(speed)))]
+    after = np.searchsorted(turns_s, samples_s)
+    turns_s = np.concatenate([[-np.inf], turns_s, [np.inf]])
+    apart_s = np.minimum(samples_s - turns_s[after], turns_s[after + 1] - samples_s)
+    return np.asarray((size < REST_SHARE * np.quantile(size, 0.95)) | (apart_s < 0.5 * SPEED_S))
 
 
 def _find_neighbours(masked: Mask, ends: NDArray[np.int64]) -> tuple[Any, Any, Any, Array]:

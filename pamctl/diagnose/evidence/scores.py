@@ -31,6 +31,8 @@ HOPE_NATS = 4.0
 """Where the first shape of a hypothesis promises less, no other is asked."""
 ALIKE = 1e-4
 """Of a secant's square: what is smaller beside the model's tangent is rounding."""
+LIKELY_MOVE = 10.0
+"""Scales that a number may move beside a new hypothesis: what no sample shows stays."""
 STUCK = 1e-3
 """Scales from its range at which a number counts as held by it."""
 FILTER_S = 0.06
@@ -73,9 +75,11 @@ class _Beside:
         self.free = np.flatnonzero((self.room[0] < -STUCK) & (self.room[1] > STUCK))
         self.tangent = m.tangent.reshape(len(m.x), -1)[self.free]
         self.root = np.sqrt(cost.weights).ravel()
-        self.basis, self.triangle = np.linalg.qr((self.tangent * self.root).T)
+        self.weighed = self.tangent * self.root
         self.off = m.d.ravel() * self.root
-        self.seen = self.basis.T @ self.off
+        hessian = self.weighed @ self.weighed.T + LIKELY_MOVE**-2 * np.eye(len(self.free))
+        self.inverse = np.linalg.inv(hessian)
+        self.slope = self.weighed @ self.off
         self.size2 = float((m.d**2 * self.weigher.like.keep).sum())
         self.here = m.d + m.lag
 
@@ -134,14 +138,16 @@ class _Beside:
         self, name: str, variant: Variant, directions: Array, secants: Array
     ) -> EvidenceScore | None:
         weighed = secants * self.root
-        inside = weighed @ self.basis
+        inside = weighed @ self.weighed.T
         alone = weighed @ weighed.T
-        normal = alone - inside @ inside.T
+        normal = alone - inside @ self.inverse @ inside.T
         if not np.isfinite(normal).all() or np.trace(normal) < 1e-6:
             return None
         # What the model's own numbers do as well is not asked for by a large dose.
         ridge = np.diag(ALIKE * np.diag(alone) + 1e-6 * np.trace(normal))
-        share = -np.linalg.solve(normal + ridge, weighed @ self.off - inside @ self.seen)
+        share = -np.linalg.solve(
+            normal + ridge, weighed @ self.off - inside @ self.inverse @ self.slope
+        )
         if variant.is_curve:
             share = np.clip(share, -MOST_HAT, MOST_HAT)
         else:
@@ -149,6 +155,10 @@ class _Beside:
                 u.low >= (u.neutral or 0.0) or u.high <= (u.neutral or 0.0) for u in variant.sizes
             ]
             share = np.clip(share, np.where(one_sided, 0.0, -MOST_SHARE), MOST_SHARE)
+            if len(share) == 1:  # not beyond its range, which need not begin at its neutral value
+                u, usual = variant.sizes[0], float(directions[0, 0])
+                ends = [(end - (u.neutral or 0.0)) / usual for end in (u.low, u.high)]
+                share = np.clip(share, min(ends), max(ends))
         cost, move = self._predict_cost(secants, inside, share)
         gain = float(self.m.cost.by_block.sum()) - cost
         neutral = np.array([u.neutral or 0.0 for u in variant.sizes])
@@ -156,9 +166,8 @@ class _Beside:
 
     def _predict_cost(self, secants: Array, inside: Array, share: Array) -> tuple[float, Array]:
         """Return the cost of a dose with the model's numbers fitted to it, and their move."""
-        ridge = 1e-9 * np.diag(np.abs(np.diag(self.triangle)) + 1e-30)
         move = np.zeros(len(self.m.x))
-        move[self.free] = -np.linalg.solve(self.triangle + ridge, self.seen + inside.T @ share)
+        move[self.free] = -self.inverse @ (self.slope + inside.T @ share)
         move = np.clip(move, *self.room)
         d = self.m.d.ravel() + share @ secants + move[self.free] @ self.tangent
         loss = self.weigher.like(
@@ -175,7 +184,7 @@ class _Beside:
         to the readings: for a force a lag, for a supply the change by a constant pressure.
         """
         runs, m = self.weigher.train, self.m
-        off = self.off - self.basis @ self.seen
+        off = self.off - self.inverse @ self.slope @ self.weighed
         pull = from_haar((off * self.root).reshape(self.m.d.shape)).reshape(len(self.shown), -1)
         if hypothesis.scan == "position":
             if "position_m" not in runs.channels:

@@ -60,8 +60,8 @@ def _choose_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
 
 def _describe_program(chosen: DecidingProgram) -> dict[str, Any]:
     """Return the entry of a program that was chosen by simulation."""
-    experiment = chosen.to_experiment()
-    forecast = experiment.pop("forecast")
+    forecast, experiment = chosen.forecast, chosen.to_experiment()
+    experiment.pop("forecast", None)
     return {
         "name": NEXT_EXPERIMENT,
         "separates": [*chosen.explanations],

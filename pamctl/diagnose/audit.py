@@ -42,6 +42,8 @@ INERT = 1e-12
 SINGULAR = 1e-9
 ROOM = 1e-6
 """Scales; a number at its range has a little room, or there would be no range."""
+_BLOCKS_OF = {"direct": ("mechanics", "sensors"), "chamber": ("pressure", "sensors")}
+"""The blocks that an actuator has; a muscle has all. What it lacks is no blind spot."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +170,8 @@ def audit_model(weigher: Weigher, m: WeighedModel, *, pairs: bool = True) -> Aud
         for n, (h, _) in asked.items()
         if n not in sees and (plant.actuator == "muscle" or powers[n] > INERT)
     ]
-    here = [n for n, e in CATALOGUE.items() if plant.actuator in e.actuators]
+    blocks = _BLOCKS_OF.get(plant.actuator, ("pressure", "mechanics", "sensors"))
+    here = [n for n, e in CATALOGUE.items() if plant.actuator in e.actuators and e.block in blocks]
     blind += [
         BlindSpot(n, "these records do not drive its block", CATALOGUE[n].best_experiment, None)
         for n in here

@@ -109,12 +109,6 @@ def test_the_document_is_json_with_every_key_of_the_schema() -> None:
         ].keys()
 
 
-def test_full_scale_squares_cannot_show_a_dead_band() -> None:
-    audit = audit_run(measured("squares"), PAPER)
-    assert "valve_deadband" in {spot.name for spot in audit.blind_spots}
-    assert "valve_deadband" in audit_run(measured("fit"), PAPER).sees
-
-
 def test_the_moving_mass_is_reported_as_unidentifiable() -> None:
     spots = {spot.name: spot for spot in audit_run(measured("fit"), PAPER).blind_spots}
     assert spots["moving_mass"].experiment == ""

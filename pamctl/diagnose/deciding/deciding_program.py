@@ -24,7 +24,7 @@ from pamctl.diagnose.deciding.drawn_programs import (
 )
 from pamctl.diagnose.deciding.explanations import Explanation
 from pamctl.diagnose.deciding.rig_limits import RigLimits, find_rig_limits
-from pamctl.diagnose.deciding.separation import ProgramTrial, Separation, find_pairs
+from pamctl.diagnose.deciding.separation import ProgramTrial, Separation
 from pamctl.diagnose.measured.record import Record
 
 PROGRAMS = 100
@@ -36,7 +36,7 @@ MIXED = 24
 MOST_SURE = 5.0
 """A pair that is surer counts no more: the others need the time."""
 FORECAST = 3
-"""At most this many programs are forecast, by whole fits of the wrong explanations."""
+"""This many programs are forecast, by some steps of the wrong explanations."""
 STROKES = (1.0, 0.6, 0.4, 0.2, 0.1)
 """Sizes of the strokes that all programs begin with, as shares of the largest command; the largest
 that stays within the limits counts."""
@@ -137,7 +137,7 @@ def choose_deciding_program(
     admitted = [trial for trial, _ in best if _is_admitted(trial, limits)]
     if not admitted:
         return None
-    chosen = _choose_by_forecast(admitted[:FORECAST])
+    chosen = max(admitted[:FORECAST], key=lambda t: _weigh(t.forecasts))
     return _describe(chosen, programs + MIXED, len(inside) + len(mixed), limits.source)
 
 
@@ -154,19 +154,14 @@ def _keep_best(tried: Sequence[_Tried], count: int) -> list[_Tried]:
     return sorted(tried, key=lambda t: _weigh(t[0].separations), reverse=True)[:count]
 
 
-def _choose_by_forecast(best: Sequence[ProgramTrial]) -> ProgramTrial:
-    """Return the best by its forecast; none is made where a program promises no further pair."""
-    chosen = best[0]
-    for trial in best[1:]:
-        if _weigh(trial.separations)[0] > _weigh(chosen.forecasts)[0]:
-            chosen = max(chosen, trial, key=lambda t: _weigh(t.forecasts))
-    return chosen
-
-
 def _weigh(separations: Sequence[Separation]) -> tuple[int, float]:
-    """Return how many pairs are decided, then how surely the mean one is."""
-    pairs = find_pairs(separations).values()
-    return sum(sure > 1.0 for sure in pairs), sum(min(sure, MOST_SURE) for sure in pairs)
+    """Return how many pairs are decided, whichever is true; then how surely the mean one is."""
+    pairs: dict[frozenset[str], float] = {}
+    for s in separations:
+        key = frozenset({s.true, s.refuted})
+        pairs[key] = min(s.sureness, pairs.get(key, np.inf))
+    sures = pairs.values()
+    return sum(sure > 1.0 for sure in sures), sum(min(sure, MOST_SURE) for sure in sures)
 
 
 def choose_repeated_part(

@@ -70,9 +70,25 @@ def list_explanations(found: EvidenceVerdict, nominal: PlantSettings) -> tuple[E
 
 
 def _fit_rivals(search: NameSearch, m: WeighedModel, finding: Finding) -> Iterator[WeighedModel]:
-    """Yield the model with a finding exchanged for each of what is not beaten, fitted."""
-    without = search.drop(m, finding.name)
-    for rival in finding.rivals[:MOST_RIVALS]:
-        score = next(iter(search.score(without, [rival.name])), None)
-        if score is not None:
-            yield from search.refit(without, [score], 1)[:1]
+    """Yield the model with a finding exchanged for each of what is not beaten, names first."""
+    for rival in sorted(finding.rivals, key=lambda r: r.is_term)[:MOST_RIVALS]:
+        fitted = exchange_name(search, m, finding.name, rival.name)
+        if fitted is not None:
+            yield fitted
+
+
+def exchange_name(search: NameSearch, m: WeighedModel, gone: str, new: str) -> WeighedModel | None:
+    """Return a model with one name instead of another, fitted; None where the new does nothing.
+
+    An empty name stands for none. The floor is that of the model without either.
+    """
+    without = search.drop(m, gone) if gone else m
+    if not new:
+        return without
+    score, weigher = next(iter(search.score(without, [new])), None), search.weigher
+    if score is None:
+        return None
+    floor2 = weigher.floor2
+    fitted = weigher.settle(search.refit(without, [score], 1)[0])
+    weigher.floor2 = floor2
+    return weigher.leave_out(fitted)

@@ -10,10 +10,10 @@ import numpy as np
 from pydantic import ValidationError
 
 from pamctl.control.excitation import ForecastSettings
-from pamctl.diagnose.deciding.explanations import name_explanation
+from pamctl.diagnose.deciding.explanations import exchange_name, name_explanation
 from pamctl.diagnose.deciding.separation import BLOCKS
 from pamctl.diagnose.evidence.constants import COARSE_STEP_S
-from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
+from pamctl.diagnose.evidence.fit import WeighedModel
 from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.run_pieces import Runs
 from pamctl.diagnose.evidence.weigh import EvidenceVerdict
@@ -94,16 +94,12 @@ def _fit_again(found: EvidenceVerdict, explanation: str) -> WeighedModel | None:
     if len(gone) > 1 or len(new) > 1 or not new <= {*found.pool}:
         return None
     search = NameSearch(found.weigher, found.pool)
-    m = search.drop(found.model, gone.pop()) if gone else found.model
-    if not new:
-        return m
-    score = next(iter(search.score(m, [*new])), None)
-    return None if score is None else search.refit(m, [score], 1)[0]
+    return exchange_name(search, found.model, "".join(gone), "".join(new))
 
 
 def _measure(found: EvidenceVerdict, m: WeighedModel, block: str, record: Record) -> float | None:
     """Return the RMS that a model leaves of one record, over the sensor's noise."""
-    weigher: Weigher = found.weigher
+    weigher = found.weigher
     channel = next((c for c, name in BLOCKS.items() if name == block), "")
     if channel not in weigher.train.channels:
         return None

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,16 +24,11 @@ SPARE_SHARE = 0.03
 """A program keeps this share of what a limit allows to itself: a model is not the rig."""
 
 
-class PlantRun(Protocol):
-    """What a plant did: absolute pressure and position of each sample."""
+class ProgramRun(NamedTuple):
+    """What a plant would do under a program, without the faults of the measuring chain."""
 
-    @property
-    def pressure_pa(self) -> Array:
-        """Absolute pressure (Pa), shape (n,)."""
-
-    @property
-    def position_m(self) -> Array:
-        """Position (m), shape (n,)."""
+    pressure_pa: Array
+    position_m: Array
 
 
 DATA_SHEETS = calibration(CalibrationSettings())
@@ -57,7 +52,7 @@ class RigLimits:
     spare_share: float = SPARE_SHARE
     source: str = "the rig's limits"
 
-    def allows(self, run: PlantRun) -> bool:
+    def allows(self, run: ProgramRun) -> bool:
         """Tell whether a run's highest pressure and its stroke stay inside, quickly."""
         spare_pa = self.spare_share * (self.pressure_pa - self.calibration.atmospheric_pressure_pa)
         spare_m = self.spare_share * (self.high_m - self.low_m)
@@ -69,7 +64,7 @@ class RigLimits:
             and run.position_m.min() >= min(self.low_m + spare_m, 0.0)
         )
 
-    def admits(self, commands_v: Array, run: PlantRun, period_s: float) -> bool:
+    def admits(self, commands_v: Array, run: ProgramRun, period_s: float) -> bool:
         """Tell whether the rig's safety, tick by tick, would let a whole run pass."""
         if self.safety is None:
             return True

@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, permutations
-from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -20,6 +19,7 @@ from scipy.ndimage import uniform_filter1d
 from pamctl.control.excitation import ProgramSettings
 from pamctl.diagnose.deciding.drawn_programs import sample_commands
 from pamctl.diagnose.deciding.explanations import Explanation
+from pamctl.diagnose.deciding.rig_limits import ProgramRun
 from pamctl.diagnose.evidence.constants import COARSE_STEP_S, NAME_NATS, NU, NUGGET
 from pamctl.diagnose.evidence.fit import STEP, WeighedModel, Weigher, bound_gain
 from pamctl.diagnose.evidence.likelihood import to_haar
@@ -37,13 +37,6 @@ SLOW_S = 0.1
 """Differences that last longer are what a refit of gains and rates takes away."""
 
 
-class ProgramRun(NamedTuple):
-    """What a plant would do under a program, without the faults of the measuring chain."""
-
-    pressure_pa: Array
-    position_m: Array
-
-
 @dataclass(frozen=True)
 class Separation:
     """What one explanation leaves of a run where another is true."""
@@ -59,11 +52,6 @@ class Separation:
     is_forecast: bool = True
     """False where the figure may be off by more than a factor of 2: the refit goes far, or what
     is refitted is a curve."""
-
-    @property
-    def is_decided(self) -> bool:
-        """Whether the wrong one would be refuted."""
-        return self.sureness > 1.0
 
 
 class ProgramTrial:
@@ -246,12 +234,3 @@ def _make_runs(commands_v: Array, period_s: float, weigher: Weigher) -> Runs:
 
 def _rms(rows: Array) -> Array:
     return np.asarray(np.sqrt((rows**2).mean(axis=1)))
-
-
-def find_pairs(separations: Sequence[Separation]) -> dict[frozenset[str], float]:
-    """Return by pair how surely the wrong one would be refuted, whichever is the true one."""
-    pairs: dict[frozenset[str], float] = {}
-    for s in separations:
-        key = frozenset({s.true, s.refuted})
-        pairs[key] = min(s.sureness, pairs.get(key, np.inf))
-    return pairs

@@ -26,6 +26,7 @@ from pamctl.diagnose.evidence.run_pieces import Recording, Runs, find_step
 from pamctl.diagnose.plant_numbers import FittedNumber
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings, values_of
+from pamctl.plant.terms.locations import LOCATIONS, SUFFIX
 
 Array = NDArray[np.float64]
 
@@ -208,10 +209,11 @@ def list_pool(runs: Runs, values: Mapping[str, float], plant: PlantSettings) -> 
     machine = scales_of(runs, plant)
     reach = find_reach(runs)
     acting = {name.split(".")[0] for name in values if "." in name}
+    taken = {LOCATIONS[t.removesuffix(SUFFIX)].part for t in acting if t.endswith(SUFFIX)}
     pool = [
         *(h for h in list_effects(plant.actuator, machine) if h.family not in acting),
         *list_of_chain(runs.channels, values, runs.period_s, plant.actuator),
-        *list_terms(plant.actuator, reach, machine),
+        *(h for h in list_terms(plant.actuator, reach, machine) if h.part not in taken),
     ]
     if plant.actuator == "direct":
         seen = {"friction", "pull"} | ({"encoder"} if not runs.imposed else set())

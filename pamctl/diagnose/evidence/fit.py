@@ -265,13 +265,13 @@ class Weigher:
 
     def find_imprint(self, a: WeighedModel, b: WeighedModel) -> Array:
         """Return the robust RMS that b takes off a in each channel, over the sensor's noise."""
-        off = self.find_left2(a) - self.find_left2(b)
-        return np.sqrt(np.maximum(off, 0.0))
+        off = self.find_robust2(a) - self.find_robust2(b)
+        return np.sqrt(np.maximum(off, 0.0) / self.find_noise2(b))
 
-    def find_left2(self, m: WeighedModel) -> Array:
-        """Return the robust mean square of each channel, over the sensor's noise."""
-        robust2 = (self.like.counts * m.cost.scales2).sum(axis=1) / self.like.counts.sum(axis=1)
-        return np.asarray(robust2 / self.find_noise2(m))
+    def find_robust2(self, m: WeighedModel) -> Array:
+        """Return the robust mean square of each channel's residual, SI."""
+        scales2 = self.like.find_scales2(m.d, self.like.least2)
+        return np.asarray((self.like.counts * scales2).sum(axis=1) / self.like.counts.sum(axis=1))
 
     def find_noise2(self, m: WeighedModel) -> Array:
         """Return the squared noise of each sensor: the finest level, never below its step."""

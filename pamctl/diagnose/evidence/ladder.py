@@ -169,7 +169,7 @@ def takes_enough(search: NameSearch, without: WeighedModel, m: WeighedModel) -> 
     """Tell whether what a name takes off some channel is not small beside what stays there."""
     weigher = search.weigher
     taken = weigher.find_imprint(without, m)
-    left2 = weigher.find_left2(m) - 1.0
+    left2 = weigher.find_robust2(m) / weigher.find_noise2(m) - 1.0
     there = int(taken.argmax())
     return bool(taken[there] > LEFT_SHARE * max(float(left2[there]), 0.0) ** 0.5)
 

@@ -8,6 +8,7 @@ print(sentence(diagnosis))
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
@@ -38,6 +39,7 @@ def diagnose(
     without: Collection[str] = (),
     accept: Mapping[str, str] | None = None,
     noise: Mapping[str, float] | None = None,
+    jobs: int | None = None,
     progress: Progress = lambda line: None,
 ) -> Diagnosis:
     """Say what the plant's model lacks to explain these runs.
@@ -45,8 +47,9 @@ def diagnose(
     The model is fitted to `train`, with each block left out in turn; `holdout` judges it too.
     `without` leaves effects out of the pool. `accept` holds the user's reasons to overrule rules
     of `quality_rules.RULES`, by rule. `noise` states the sensors' standard deviations in SI by
-    channel, before what the plant file or the records state. Data that cannot be diagnosed give
-    the verdict `bad_data`.
+    channel, before what the plant file or the records state. `jobs` records are simulated side by
+    side [default: as many as there are cores]. Data that cannot be diagnosed give the verdict
+    `bad_data`.
     """
     stated = {**(plant.noise.stated if plant.noise else {}), **(noise or {})}
     train, holdout, faults = _mend_records(train, holdout, plant, stated)
@@ -61,7 +64,11 @@ def diagnose(
             if channel != "valve_v"
         }
         accepted += check_sensors(records, noises, plant, accept)
-        found = weigh_evidence(train, holdout, plant, without=[*without], tell=progress)
+        stated = {c: n.deviation for c, n in noises.items() if n.source == "stated"}
+        cores = jobs or len(os.sched_getaffinity(0))
+        found = weigh_evidence(
+            train, holdout, plant, without=[*without], noise=stated, jobs=cores, tell=progress
+        )
     except (BadData, ValueError) as error:
         given = tuple(records)
         return Diagnosis(Verdict.BAD_DATA, plant, plant, str(error), train=given)

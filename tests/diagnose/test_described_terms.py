@@ -6,6 +6,8 @@ from functools import cache
 
 import pytest
 from hidden.excitations import multisine, null_staircase, square
+from hidden.hostile.situations import all_cases
+from hidden.hostile.trial import records_of as hostile_records
 from hidden.rig import hidden_rig
 from hidden.uncatalogued import UNCATALOGUED
 from support.made_records import names_of, numbers_of, to_records
@@ -91,6 +93,14 @@ def test_a_load_that_is_hung_on_is_a_force_over_time() -> None:
     assert (term["location"], term["driver"]) == ("force", "time")
     before, *_, after = (point["value"] for point in term["curve"])
     assert after - before == pytest.approx(-1.7, rel=0.1)
+
+
+@pytest.mark.parametrize("key", ["valve_gain_within/small/random", "leak_from_half/small/random"])
+def test_a_number_that_changes_within_a_record_is_said_as_a_change_over_time(key: str) -> None:
+    (case,) = (one for one in all_cases() if one.id == key)
+    first, *_ = diagnose(*to_records(hostile_records(case)), PlantSettings()).findings
+    assert first.level in ("name", "kind")
+    assert first.hypothesis.kind in ("over time", "onset")
 
 
 def test_nothing_is_found_in_noise() -> None:

@@ -18,8 +18,6 @@ from diagnose.test_tank import CRITICAL, diagnose_tank
 from hidden.examination.cases import Case
 from hidden.examination.examine import records_of, rig_of, start_plant
 from hidden.excitations import brief
-from hidden.hostile.situations import all_cases
-from hidden.hostile.trial import records_of as hostile_records
 from hidden.rig import hidden_rig
 from hidden.sensors import ENCODER_STEP_M
 from support.made_records import all_but, measured, names_of, numbers_of, pair, to_records
@@ -176,17 +174,6 @@ def test_commands_that_were_read_back_late_are_said() -> None:
     found = diagnose_spoiled(hidden_rig({}, seed=8), read_back)
     assert [(f.kind, f.number) for f in list_faults(found)] == [("skew", "valve_v")]
     assert list_faults(found)[0].value == pytest.approx(1e-3, abs=1e-4)
-
-
-@wrong("not asked yet")
-@pytest.mark.parametrize("key", ["valve_gain_within/small/random", "leak_from_half/small/random"])
-def test_a_number_that_changes_within_a_record_is_said_as_a_change_over_time(key: str) -> None:
-    (case,) = (one for one in all_cases() if one.id == key)
-    found = diagnose(*to_records(hostile_records(case)), PAPER)
-    assert found.findings[0].level in ("name", "kind")
-    assert (
-        "time" in found.findings[0].hypothesis.kind or found.findings[0].hypothesis.kind == "onset"
-    )
 
 
 @wrong("the audit calls it seen")

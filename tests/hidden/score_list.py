@@ -144,7 +144,14 @@ def _nulls(seed: int) -> Iterator[ScoredCase]:
 
 def _misread(kind: str, seed: int) -> ScoredCase:
     case = NullCase(kind, seed)
-    return ScoredCase(f"misread/{case.key}", "null", partial(_with_paper, case.records), list)
+    return ScoredCase(f"misread/{case.key}", "null", partial(_with_paper, case.records),
+                      partial(_misreadings, kind))  # fmt: skip
+
+
+def _misreadings(kind: str) -> list[Cause]:
+    """Of a sensor whose zero wanders, that it is said of the sensor is true, and not asked."""
+    there = frozenset({("pressure_sensor", "time"), ("pressure_sensor", "curve")})
+    return [Cause("wander", there, "none")] if NULLS[kind].wander_pa else []
 
 
 def _with_paper(record: Callable[[], Handed]) -> Made:

@@ -55,6 +55,10 @@ FREER_SHARE = 0.15
 """A freer term of the same place can mimic a name; it speaks against it only if it gains so much
 more. Half: true names of another form turn into kinds."""
 
+FIRST_SHARE = 0.3
+"""A name is taken before a freer term of its place that gains so much more: the rest is often what
+is not in the model yet, and an exchange may put the term back. Half: laws stand for names."""
+
 SEEN_SHARE = 0.05
 """Of the robust mean square of some channel that a name takes off: less no reader can see."""
 

@@ -89,12 +89,21 @@ class WeighedModel:
 class Weigher:
     """The records and their likelihood: it fits models, and weighs one against another."""
 
-    def __init__(self, train: Runs, held_out: Runs | None, base: Mapping[str, float]) -> None:
-        """Lay out the likelihoods; `base` holds the numbers of the plant that stay."""
+    def __init__(
+        self,
+        train: Runs,
+        held_out: Runs | None,
+        base: Mapping[str, float],
+        noise: Mapping[str, float] | None = None,
+    ) -> None:
+        """Lay out the likelihoods; `base` holds the numbers of the plant that stay.
+
+        `noise` states standard deviations of sensors, SI, by channel: no scale is below them.
+        """
         self.train, self.held_out, self.base = train, held_out, base
-        least2 = np.array(
-            [find_step(c) ** 2 / 12.0 for c in train.shown.reshape(len(train.shown), -1)]
-        )
+        steps = map(find_step, train.shown.reshape(len(train.shown), -1))
+        stated = ((noise or {}).get(channel, 0.0) for channel in train.channels)
+        least2 = np.array([max(q**2 / 12.0, s**2) for q, s in zip(steps, stated, strict=True)])
         level = levels_of(train.block)
         self.like = Likelihood(train.find_kept(level), least2)
         self.like_held = None
@@ -255,9 +264,14 @@ class Weigher:
         self.leave_out(better)
 
     def find_imprint(self, a: WeighedModel, b: WeighedModel) -> Array:
-        """Return the RMS that b takes off a in each channel, over the sensor's noise."""
-        off = self.like.mean_squares(a.d) - self.like.mean_squares(b.d)
-        return np.sqrt(np.maximum(off, 0.0) / self.find_noise2(b))
+        """Return the robust RMS that b takes off a in each channel, over the sensor's noise."""
+        off = self.find_left2(a) - self.find_left2(b)
+        return np.sqrt(np.maximum(off, 0.0))
+
+    def find_left2(self, m: WeighedModel) -> Array:
+        """Return the robust mean square of each channel, over the sensor's noise."""
+        robust2 = (self.like.counts * m.cost.scales2).sum(axis=1) / self.like.counts.sum(axis=1)
+        return np.asarray(robust2 / self.find_noise2(m))
 
     def find_noise2(self, m: WeighedModel) -> Array:
         """Return the squared noise of each sensor: the finest level, never below its step."""
@@ -268,8 +282,8 @@ class Weigher:
 
     def find_seen(self, a: WeighedModel, b: WeighedModel) -> Array:
         """Return the share of each channel's robust mean square that b takes off a."""
-        each = [(self.like.counts * m.cost.scales2).sum(axis=1) for m in (a, b)]
-        return np.asarray(1.0 - each[1] / each[0])
+        left2 = [(self.like.counts * m.cost.scales2).sum(axis=1) for m in (a, b)]
+        return np.asarray(1.0 - left2[1] / left2[0])
 
     def may_be_seen(self, a: WeighedModel, b: WeighedModel) -> bool:
         """Tell whether a rough fit of b takes off a half of what a reader sees."""
@@ -288,9 +302,10 @@ class Weigher:
             return False
         if gain[self.like.n_blocks :].sum() < 0.0:  # the records that are held out
             return False
-        bounds = find_intervals(b)
-        if all(bounds[u.name][0] <= (u.neutral or 0.0) <= bounds[u.name][1] for u in variant.sizes):
-            return False
+        if len(variant.sizes) == 1:
+            low, high = find_intervals(b)[variant.sizes[0].name]
+            if low <= (variant.sizes[0].neutral or 0.0) <= high:
+                return False
         seen = self.find_seen(a, b).max() > SEEN_SHARE
         return bool(seen or self.find_imprint(a, b).max() > 1.0)
 

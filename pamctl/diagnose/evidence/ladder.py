@@ -97,7 +97,10 @@ def _find_level(search: NameSearch, m: WeighedModel, name: str, whole: float) ->
     rivals = search.refit(without, scored, len(scored), float(own.sum())) if scored else []
     weigher.meet(without, m)
     says_place = says_kind = True
-    says_name = not mine.is_term
+    # Where a law without a name is missing too, what is a name there may be a part of it.
+    says_name = not mine.is_term and not any(
+        pool[n].laws & mine.laws for n in m.names if pool[n].is_term
+    )
     near, judged = [], list[JudgedRival]()
     for rival in rivals:
         weigher.leave_out(rival)
@@ -166,7 +169,7 @@ def takes_enough(search: NameSearch, without: WeighedModel, m: WeighedModel) -> 
     """Tell whether what a name takes off some channel is not small beside what stays there."""
     weigher = search.weigher
     taken = weigher.find_imprint(without, m)
-    left2 = weigher.like.mean_squares(m.d) / weigher.find_noise2(m) - 1.0
+    left2 = weigher.find_left2(m) - 1.0
     there = int(taken.argmax())
     return bool(taken[there] > LEFT_SHARE * max(float(left2[there]), 0.0) ** 0.5)
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from pamctl.diagnose.evidence.constants import (
     EXCHANGE_SHARE,
-    FREER_SHARE,
+    FIRST_SHARE,
     KEPT,
     MOST_NAMES,
     NAME_NATS,
@@ -152,7 +152,7 @@ class NameSearch:
             if not self.pool[e.names[-1]].may_be(self.pool[first.names[-1]]):
                 continue
             self.weigher.polish(e)
-            if m.total - e.total > (1.0 - FREER_SHARE) * (m.total - first.total):
+            if m.total - e.total > (1.0 - FIRST_SHARE) * (m.total - first.total):
                 fits.remove(e)
                 fits.insert(0, e)
                 return

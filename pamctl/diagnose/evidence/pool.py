@@ -91,6 +91,13 @@ class Hypothesis:
     scan: str = ""
     """Of a wave: the driver over which it repeats; its period is looked for first."""
 
+    @property
+    def laws(self) -> frozenset[tuple[str, str]]:
+        """The location and the driver of the terms without a memory that it is, or is akin to."""
+        terms = (self.name,) if self.is_term else self.akin
+        split = (term.rstrip(")").replace("(", "~").split("~") for term in terms)
+        return frozenset((at, by) for at, operator, by in split if by and operator not in _KINDS)
+
     def may_be(self, term: Hypothesis) -> bool:
         """Tell whether this is a name of what a free term describes."""
         return not self.is_term and (self.place == term.place or term.name in self.akin)
@@ -224,7 +231,7 @@ def place_of(location: str) -> str:
     return "friction" if "friction" in location or location == "damping" else "pull"
 
 
-_KINDS = {"lag": "lag", "slew": "lag", "play": "memory", "hysteresis": "memory", "wave": "wave"}
+_KINDS = {"lag": "lag", "slew": "lag", "play": "memory", "hysteresis": "memory"}
 
 
 def _find_kind(effect: EffectDescription) -> str:
@@ -287,6 +294,8 @@ CURVES: Mapping[str, tuple[str, ...]] = {
     "encoder": ("position", "time"),
 }
 """Curves that differ from each other; all others are nearly one of these."""
+WAVES = ("force", "encoder")
+"""Locations where something may repeat over the position: magnets, teeth, a disc off its centre."""
 OTHERS: Sequence[tuple[str, str, str, tuple[float, ...]]] = (
     ("force", "hysteresis", "position", (5e-3, 3e-2)),
     ("force", "lag", "position", (0.3, 3.0)),
@@ -317,13 +326,15 @@ def list_terms(
         location = LOCATIONS[name]
         if actuator in location.actuators and driver in reach:
             yield _make_operator(location, operator, driver, inner, reach[driver], machine)
-    if "position" in reach and actuator != "chamber":
-        location = LOCATIONS["force"]
-        usual = _usual_size(location, machine)
-        yield _make_wave(
-            "force~wave(position)", "pull", location.term_name, location.part, "position", usual,
-            usual, f"{location.term_name}.inner", True, _hold(location, "wave", "position"),
-        )  # fmt: skip
+    for name in WAVES if "position" in reach else ():
+        location = LOCATIONS[name]
+        if actuator in location.actuators:
+            usual = _usual_size(location, machine)
+            yield _make_wave(
+                f"{name}~wave(position)", place_of(name), location.term_name, location.part,
+                "position", usual, usual, f"{location.term_name}.inner", True,
+                _hold(location, "wave", "position"),
+            )  # fmt: skip
 
 
 def _usual_size(location: Location, machine: Scales) -> float:

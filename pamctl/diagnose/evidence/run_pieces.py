@@ -8,7 +8,9 @@ force. What a hypothesis of the measuring chain does is done to the simulated re
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache, partial
 from itertools import pairwise
 from typing import Any, Protocol
 
@@ -116,12 +118,17 @@ class Runs:
     """Records of one rig, and what a plant would have shown in their place."""
 
     def __init__(
-        self, records: Sequence[Recording], plant: Mapping[str, float], like: Runs | None = None
+        self,
+        records: Sequence[Recording],
+        plant: Mapping[str, float],
+        like: Runs | None = None,
+        jobs: int = 1,
     ) -> None:
         """Cut records at gaps into blocks. Raise ValueError where nothing can be simulated.
 
-        Held-out records are simulated `like` those that are fitted.
+        Held-out records are simulated `like` those that are fitted, `jobs` records side by side.
         """
+        self.jobs = jobs
         self.actuator = ACTUATORS[round(plant.get(ACTUATOR, 0.0))]
         self.period_s = float(np.median([np.median(np.diff(r.t_s)) for r in records or ()]))
         motion = _judge_motion(records, self.actuator, self.period_s)
@@ -259,7 +266,8 @@ class Runs:
 
     def _drive(self, p: PlantParameters, step_s: float, command: Mapping[str, float]) -> Array:
         self.simulated_samples += sum(self.sizes)
-        parts = [self._drive_stretch(p, s, step_s, command) for s in self.stretches]
+        drive = partial(self._drive_stretch, p, step_s=step_s, command=command)
+        parts = [*_start_threads(self.jobs).map(drive, self.stretches)]
         return np.nan_to_num(self.pack(parts), nan=FAR, posinf=FAR, neginf=-FAR)
 
     def _drive_stretch(
@@ -329,6 +337,12 @@ class Runs:
             if channel == "pressure_pa" and f"{CHAIN}atmosphere" in chain:
                 row += self._atmosphere_pa - chain[f"{CHAIN}atmosphere"]
         return rows
+
+
+@cache
+def _start_threads(jobs: int) -> ThreadPoolExecutor:
+    """Return threads that drive records side by side: a kernel in C needs no interpreter."""
+    return ThreadPoolExecutor(jobs, "drive")
 
 
 def _choose_channels(records: Sequence[Recording], actuator: str, imposed: bool) -> tuple[str, ...]:

@@ -190,8 +190,10 @@ class _Beside:
             if "position_m" not in runs.channels:
                 return
             row = runs.channels.index("position_m")
-            keep = np.exp(-runs.period_s / FILTER_S)
-            pull = lfilter([1.0 - keep], [1.0, -keep], pull[row, ::-1])[None, ::-1]
+            pull = pull[row][None]
+            if hypothesis.place != "encoder":  # a force moves the mass first
+                keep = np.exp(-runs.period_s / FILTER_S)
+                pull = lfilter([1.0 - keep], [1.0, -keep], pull[:, ::-1])[:, ::-1]
             over = self.shown[row]
         else:
             tank = "tank_pressure_pa"

@@ -112,14 +112,18 @@ def weigh_evidence(
     plant: PlantSettings | None = None,
     *,
     without: Sequence[str] = (),
+    noise: Mapping[str, float] | None = None,
+    jobs: int = 1,
     tell: Callable[[str], None] = lambda _: None,
 ) -> EvidenceVerdict:
     """Find what is missing from a plant file. Raise ValueError where records lack an input.
 
-    Names in `without` are left out of the pool.
+    Names in `without` are left out of the pool. `noise` states standard deviations of sensors, SI,
+    by channel. `jobs` records are simulated side by side; the
+    result is the same for any number.
     """
     plant = plant or PlantSettings()
-    weigher, start = prepare_weigher(records, held_out, plant)
+    weigher, start = prepare_weigher(records, held_out, plant, noise, jobs)
     base = weigher.settle(replace(start), FIT_STEPS)
     tell("recalibrated")
     pool = {
@@ -134,21 +138,25 @@ def weigh_evidence(
         stage: _find_gap(weigher, each)
         for stage, each in (("nominal", start), ("recalibrated", base), ("extended", m))
     }
-    noise = np.sqrt(weigher.find_noise2(m))
-    noise_rms = dict(zip(weigher.train.channels, map(float, noise), strict=True))
+    left = np.sqrt(weigher.find_noise2(m))
+    noise_rms = dict(zip(weigher.train.channels, map(float, left), strict=True))
     return EvidenceVerdict(findings, start, base, m, weigher, pool, gap, noise_rms)
 
 
 def prepare_weigher(
-    records: Sequence[Recording], held_out: Sequence[Recording], plant: PlantSettings
+    records: Sequence[Recording],
+    held_out: Sequence[Recording],
+    plant: PlantSettings,
+    noise: Mapping[str, float] | None = None,
+    jobs: int = 1,
 ) -> tuple[Weigher, WeighedModel]:
     """Return the likelihood of these records, and the plant file's model with nothing fitted."""
     values = values_of(plant)
-    train = Runs(records, values)
-    away = Runs(held_out, values, train) if held_out else None
+    train = Runs(records, values, jobs=jobs)
+    away = Runs(held_out, values, train, jobs) if held_out else None
     numbers = list_calibrated(train, values, plant)
     start = WeighedModel((), numbers, {}, np.array([n.value for n in numbers]))
-    return Weigher(train, away, values), start
+    return Weigher(train, away, values, noise), start
 
 
 def _find_gap(weigher: Weigher, m: WeighedModel) -> dict[str, float]:

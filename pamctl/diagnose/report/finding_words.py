@@ -203,6 +203,7 @@ class FreeTerm:
     numbers: tuple[FittedNumber, ...]
     span: tuple[float, float]
     """Of a curve: where it begins and ends."""
+    actuator: str = "muscle"
 
     @classmethod
     def read(cls, diagnosis: Diagnosis, finding: Finding) -> FreeTerm:
@@ -216,6 +217,7 @@ class FreeTerm:
             LOCATIONS[finding.hypothesis.family.removesuffix(SUFFIX)],
             OPERATORS[round(values["operator"])], DRIVERS[round(values["driver"])],
             values, numbers, (values.get("low", 0.0), values.get("high", 1.0)),
+            diagnosis.nominal.actuator,
         )  # fmt: skip
 
     @property
@@ -234,6 +236,8 @@ class FreeTerm:
     def text(self) -> str:
         """The term as a noun: `a force that remembers the last reversal ..., +-1.5 N`."""
         place = self.location.words
+        if self.actuator == "chamber":
+            place = place.replace("muscle", "chamber")
         article = place if place.startswith("a ") else f"a change of {place}"
         return f"{article} {self._describe_memory()}, {self._describe_size()}"
 

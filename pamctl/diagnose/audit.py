@@ -39,11 +39,11 @@ from pamctl.plant.model import PlantSettings, plant_parameters, settings_of
 
 INERT = 1e-12
 """An effect with a smaller power changes nothing: it is no part of another actuator."""
+BLOCKS_OF = {"direct": ("mechanics", "sensors"), "chamber": ("pressure", "sensors")}
+"""The blocks that an actuator has; a muscle has all. What it lacks is no blind spot."""
 SINGULAR = 1e-9
 ROOM = 1e-6
 """Scales; a number at its range has a little room, or there would be no range."""
-_BLOCKS_OF = {"direct": ("mechanics", "sensors"), "chamber": ("pressure", "sensors")}
-"""The blocks that an actuator has; a muscle has all. What it lacks is no blind spot."""
 
 
 @dataclass(frozen=True)
@@ -170,12 +170,10 @@ def audit_model(weigher: Weigher, m: WeighedModel, *, pairs: bool = True) -> Aud
         for n, (h, _) in asked.items()
         if n not in sees and (plant.actuator == "muscle" or powers[n] > INERT)
     ]
-    blocks = _BLOCKS_OF.get(plant.actuator, ("pressure", "mechanics", "sensors"))
-    here = [n for n, e in CATALOGUE.items() if plant.actuator in e.actuators and e.block in blocks]
     blind += [
-        BlindSpot(n, "these records do not drive its block", CATALOGUE[n].best_experiment, None)
-        for n in here
-        if n not in asked and n not in has_already and not CATALOGUE[n].unidentifiable
+        BlindSpot(n, "these records do not drive its block", e.best_experiment, None)
+        for n, e in CATALOGUE.items()
+        if _is_part_of(n, plant) and n not in {*asked, *has_already} and not e.unidentifiable
     ]
     alike = []
     if pairs:
@@ -295,8 +293,14 @@ def _describe_blind_spot(
     return BlindSpot(effect.name, why, effect.best_experiment, (needed, unit), 1.0 / sqrt(power))
 
 
+def _is_part_of(name: str, plant: PlantSettings) -> bool:
+    effect = CATALOGUE[name]
+    there = BLOCKS_OF.get(plant.actuator, (effect.block,))
+    return plant.actuator in effect.actuators and effect.block in there
+
+
 def _explain_unasked(name: str, plant: PlantSettings, has_already: set[str]) -> str:
     """Say why an effect is neither among those that show nor among the blind spots."""
-    if plant.actuator not in CATALOGUE[name].actuators:
+    if not _is_part_of(name, plant):
         return f"it is no part of a plant with `actuator: {plant.actuator}`"
     return "the model has it already" if name in has_already else "it changes nothing here"

@@ -1,4 +1,4 @@
-"""Sensor noise: stated, or estimated from the rests or the spectrum; and drawn for the floor."""
+"""Sensor noise: stated, or estimated from the rests or the spectrum; and drawn for the monitor."""
 
 from __future__ import annotations
 

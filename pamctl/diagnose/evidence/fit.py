@@ -141,7 +141,7 @@ class Weigher:
 
     def refine(self, m: WeighedModel) -> None:
         """Simulate a model in fine steps; its residual is then the one that counts."""
-        fine, coarse = (self.find_residual(m.values, s) for s in (FINE_STEP_S, COARSE_STEP_S))
+        coarse, fine = (self.find_residual(m.values, s) for s in (COARSE_STEP_S, FINE_STEP_S))
         m.lag, m.d = coarse - fine, fine
 
     # --- fitting ---

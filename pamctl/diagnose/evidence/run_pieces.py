@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from dataclasses import dataclass
 from functools import cache, partial
 from itertools import pairwise
@@ -63,6 +64,8 @@ SPRING_SHARE = 0.2
 """Of the force's span that a spring takes which makes a mechanism forget."""
 INERTIA_SHOWS = 2.0
 """The mean square of the force without the acceleration, over that with it, if a mass shows."""
+HELD_OUT = (5, 11)
+"""Of twelve stretches of each record, those that are held out where no record is."""
 FAR = 1e4
 """What a simulation shows where the plant leaves the range of its model."""
 
@@ -145,6 +148,14 @@ class Runs:
         self._lay_out()
         self.simulated_samples = 0
         self._last: tuple[Any, Array] | None = None
+        self._whole = self
+
+    def part(self, counts: Mask) -> Runs:
+        """Return the same records, of which only these blocks count, shape (n_blocks,)."""
+        view = copy(self)
+        view._whole, view._counts = self, counts
+        view._note_hidden()
+        return view
 
     # --- what was measured ---
 
@@ -212,8 +223,14 @@ class Runs:
         masked = self.pack([s.masked.astype(float) for s in self.stretches], rest=1.0) > 0.5
         self.masked: Mask = masked
         self.when_s = self.pack([s.grids[COARSE_STEP_S].samples_s[None] for s in self.stretches])[0]
-        ends = np.cumsum([0, *sizes])
-        self._fills = [_find_neighbours(row.ravel(), ends) for row in masked]
+        self._counts = np.ones(self.n_blocks, dtype=bool)
+        self._note_hidden()
+
+    def _note_hidden(self) -> None:
+        """Note what does not count: samples that say nothing, and blocks of the other part."""
+        self.hidden: Mask = self.masked | ~self._counts[:, None]
+        ends = np.cumsum([0, *self.sizes])
+        self._fills = [_find_neighbours(row.ravel(), ends) for row in self.hidden]
 
     def pack(self, parts: Sequence[Array], rest: float | None = None) -> Array:
         """Return rows of all stretches as blocks, shape (rows, n_blocks, block)."""
@@ -237,7 +254,7 @@ class Runs:
 
     def find_kept(self, level: NDArray[np.int64]) -> Mask:
         """Return which Haar coefficients have at least half of their samples."""
-        seen = 1.0 - self.masked
+        seen = 1.0 - self.hidden
         parts, rest = [], seen
         for _ in range(int(level[-1])):
             rest = 0.5 * (rest[..., 0::2] + rest[..., 1::2])
@@ -254,12 +271,12 @@ class Runs:
             plain["atmospheric_pressure_pa"] = air_pa
         command = {k: v for k, v in chain.items() if k.endswith("valve_v")}
         key = (step_s, *sorted((plain | command).items()))
-        last = self._last
+        last = self._whole._last
         if last is not None and last[0] == key:
             rows = last[1].copy()
         else:
             rows = self._drive(parameters_of(plain), step_s, command)
-            self._last = (key, rows.copy())
+            self._whole._last = (key, rows.copy())
         if chain:
             rows = self._change_readings(rows, chain)
         return rows
@@ -343,6 +360,17 @@ class Runs:
 def _start_threads(jobs: int) -> ThreadPoolExecutor:
     """Return threads that drive records side by side: a kernel in C needs no interpreter."""
     return ThreadPoolExecutor(jobs, "drive")
+
+
+def hold_out(runs: Runs) -> tuple[Runs, Runs | None]:
+    """Return the part that is fitted, and two short stretches of each record that are not.
+
+    The latter is None where no record has as many blocks.
+    """
+    number = [12 * (b + 0.5) / n for n in np.array(runs.sizes) // runs.block for b in range(n)]
+    held = np.isin(np.floor(number), HELD_OUT)
+    shows = (~runs.masked[:, held]).any(axis=(1, 2)).all()
+    return (runs.part(~held), runs.part(held)) if shows else (runs, None)
 
 
 def _choose_channels(records: Sequence[Recording], actuator: str, imposed: bool) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from pamctl.diagnose.evidence.pool import (
     list_of_chain,
     list_terms,
 )
-from pamctl.diagnose.evidence.run_pieces import Recording, Runs, find_step
+from pamctl.diagnose.evidence.run_pieces import Recording, Runs, find_step, hold_out
 from pamctl.diagnose.plant_numbers import FittedNumber
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings, values_of
@@ -123,7 +123,7 @@ def weigh_evidence(
     result is the same for any number.
     """
     plant = plant or PlantSettings()
-    weigher, start = prepare_weigher(records, held_out, plant, noise, jobs)
+    weigher, start = prepare_weigher(records, held_out, plant, noise, jobs, holds_out=True)
     base = weigher.settle(replace(start), FIT_STEPS)
     tell("recalibrated")
     pool = {
@@ -149,11 +149,19 @@ def prepare_weigher(
     plant: PlantSettings,
     noise: Mapping[str, float] | None = None,
     jobs: int = 1,
+    *,
+    holds_out: bool = False,
 ) -> tuple[Weigher, WeighedModel]:
-    """Return the likelihood of these records, and the plant file's model with nothing fitted."""
+    """Return the likelihood of these records, and the plant file's model with nothing fitted.
+
+    With `holds_out`, and without records in `held_out`, two stretches of each record are held out.
+    """
     values = values_of(plant)
-    train = Runs(records, values, jobs=jobs)
-    away = Runs(held_out, values, train, jobs) if held_out else None
+    train, away = Runs(records, values, jobs=jobs), None
+    if held_out:
+        away = Runs(held_out, values, train, jobs)
+    elif holds_out:
+        train, away = hold_out(train)
     numbers = list_calibrated(train, values, plant)
     start = WeighedModel((), numbers, {}, np.array([n.value for n in numbers]))
     return Weigher(train, away, values, noise), start
@@ -162,8 +170,7 @@ def prepare_weigher(
 def _find_gap(weigher: Weigher, m: WeighedModel) -> dict[str, float]:
     runs = weigher.held_out or weigher.train
     off = runs.shown - runs.simulate({**weigher.base, **m.values}, min(runs.steps_s))
-    off = runs.fill_masked(off)
-    rms = np.sqrt((off**2).mean(axis=(1, 2)))
+    rms = [np.sqrt(np.mean(o[~gone] ** 2)) for o, gone in zip(off, runs.hidden, strict=True)]
     return dict(zip(runs.channels, map(float, rms), strict=True))
 
 

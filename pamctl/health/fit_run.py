@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from pamctl.diagnose.evidence.fit import find_intervals
 from pamctl.diagnose.evidence.ladder import fit_number
 from pamctl.diagnose.evidence.pool import CHAIN
 from pamctl.diagnose.evidence.weigh import prepare_weigher
@@ -82,7 +81,7 @@ def fit_record(record: Record, plant: PlantSettings) -> FittedRun:
     }
     numbers = {
         name: _widen_by_misfit(fit_number(name, m.values[name], ends), max(ratios.values()))
-        for name, ends in find_intervals(m).items()
+        for name, ends in weigher.find_intervals(m).items()
         if not name.startswith(CHAIN)
     }
     for short, ratio in ratios.items():

@@ -263,6 +263,33 @@ class Weigher:
         self.leave_out(poorer)
         self.leave_out(better)
 
+    def find_intervals(self, m: WeighedModel) -> dict[str, tuple[float, float]]:
+        """Return a 90 % interval of each number, by the scores of the blocks (a sandwich).
+
+        Neighbouring blocks are summed, STRETCH at a time: their scores are not independent. The
+        error of a sensor's step stays the same while a signal rests: each block may be off by it.
+        """
+        assert m.tangent is not None
+        count, (_, n_blocks, _) = len(m.x), m.d.shape
+        flat = m.tangent.reshape(count, -1)
+        weighed = flat * m.cost.weights.ravel()
+        hessian = weighed @ flat.T
+        inverse = np.linalg.pinv(hessian, hermitian=True)
+        by_block = (weighed * m.d.ravel()).reshape(count, len(m.d), n_blocks, -1).sum(axis=(1, 3))
+        pieces = np.add.reduceat(by_block, np.arange(0, n_blocks, STRETCH), axis=1)
+        by_mean = (
+            weighed.reshape(count, *m.d.shape)[..., -1]
+            * np.sqrt(m.d.shape[-1] * self.like.least2)[:, None]
+        )
+        by_mean = by_mean.reshape(count, -1)
+        middle = pieces @ pieces.T + by_mean @ by_mean.T
+        variance = np.maximum(np.diag(inverse @ middle @ inverse), np.diag(inverse) * 0.1)
+        off = 1.645 * np.sqrt(np.maximum(variance, 0.0)) * [n.scale for n in m.numbers]
+        return {
+            n.name: (float(v - w), float(v + w))
+            for n, v, w in zip(m.numbers, m.x, off, strict=True)
+        }
+
     def find_imprint(self, a: WeighedModel, b: WeighedModel) -> Array:
         """Return the robust RMS that b takes off a in each channel, over the sensor's noise."""
         off = self.find_robust2(a) - self.find_robust2(b)
@@ -303,7 +330,7 @@ class Weigher:
         if gain[self.like.n_blocks :].sum() < 0.0:  # the records that are held out
             return False
         if len(variant.sizes) == 1:
-            low, high = find_intervals(b)[variant.sizes[0].name]
+            low, high = self.find_intervals(b)[variant.sizes[0].name]
             if low <= (variant.sizes[0].neutral or 0.0) <= high:
                 return False
         seen = self.find_seen(a, b).max() > SEEN_SHARE
@@ -333,26 +360,6 @@ def find_optimism(tangent: Array, weights: Array, d: Array) -> Array:
     hessian += 1e-9 * np.diag(np.diag(hessian)) + 1e-12 * max(hessian.max(), 1e-30) * np.eye(count)
     by_block = (weighed * d.ravel()).reshape(count, len(d), n_blocks, -1).sum(axis=(1, 3))
     return np.asarray(np.einsum("ib,ij,jb->b", by_block, np.linalg.inv(hessian), by_block))
-
-
-def find_intervals(m: WeighedModel) -> dict[str, tuple[float, float]]:
-    """Return a 90 % interval of each number: the blocks' scores between two inverse Hessians.
-
-    Neighbouring blocks are summed, STRETCH at a time: their scores are not independent.
-    """
-    assert m.tangent is not None
-    count, (_, n_blocks, _) = len(m.x), m.d.shape
-    flat = m.tangent.reshape(count, -1)
-    weighed = flat * m.cost.weights.ravel()
-    hessian = weighed @ flat.T
-    inverse = np.linalg.pinv(hessian, hermitian=True)
-    by_block = (weighed * m.d.ravel()).reshape(count, len(m.d), n_blocks, -1).sum(axis=(1, 3))
-    pieces = np.add.reduceat(by_block, np.arange(0, n_blocks, STRETCH), axis=1)
-    variance = np.maximum(np.diag(inverse @ (pieces @ pieces.T) @ inverse), np.diag(inverse) * 0.1)
-    off = 1.645 * np.sqrt(np.maximum(variance, 0.0)) * [n.scale for n in m.numbers]
-    return {
-        n.name: (float(v - w), float(v + w)) for n, v, w in zip(m.numbers, m.x, off, strict=True)
-    }
 
 
 def bound_gain(gain: Array, quantiles: Sequence[float] | Array = (SURE, 0.5, 1.0 - SURE)) -> Array:

@@ -19,7 +19,7 @@ from pamctl.diagnose.evidence.constants import (
     RIVAL_SHARE,
     SURE,
 )
-from pamctl.diagnose.evidence.fit import Array, WeighedModel, bound_gain, find_intervals
+from pamctl.diagnose.evidence.fit import Array, WeighedModel, Weigher, bound_gain
 from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.pool import CHAIN, Hypothesis
 from pamctl.diagnose.evidence.scores import EvidenceScore
@@ -139,7 +139,7 @@ def _find_level(search: NameSearch, m: WeighedModel, name: str, whole: float) ->
     return Finding(
         mine, says_place, says_kind,
         says_name and not at_range and enough, float(own.sum()), (float(low), float(high)),
-        float(own.sum()) / whole, _list_numbers(m, name),
+        float(own.sum()) / whole, _list_numbers(weigher, m, name),
         at_range, is_rest, nearest, tuple(sorted(judged, key=lambda j: j.behind_nats)),
     )  # fmt: skip
 
@@ -153,8 +153,8 @@ def _judge_rival(
     return JudgedRival(hypothesis, float(lead.sum()), interval, loses, beaten, is_freer)
 
 
-def _list_numbers(m: WeighedModel, name: str) -> tuple[FittedNumber, ...]:
-    intervals = find_intervals(m)
+def _list_numbers(weigher: Weigher, m: WeighedModel, name: str) -> tuple[FittedNumber, ...]:
+    intervals = weigher.find_intervals(m)
     return tuple(
         fit_number(u.name, m.values[u.name], intervals[u.name]) for u in m.picked[name].free
     )

@@ -24,6 +24,10 @@ POLISHED = 4
 Tell = Callable[[str], None]
 
 
+def _gain_of(fitted: tuple[float, WeighedModel]) -> float:
+    return fitted[0]
+
+
 class NameSearch:
     """The search over a pool, from a recalibrated model."""
 
@@ -119,7 +123,12 @@ class NameSearch:
         for score in self.choose(scored, many):
             e = weigher.fit(extend_model(weigher, m, score), ROUGH_STEPS, is_rough=True)
             rough.append((before - float(e.cost.by_block.sum()), e))
-        rough.sort(key=lambda r: -r[0])
+        best = max(gain for gain, _ in rough)
+        for k, score in enumerate(self.choose(scored, many)):
+            if rough[k][0] < best < score.gain:  # it promised more: the dose's tangent misled it
+                e = weigher.fit(extend_model(weigher, m, score), ROUGH_STEPS)
+                rough[k] = max(rough[k], (before - float(e.cost.by_block.sum()), e), key=_gain_of)
+        rough.sort(key=_gain_of, reverse=True)
         least, fits = 0.5 * max(least, rough[0][0]), list[WeighedModel]()
         for gain, e in rough:
             worth = len(fits) < POLISHED and gain > least and weigher.may_be_seen(m, e)

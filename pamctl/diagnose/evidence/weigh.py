@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.diagnose.evidence.constants import FIT_STEPS
-from pamctl.diagnose.evidence.fit import WeighedModel, Weigher, find_intervals
+from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
 from pamctl.diagnose.evidence.ladder import Finding, climb_ladder, fit_number
 from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.pool import (
@@ -78,7 +78,7 @@ class EvidenceVerdict:
     def recalibrated(self) -> tuple[FittedNumber, ...]:
         """The start model's own numbers, as the extended model has them."""
         own = {n.name for n in self.base.numbers if not n.name.startswith(CHAIN)}
-        intervals = find_intervals(self.model)
+        intervals = self.weigher.find_intervals(self.model)
         return tuple(
             fit_number(n.name, float(v), intervals[n.name])
             for n, v in zip(self.model.numbers, self.model.x, strict=True)

@@ -32,11 +32,16 @@ class TickColumns:
     Each column is one piece of memory that grows in place: an hour's ticks are never held twice.
     """
 
-    def __init__(self, none: Page) -> None:
-        """`none` has the columns without ticks, each of its type."""
-        times = np.empty(0, np.uint64)
-        self._columns = {WALL_TIME: times, **{name: c.copy() for name, c in none.items()}}
-        self._count = self._room = 0
+    def __init__(self, none: Page, room: int = 0) -> None:
+        """`none` has the columns without ticks, each of its type; `room` is for so many ticks."""
+        kinds = {WALL_TIME: np.dtype(np.uint64), **{name: c.dtype for name, c in none.items()}}
+        self._columns = {name: np.empty(room, kind) for name, kind in kinds.items()}
+        self._count, self._room = 0, room
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes in memory."""
+        return sum(column.nbytes for column in self._columns.values())
 
     def take(self, batch: TickBatch) -> None:
         """Add a batch."""
@@ -52,6 +57,8 @@ class TickColumns:
         return self._columns
 
     def _resize(self, ticks: int) -> None:
+        if ticks == self._room:
+            return
         self._room = ticks
         for column in self._columns.values():
             column.resize(ticks, refcheck=False)
@@ -132,9 +139,11 @@ class Pages(Mapping[str, Any]):
         none: Page,
         places: Sequence[tuple[int, int]],
         grid: GridRows,
-        decode: Callable[[Sequence[int]], Page],
+        decode: Callable[[Sequence[int], int], Page],
     ) -> None:
-        """`places` has the first row and the place of each chunk; `decode` reads such chunks.
+        """`places` has the first row and the place of each chunk.
+
+        `decode` reads such chunks with so many rows.
 
         `none` has the columns without ticks, each of its type.
         """
@@ -172,12 +181,12 @@ class Pages(Mapping[str, Any]):
             number = bisect_right(self._rows, begin) - 1
             first = self._rows[number]
             last = self._rows[number + 1] if number + 1 < len(self._rows) else self.grid.count
-            yield self._read(number), slice(begin - first, min(end, last) - first)
+            yield self._read(number, last - first), slice(begin - first, min(end, last) - first)
             begin = last
 
-    def _read(self, number: int) -> Page:
+    def _read(self, number: int, rows: int) -> Page:
         if number not in self._kept:
-            self._kept[number] = self._decode(self._chunks[number])
+            self._kept[number] = self._decode(self._chunks[number], rows)
         self._kept.move_to_end(number)
         if len(self._kept) > _KEPT_PAGES:
             self._kept.popitem(last=False)

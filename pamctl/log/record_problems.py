@@ -4,6 +4,8 @@
     missing, infinite, empty, constant       of any column; empty: not one number in it
     duplicated                               a time, or a whole column, that is there twice
     backwards, reversed, gap, jitter, short  of the time
+    misnumbered                              of the loop's count of ticks
+    schema, version                          of what a log says of its columns
 
 Works on plain arrays. A problem says what is wrong, in which rows and seconds, and how bad it is.
 """
@@ -12,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import combinations
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,7 @@ Flags = NDArray[np.bool_]
 ProblemKind = Literal[
     "frozen", "clipped", "spikes", "resampled", "missing", "infinite", "empty", "constant",
     "duplicated", "backwards", "reversed", "gap", "jitter", "short",
+    "misnumbered", "schema", "version",
 ]  # fmt: skip
 
 GAP_PERIODS = 1.5
@@ -125,7 +128,7 @@ def find_record_problems(
     if len(t_s) < 2:
         there = "is 1 row" if len(t_s) else "are 0 rows"
         text = f"is no record: there {there}; a measurement needs at least two"
-        return [RecordProblem("short", time_name, text, (), np.nan, np.nan, 1.0, True)]
+        return [_make_of_all("short", time_name, text)._replace(is_fatal=True)]
     found = list(_judge_time(t_s, time_name))
     is_ordered = not any(problem.is_fatal for problem in found)
     sensors: list[_Sensor] = []
@@ -175,6 +178,37 @@ def find_sensor_step(values: Floats) -> float:
 def nominal_period_s(t_s: Floats) -> float:
     """Return the sampling period, estimated as the median time step."""
     return float(np.median(np.diff(t_s)))
+
+
+# What a log says of itself.
+
+MOST_OFF_TICKS = 100.0
+"""Ticks by which number and time may differ: a card's clock is not the computer's."""
+FIRST_TICKS = 100
+"""Ticks whose median step is taken as the period."""
+
+
+def judge_schema(topic: str, label: str, version: str) -> Iterator[RecordProblem]:
+    """Yield what is wrong with the label and the version of the schema of a log's ticks."""
+    if label != "protobuf":
+        text = f"is protobuf, but is labelled {label!r}: other tools will not read the ticks"
+        yield _make_of_all("schema", f"the schema of {topic}", text)
+    if not (version.isdecimal() and int(version)):
+        text = f"is {version!r}; versions begin with 1"
+        yield _make_of_all("version", f"the schema version of {topic}", text)
+
+
+def judge_first_tick(tick: NDArray[Any], t_s: Floats, dt_s: Floats) -> Iterator[RecordProblem]:
+    """Yield that a log's first tick, of arrays of shape (n,), has a number far from its time."""
+    period_s = float(np.median(dt_s[:FIRST_TICKS])) if len(dt_s) else 0.0
+    by_time = float(t_s[0]) / period_s if period_s > 0.0 else np.nan
+    if len(tick) and abs(float(tick[0]) - by_time) > MOST_OFF_TICKS + 0.05 * abs(by_time):
+        text = f"has the number {tick[0]} at {t_s[0]:g} s: by its time it is tick {by_time:.0f}"
+        yield _make_of_all("misnumbered", "the first tick", text)
+
+
+def _make_of_all(kind: ProblemKind, what: str, text: str) -> RecordProblem:
+    return RecordProblem(kind, what, text, (), np.nan, np.nan, 1.0, is_fatal=False)
 
 
 # The time.

@@ -1,0 +1,190 @@
+"""What a chunk holds: its packing, and its messages as numpy arrays.
+
+Small files that unpack to huge ones, or to countless tiny records, are refused.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import zstandard
+from mcap.opcode import Opcode
+from mcap.records import Chunk
+from numpy.typing import NDArray
+
+from pamctl.json_text import from_json
+from pamctl.log.framing import FileRecord, LogError, record_at
+
+MOST_CHUNK_BYTES = 1 << 26
+"""What a compressed chunk may hold: 16 times the largest that common writers make by default."""
+MOST_SILENT_BYTES = 1 << 29
+MOST_TIMES_PACKED = 20
+"""A file that unpacks to more than `MOST_SILENT_BYTES` and to more than so many times its own
+bytes is refused. Ticks of a real run unpack to some three times theirs, of one at rest to ten."""
+MOST_PARTS = 1 << 18
+"""Records of a chunk, messages that are alike counted as one; each costs half a kilobyte."""
+
+_CHUNK_HEAD = struct.Struct("<QQQII")
+"""First and last time, unpacked size, checksum, length of the compression's name."""
+
+
+def read_chunk(record: FileRecord) -> Chunk:
+    """Return a chunk, its data a view into the file; raise a parser's error if it is none."""
+    start, end, size, crc, named = _CHUNK_HEAD.unpack_from(record.body)
+    name_ends = _CHUNK_HEAD.size + named
+    data = record.body[name_ends + 8 :]
+    length = int.from_bytes(record.body[name_ends : name_ends + 8], "little")
+    if len(data) < length:
+        raise ValueError(f"a chunk of {length} bytes is cut short")
+    return Chunk(
+        compression=bytes(record.body[_CHUNK_HEAD.size : name_ends]).decode(),
+        data=data[:length],  # type: ignore[arg-type]
+        message_start_time=start,
+        message_end_time=end,
+        uncompressed_crc=crc,
+        uncompressed_size=size,
+    )
+
+
+class Unpacker:
+    """Unpacks the chunks of one file, and refuses a small file that unpacks to a huge one."""
+
+    def __init__(self, path: Path, file: memoryview) -> None:
+        """`file` is what the file at `path` holds."""
+        self._path, self._file_bytes = path, len(file)
+        self.unpacked_bytes = 0
+
+    def unpack(self, record: FileRecord) -> tuple[Chunk, memoryview]:
+        """Return a chunk, and its records as bytes.
+
+        Raise a parser's error if they are not as written, LogError if the file unpacks to too much.
+        """
+        chunk = read_chunk(record)
+        content = read_chunk_content(chunk)
+        self.unpacked_bytes += len(content)
+        most_bytes = max(MOST_SILENT_BYTES, MOST_TIMES_PACKED * self._file_bytes)
+        if self.unpacked_bytes > most_bytes:
+            raise LogError(
+                f"{self._path} has {self._file_bytes / 1e6:.3g} MB and unpacks to more than "
+                f"{most_bytes / 1e6:.0f} MB: no run's log is packed {MOST_TIMES_PACKED} to 1, "
+                "so the rest is not unpacked; delete it if you do not know where it comes from"
+            )
+        return chunk, memoryview(content)
+
+
+def read_chunk_content(chunk: Chunk) -> bytes:
+    """Return a chunk's records as bytes; raise a parser's error if they are not as written.
+
+    No more is unpacked than the chunk declares: a kilobyte may hold a gigabyte.
+    """
+    size, data = chunk.uncompressed_size, chunk.data
+    if chunk.compression and size > MOST_CHUNK_BYTES:
+        limit = f"the limit is {MOST_CHUNK_BYTES >> 20} MB"
+        raise ValueError(f"a chunk declares {size / 2**20:.1f} MB, {limit}")
+    if chunk.compression == "zstd":
+        # What the frame itself declares would overrule the chunk.
+        declared = zstandard.get_frame_parameters(data).content_size
+        is_larger = declared not in (size, zstandard.CONTENTSIZE_UNKNOWN)
+        content = b"" if is_larger else zstandard.decompress(data, size)
+    elif chunk.compression == "lz4":
+        import lz4.frame  # no log of pamctl needs it
+
+        content = lz4.frame.LZ4FrameDecompressor().decompress(data, size + 1)
+    elif chunk.compression:
+        raise ValueError(f"a chunk is compressed with {chunk.compression}")
+    else:
+        content, size = data, len(data)
+    if len(content) != size:
+        raise ValueError(f"a chunk does not hold the {size} bytes that it declares")
+    if chunk.uncompressed_crc not in (0, zlib.crc32(content)):
+        raise ValueError("the checksum of a chunk is wrong")
+    return content
+
+
+# --- messages -----------------------------------------------------------------------------------
+
+_MESSAGE_HEADER = [
+    ("opcode", "u1"),
+    ("length", "<u8"),
+    ("channel", "<u2"),
+    ("sequence", "<u4"),
+    ("log_time", "<u8"),
+    ("publish_time", "<u8"),
+]
+BODY_AT = np.dtype(_MESSAGE_HEADER).itemsize
+"""Bytes of a message record before its body."""
+_KIND_BYTES = 11
+"""Bytes of a message's head up to its sequence: messages that share them are alike."""
+
+
+@lru_cache(64)
+def message_type(body_bytes: int) -> np.dtype[Any]:
+    """Return the numpy type of a message record with so many bytes after its head."""
+    return np.dtype([*_MESSAGE_HEADER, ("body", f"V{body_bytes}")])
+
+
+class MessageRun(NamedTuple):
+    """Messages of one channel and one length that follow one another."""
+
+    channel: int
+    start: int
+    """Where the first begins in its chunk or file."""
+    records: NDArray[Any]
+    """A view, shape (n,): opcode, length, channel, sequence, log_time, publish_time, body."""
+
+
+Part = FileRecord | MessageRun
+
+
+def find_message_run(data: memoryview, first: FileRecord) -> MessageRun:
+    """Return the messages of `data` from `first` on that have its channel and its length."""
+    size = first.end - first.start
+    count = (len(data) - first.start) // size
+    records = np.frombuffer(data, message_type(size - BODY_AT), count, first.start)
+    octets = np.frombuffer(data, np.uint8, count * size, first.start).reshape(count, size)
+    alike, window = 1, 16
+    while alike < count:  # further and further ahead: channels may take turns
+        ahead = octets[alike : alike + window, :_KIND_BYTES]
+        differs = (ahead != octets[0, :_KIND_BYTES]).any(axis=1)
+        alike += int(differs.argmax()) if differs.any() else len(ahead)
+        if differs.any():
+            break
+        window *= 8
+    return MessageRun(int(records["channel"][0]), first.start, records[:alike])
+
+
+def walk_messages(chunk: memoryview) -> Iterator[Part]:
+    """Yield the records of a chunk in order, similar messages together.
+
+    Raise ValueError for countless tiny ones.
+    """
+    at = count = 0
+    while at < len(chunk):
+        record = record_at(chunk, at)
+        count += 1
+        if count > MOST_PARTS:
+            raise ValueError(f"a chunk holds more than {MOST_PARTS} records that differ")
+        if record.opcode == Opcode.MESSAGE:
+            run = find_message_run(chunk, record)
+            yield run
+            at += run.records.nbytes
+        else:
+            yield record
+            at = record.end
+
+
+LONGEST_JSON_BYTES = 1 << 20
+"""Of an event, gains or a state; parsed, they take many times their bytes."""
+
+
+def parse_messages(records: NDArray[Any]) -> list[Any]:
+    """Parse JSON messages of one length, shape (n,); raise ValueError for what no run writes."""
+    if records.itemsize > LONGEST_JSON_BYTES:
+        raise ValueError(f"a JSON message has {records.itemsize / 1e6:.3g} MB")
+    return [from_json(body.tobytes()) for body in records["body"]]

@@ -10,7 +10,7 @@ import zlib
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 import zstandard
@@ -27,8 +27,10 @@ MOST_SILENT_BYTES = 1 << 29
 MOST_TIMES_PACKED = 20
 """A file that unpacks to more than `MOST_SILENT_BYTES` and to more than so many times its own
 bytes is refused. Ticks of a real run unpack to some three times theirs, of one at rest to ten."""
-MOST_PARTS = 1 << 18
-"""Records of a chunk, messages that are alike counted as one; each costs half a kilobyte."""
+MOST_PARTS = 1 << 17
+"""Records in chunks, messages that are alike counted as one. A file that holds more of them, and
+more than one in `BYTES_OF_PART` of its own bytes, is refused: each costs some 10 us."""
+BYTES_OF_PART = 16
 
 _CHUNK_HEAD = struct.Struct("<QQQII")
 """First and last time, unpacked size, checksum, length of the compression's name."""
@@ -53,29 +55,39 @@ def read_chunk(record: FileRecord) -> Chunk:
 
 
 class Unpacker:
-    """Unpacks the chunks of one file, and refuses a small file that unpacks to a huge one."""
+    """Unpacks the chunks of one file, and refuses a small file that unpacks to a lot."""
 
     def __init__(self, path: Path, file: memoryview) -> None:
         """`file` is what the file at `path` holds."""
         self._path, self._file_bytes = path, len(file)
-        self.unpacked_bytes = 0
+        self._unpacked_bytes = self._parts = 0
 
-    def unpack(self, record: FileRecord) -> tuple[Chunk, memoryview]:
-        """Return a chunk, and its records as bytes.
+    def unpack(self, record: FileRecord) -> tuple[Chunk, memoryview, list[Part]]:
+        """Return a chunk, its records as bytes, and those records.
 
         Raise a parser's error if they are not as written, LogError if the file unpacks to too much.
         """
         chunk = read_chunk(record)
-        content = read_chunk_content(chunk)
-        self.unpacked_bytes += len(content)
+        content = memoryview(read_chunk_content(chunk))
+        self._unpacked_bytes += len(content)
         most_bytes = max(MOST_SILENT_BYTES, MOST_TIMES_PACKED * self._file_bytes)
-        if self.unpacked_bytes > most_bytes:
-            raise LogError(
-                f"{self._path} has {self._file_bytes / 1e6:.3g} MB and unpacks to more than "
-                f"{most_bytes / 1e6:.0f} MB: no run's log is packed {MOST_TIMES_PACKED} to 1, "
-                "so the rest is not unpacked; delete it if you do not know where it comes from"
-            )
-        return chunk, memoryview(content)
+        if self._unpacked_bytes > most_bytes:
+            self._refuse(f"{most_bytes / 1e6:.0f} MB", f"is packed {MOST_TIMES_PACKED} to 1")
+        parts: list[Part] = []
+        most_parts = max(MOST_PARTS, self._file_bytes // BYTES_OF_PART)
+        for part in walk_messages(content):
+            parts.append(part)
+            if self._parts + len(parts) > most_parts:
+                self._refuse(f"{most_parts} records that differ", "holds so many")
+        self._parts += len(parts)
+        return chunk, content, parts
+
+    def _refuse(self, size: str, what: str) -> NoReturn:
+        raise LogError(
+            f"{self._path} has {self._file_bytes / 1e6:.3g} MB and unpacks to more than {size}: "
+            f"no run's log {what}, so the rest is not unpacked; "
+            "delete it if you do not know where it comes from"
+        )
 
 
 def read_chunk_content(chunk: Chunk) -> bytes:
@@ -144,8 +156,9 @@ Part = FileRecord | MessageRun
 
 def find_message_run(data: memoryview, first: FileRecord) -> MessageRun:
     """Return the messages of `data` from `first` on that have its channel and its length."""
-    size = first.end - first.start
-    count = (len(data) - first.start) // size
+    size, begin = first.end - first.start, first.start
+    is_alone = data[begin : begin + _KIND_BYTES] != data[first.end : first.end + _KIND_BYTES]
+    count = 1 if is_alone else (len(data) - begin) // size
     records = np.frombuffer(data, message_type(size - BODY_AT), count, first.start)
     octets = np.frombuffer(data, np.uint8, count * size, first.start).reshape(count, size)
     alike, window = 1, 16
@@ -160,16 +173,10 @@ def find_message_run(data: memoryview, first: FileRecord) -> MessageRun:
 
 
 def walk_messages(chunk: memoryview) -> Iterator[Part]:
-    """Yield the records of a chunk in order, similar messages together.
-
-    Raise ValueError for countless tiny ones.
-    """
-    at = count = 0
+    """Yield the records of a chunk in order, similar messages together."""
+    at = 0
     while at < len(chunk):
         record = record_at(chunk, at)
-        count += 1
-        if count > MOST_PARTS:
-            raise ValueError(f"a chunk holds more than {MOST_PARTS} records that differ")
         if record.opcode == Opcode.MESSAGE:
             run = find_message_run(chunk, record)
             yield run

@@ -75,17 +75,19 @@ class GridRows:
         self.count = 0
         """Number of rows."""
         self.is_rising = True
-        """Every tick is later than the one before it."""
+        """Every tick is later than the one before it, by its number and by its time."""
         self.losses: set[int] = set()
         """Rows with a loss before them: the run did not miss those ticks, but the log lost them."""
         self.missed_first = 0
         """Ticks that the run missed before the first row."""
-        self._last_tick = 0
+        self._last_tick, self._last_t_s = 0, -np.inf
         self._rows: list[int] = []
         self._ticks: list[int] = []
 
-    def take(self, tick: NDArray[np.int64], missed: NDArray[np.int64]) -> None:
-        """Add the next rows; both arrays have shape (n,)."""
+    def take(
+        self, tick: NDArray[np.int64], missed: NDArray[np.int64], t_s: NDArray[np.float64]
+    ) -> None:
+        """Add the next rows; the arrays have shape (n,)."""
         if not len(tick):
             return
         if self.count == 0:
@@ -101,7 +103,9 @@ class GridRows:
             if step != 1 and row:
                 self._begin_run(row, int(tick[at]))
         self.count += len(tick)
-        self._last_tick = int(tick[-1])
+        with np.errstate(invalid="ignore"):  # a time may be infinite
+            self.is_rising &= bool((np.diff(t_s, prepend=self._last_t_s) > 0.0).all())
+        self._last_tick, self._last_t_s = int(tick[-1]), float(t_s[-1])
 
     def _begin_run(self, row: int, tick: int) -> None:
         self._rows.append(row)

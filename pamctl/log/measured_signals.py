@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from hal.calibration import CalibrationSettings, calibration, valve_v
-from pamctl.log.chunks import MOST_SILENT_BYTES
 from pamctl.log.framing import LogError
 from pamctl.log.reader import Log
 from pamctl.log.record_problems import (
@@ -242,35 +241,29 @@ def judge_ticks(log: Log, *, may_lack: bool = False) -> list[str]:
     number, as a page leaves it out.
     """
     see = f"`pamctl log check {log.path}` lists all that is wrong"
-    doubts = judge_description(log)
+    log["t_s"]  # or there is nothing to look at
+    phase = log.columns.get("phase", np.empty(0, np.int64))
+    unknown = find_unknown_phase(phase)
+    if unknown is not None:
+        row = int((phase == unknown).argmax())
+        what = f"from row {row} on, {describe_unknown_phase(unknown)}"
+        raise LogError(f"{log.path} cannot be used: {what}; {see}")
     problems = find_signal_problems(log.columns)
     for problem in problems:
         if problem.is_fatal and not (may_lack and problem.kind == "empty"):
             fix = f"; cut a sound part out with `pamctl log cut {log.path} --out PART.mcap`"
             way_on = see + (fix if problem.share < 1.0 else "")
             raise LogError(f"{log.path} cannot be used: {problem.describe()}; {way_on}")
-    held = sum(column.nbytes for column in log.columns.values())
-    if held > MOST_SILENT_BYTES:
-        doubts.append(f"its columns take {held / 1e6:.0f} MB of memory; `pamctl log cut` shortens")
-    return doubts + [problem.describe() for problem in problems if problem.kind != "constant"]
+    doubts = [problem.describe() for problem in problems if problem.kind != "constant"]
+    return judge_description(log) + doubts
 
 
 def judge_description(log: Log) -> list[str]:
-    """Return what is doubtful in what a log says of its ticks, in memory or in the file.
-
-    Raise LogError for a phase that no loop has.
-    """
-    phase = log.columns["phase"][:] if "phase" in log.columns else np.empty(0, np.int64)
-    unknown = find_unknown_phase(phase)
-    if unknown is not None:
-        row = int((phase == unknown).argmax())
-        what = f"from row {row} on, {describe_unknown_phase(unknown)}"
-        see = f"`pamctl log check {log.path}` lists all that is wrong"
-        raise LogError(f"{log.path} cannot be used: {what}; {see}")
+    """Return what is doubtful in what a log says of its ticks, in memory or in the file."""
     problems = list(log.schema_problems)
-    if {"tick", "t_s", "dt_s"} <= log.columns.keys() and len(log):
-        first = (log.columns[name][:FIRST_TICKS] for name in ("tick", "t_s", "dt_s"))
-        problems += judge_first_tick(*first)
+    if "tick" in log.columns and len(log):
+        first = slice(0, FIRST_TICKS)
+        problems += judge_first_tick(log.columns["tick"][first], log.columns["t_s"][first])
     return [problem.describe() for problem in problems]
 
 

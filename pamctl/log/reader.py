@@ -89,7 +89,7 @@ class Log:
         if isinstance(self.columns, Pages):
             return self.columns.grid
         grid = GridRows()
-        grid.take(self["tick"], self["missed"])
+        grid.take(self["tick"], self["missed"], self["t_s"])
         return grid
 
     @property
@@ -153,10 +153,11 @@ def read_paged(path: str | Path) -> Log:
     grid = GridRows()
 
     def take(batch: TickBatch) -> None:
-        if {"tick", "missed"} <= batch.columns.keys():
-            grid.take(batch.columns["tick"], batch.columns["missed"])
+        if len(batch.columns) == len(needed):
+            grid.take(*(batch.columns[name] for name in needed))
 
-    scan = Scan(path, fields=("tick", "missed"), take_ticks=take).run().require_whole()
+    needed = ("tick", "missed", "t_s")
+    scan = Scan(path, fields=needed, take_ticks=take).run().require_whole()
     is_loose = any(chunk_at < 0 for _, chunk_at in scan.places)  # another program wrote it
     if is_loose or grid.count != scan.counts[TICK_TOPIC]:
         return read(path)
@@ -242,6 +243,9 @@ class _Tally:
         self._phases: Counter[int] = Counter()
 
     def take(self, batch: TickBatch) -> None:
+        if not {"tick", "t_s"} <= batch.columns.keys():
+            self.count += len(batch.sequence)
+            return
         tick, t_s = batch.columns["tick"], batch.columns["t_s"]
         before = tick[0] - 1 if self._last_tick is None else self._last_tick
         skipped = np.maximum(np.diff(tick, prepend=before) - 1, 0)

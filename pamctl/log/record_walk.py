@@ -21,7 +21,6 @@ from pamctl.log.chunks import (
     find_message_run,
     read_chunk,
     read_chunk_content,
-    walk_messages,
 )
 from pamctl.log.framing import (
     HELD_BYTES,
@@ -95,8 +94,8 @@ def _load(file: memoryview, record: FileRecord, unpacker: Unpacker) -> Loaded:
         return Loaded(record, [find_message_run(file[: record.end], record)])
     if record.opcode != Opcode.CHUNK:
         return Loaded(record, [record])
-    chunk, content = unpacker.unpack(record)
-    return Loaded(record, list(walk_messages(content)), chunk, content)
+    chunk, content, parts = unpacker.unpack(record)
+    return Loaded(record, parts, chunk, content)
 
 
 def walk_records(file: memoryview) -> Iterator[FileRecord]:

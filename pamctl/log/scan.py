@@ -6,6 +6,7 @@ file, `info` counts them, and `check.py` looks at each of them.
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
 from collections.abc import Callable, Collection
 from pathlib import Path
@@ -24,7 +25,7 @@ from pamctl.log.record_problems import RecordProblem, judge_schema
 from pamctl.log.record_walk import Hole, Loaded, load_records
 from pamctl.log.schema import EVENT_TOPIC, GAINS_TOPIC, IMPORTED, KEYFRAME_TOPIC, TICK_TOPIC
 from pamctl.log.wire import TickBatch, TickDecoder, UnknownLayout
-from pamctl.plain_text import clean_document
+from pamctl.plain_text import clean_document, escape_name
 
 MOST_JSON_BYTES = 1 << 24
 """Events, gains and states that are read without a word, beside the bytes of the file itself."""
@@ -67,6 +68,7 @@ class Scan:
         self._topics, self._fields, self._take_ticks = topics, fields, take_ticks
         self._collected: TickColumns | None = None
         self._json_bytes = self._seen_bytes = 0
+        self._has_said = False
 
     def run(self) -> Scan:
         """Read up to the first damage; raise LogError for a version that cannot be read."""
@@ -180,6 +182,10 @@ class Scan:
         assert self._collected is not None
         self._collected.take(batch)
         held = self._collected.nbytes
+        if held > MOST_SILENT_BYTES and not self._has_said:
+            self._has_said = True
+            what = f"the ticks of {escape_name(str(self.path))} take more than {held / 1e6:.0f} MB"
+            sys.stderr.write(f"note: {what} of memory; `pamctl log cut` makes shorter logs\n")
         if held > max(MOST_SILENT_BYTES, 2 * self._seen_bytes):
             what = f"take {held / 1e6:.0f} MB in memory, more than twice their bytes in the file"
             raise LogError(f"the ticks of {self.path} {what}: no run writes such ticks")

@@ -7,6 +7,7 @@ one, by the descriptor that the log carries.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -144,7 +145,7 @@ class TickLayout:
         return np.flatnonzero(np.frombuffer(marked.tobytes(), np.uint8))
 
 
-Decoder = Callable[[Iterable[bytes]], dict[str, NDArray[Any]]]
+Decoder = Callable[[Sequence[bytes]], dict[str, NDArray[Any]]]
 
 
 def make_decoder(descriptor_set: bytes, message: str) -> Decoder:
@@ -158,15 +159,23 @@ def make_decoder(descriptor_set: bytes, message: str) -> Decoder:
         pool.Add(file)
     parse = GetMessageClass(pool.FindMessageTypeByName(message)).FromString
 
-    def decode(payloads: Iterable[bytes]) -> dict[str, NDArray[Any]]:
+    def decode(payloads: Sequence[bytes]) -> dict[str, NDArray[Any]]:
+        columns: dict[str, NDArray[Any]] = {
+            f.name: np.full(len(payloads), _find_missing(f), _kind_of_field(f)) for f in fields
+        }
+        present = Counter[str]()
         try:
-            messages = [parse(payload) for payload in payloads]
+            for row, payload in enumerate(payloads):
+                for held, value in parse(payload).ListFields():
+                    columns[held.name][row] = value
+                    present[held.name] += 1
         except DecodeError as error:
             raise UnknownLayout("a tick does not match its descriptor") from error
-        return {
-            field.name: np.array([_read_value(m, field) for m in messages], _kind_of_field(field))
-            for field in fields
-        }
+        for field in fields:
+            is_needed = field.proto3_optional and field.type not in _FLOATS
+            if is_needed and present[field.name] < len(payloads):
+                raise UnknownLayout(f"a tick lacks its {field.name}")
+        return columns
 
     return decode
 
@@ -235,7 +244,7 @@ class TickDecoder:
         for begin in range(0, len(records), most):
             part = records[begin : begin + most]
             if table is None:
-                found = self._decode(body.tobytes() for body in part["body"])
+                found = self._decode([body.tobytes() for body in part["body"]])
                 columns = {name: found[name] for name in self.wanted}
             else:
                 bools = self._bools
@@ -257,12 +266,9 @@ def _kind_of_field(field: FieldDescriptorProto) -> type:
     return float if field.type in _FLOATS else int
 
 
-def _read_value(message: Any, field: FieldDescriptorProto) -> Any:
-    if not field.proto3_optional or message.HasField(field.name):
-        return getattr(message, field.name)
-    if field.type in _FLOATS:
-        return float("nan")
-    raise UnknownLayout(f"a tick lacks its {field.name}")
+def _find_missing(field: FieldDescriptorProto) -> float:
+    """Return the value of a field that a message does not hold."""
+    return float("nan") if field.proto3_optional and field.type in _FLOATS else 0
 
 
 def _find_fields(descriptor_set: bytes, message: str) -> Sequence[FieldDescriptorProto]:

@@ -47,6 +47,7 @@ NO_SCHEMA = ("", "", b"")
 DESCRIBED_EVERY = 16
 """Every 16th chunk repeats all schemas and channels; so does the second chunk."""
 
+_DESCRIBES = (Opcode.SCHEMA, Opcode.CHANNEL)
 _LEVEL = 1
 """Of zstd: half the time of its default, for files that are 4 % larger."""
 _MEDIA_TYPES = {".json": "application/json", ".yaml": "application/yaml"}
@@ -212,7 +213,9 @@ class LogWriter:
         parts: Iterable[Part],
     ) -> None:
         parts = list(parts)
-        (start, end), entries = self._index.take_parts(parts)
+        (start, end), entries = self._index.take_parts(
+            part for part in parts if not isinstance(part, FileRecord) or part.opcode in _DESCRIBES
+        )
         chunk = Chunk(
             compression=compression,
             data=data,

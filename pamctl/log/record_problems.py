@@ -198,10 +198,10 @@ def judge_schema(topic: str, label: str, version: str) -> Iterator[RecordProblem
         yield _make_of_all("version", f"the schema version of {topic}", text)
 
 
-@np.errstate(invalid="ignore")  # a time may be infinite
 def judge_first_tick(tick: NDArray[Any], t_s: Floats) -> Iterator[RecordProblem]:
     """Yield that the first tick has a number far from its time; arrays of shape (n,)."""
-    period_s = float(np.median(np.diff(t_s[:FIRST_TICKS]))) if len(t_s) > 1 else 0.0
+    with np.errstate(invalid="ignore"):  # a time may be infinite
+        period_s = float(np.median(np.diff(t_s[:FIRST_TICKS]))) if len(t_s) > 1 else 0.0
     by_time = float(t_s[0]) / period_s if period_s > 0.0 else np.nan
     if abs(float(tick[0]) - by_time) > MOST_OFF_TICKS + 0.05 * abs(by_time):
         text = f"has the number {tick[0]} at {t_s[0]:g} s: by its time it is tick {by_time:.0f}"

@@ -114,6 +114,32 @@ def test_a_small_file_of_many_large_chunks_is_refused_with_its_sizes(tmp_path):
     assert not (tmp_path / "saved.mcap").exists()
 
 
+def _make_message(channel: int, body: bytes) -> bytes:
+    head = channel.to_bytes(2, "little") + bytes(20)
+    return FRAME.pack(Opcode.MESSAGE, len(head) + len(body)) + head + body
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        FRAME.pack(128, 0) * 200_000,
+        (_make_message(2, b"{}") + _make_message(2, b"{ }")) * 100_000,
+    ],
+)
+def test_countless_tiny_records_in_a_small_file_are_refused(content, tmp_path):
+    _write_chunks(tmp_path / "a.mcap", content, 1)
+    for use in (read, info, check_log, lambda path: recover_file(path, tmp_path / "saved.mcap")):
+        with pytest.raises(LogError, match="more than 131072 records that differ"):
+            use(tmp_path / "a.mcap")
+
+
+def test_messages_of_channels_that_take_turns_take_no_longer_than_others(tmp_path):
+    # 40 000 runs of one message: each looked at all that followed, 800 000 000 messages.
+    content = (_make_message(2, b"{}") + _make_message(2, b"{ }")) * 20_000
+    _write_chunks(tmp_path / "a.mcap", content, 1)
+    assert len(read(tmp_path / "a.mcap").events) == CHUNKS + 40_000
+
+
 @pytest.mark.parametrize(
     ("message", "count", "why"),
     [

@@ -35,6 +35,9 @@ from pamctl.log.record_walk import Loaded
 
 INDEX_ENTRY = np.dtype([("time", "<u8"), ("offset", "<u8")])
 
+DESCRIPTIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
+"""Records that stand in the data, in chunks and in the summary."""
+
 Complain = Callable[[str, str], None]
 """Gets a finding: its kind, and what is wrong."""
 
@@ -178,7 +181,6 @@ class FileIndex:
         }
 
 
-_REPEATED = (Opcode.SCHEMA, Opcode.CHANNEL)
 _SUMMARY: Mapping[int, Any] = {
     Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
@@ -246,7 +248,7 @@ class IndexCheck:
         record, chunk = loaded.record, loaded.chunk
         assert chunk is not None
         for part in loaded.parts:
-            if isinstance(part, FileRecord) and part.opcode not in _REPEATED:
+            if isinstance(part, FileRecord) and part.opcode not in DESCRIPTIONS:
                 raise Damage(record.start, f"a chunk holds a record {part.opcode}")
         times, self._expected = self._index.take_parts(loaded.parts)
         where = f"the chunk at byte {record.start}"
@@ -324,7 +326,7 @@ class IndexCheck:
             there = f"{len(stored)} records of kind {what}, the data have {len(expected)}"
             self._error("summary", f"the summary has {there}")
             return
-        if opcode in _REPEATED:
+        if opcode in DESCRIPTIONS:
             stored, expected = sorted(stored), sorted(expected)
         for number, (one, other) in enumerate(zip(stored, expected, strict=True)):
             if one != other and (wrong := _describe_difference(opcode, one, other)):
@@ -337,7 +339,7 @@ class IndexCheck:
 
 def _describe_difference(opcode: int, one: bytes, other: bytes) -> str:
     """Say in what a record differs from the one that was expected; empty: only in its order."""
-    if opcode in _REPEATED:
+    if opcode in DESCRIPTIONS:
         return "another description"
     stored, expected = _parse_summary(one), _parse_summary(other)
     wrong = [

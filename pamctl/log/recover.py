@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from pamctl.kept_memory import keep_freed_memory
 from pamctl.log.chunks import MessageRun, Part, parse_messages
+from pamctl.log.file_index import DESCRIPTIONS
 from pamctl.log.framing import (
     NO_CHECKSUM,
     Damage,
@@ -37,7 +38,6 @@ from pamctl.new_file import create_new_file
 from pamctl.plain_text import escape_name
 
 _LOOSE_BYTES = 1 << 20
-_DESCRIPTIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ class LogCopy:
         if not len(self._file):
             return
         for record in read_summary(self._file):
-            if record.opcode in _DESCRIPTIONS:  # in case the first chunk is damaged
+            if record.opcode in DESCRIPTIONS:  # in case the first chunk is damaged
                 with suppress(Damage), translate_parse_errors(record):
                     writer.learn(record)
         self._load(lambda loaded: self._copy(writer, loaded), self._lose)
@@ -261,4 +261,4 @@ class _Found(LogError):
 
 def _find_descriptions(parts: Iterable[Part]) -> list[FileRecord]:
     """Return the schemas and channels that a chunk describes."""
-    return [p for p in parts if isinstance(p, FileRecord) and p.opcode in _DESCRIPTIONS]
+    return [p for p in parts if isinstance(p, FileRecord) and p.opcode in DESCRIPTIONS]

@@ -14,7 +14,7 @@ from __future__ import annotations
 import platform
 import sys
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from io import BufferedWriter
@@ -29,8 +29,8 @@ from numpy.typing import NDArray
 
 import pamctl
 from pamctl.json_text import to_json
-from pamctl.log.chunks import Part, walk_messages
-from pamctl.log.file_index import FileIndex
+from pamctl.log.chunks import MessageRun, Part, walk_messages
+from pamctl.log.file_index import DESCRIPTIONS, FileIndex
 from pamctl.log.framing import FRAME, MAGIC, FileRecord, encode_record, encode_summary, record_at
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import (
@@ -47,7 +47,6 @@ NO_SCHEMA = ("", "", b"")
 DESCRIBED_EVERY = 16
 """Every 16th chunk repeats all schemas and channels; so does the second chunk."""
 
-_DESCRIBES = (Opcode.SCHEMA, Opcode.CHANNEL)
 _LEVEL = 1
 """Of zstd: half the time of its default, for files that are 4 % larger."""
 _MEDIA_TYPES = {".json": "application/json", ".yaml": "application/yaml"}
@@ -176,8 +175,8 @@ class LogWriter:
             self._described_inside.clear()
             self._has_messages = False
             packed = self._compressor.compress(content)
-            crc = zlib.crc32(content)
-            self._put_chunk("zstd", packed, crc, len(content), walk_messages(memoryview(content)))
+            chunk = Chunk("zstd", packed, 0, 0, zlib.crc32(content), len(content))
+            self._put_chunk(chunk, list(walk_messages(memoryview(content))))
             if self.chunks == 1 or self.chunks % DESCRIBED_EVERY == 0:
                 for channel in self._index.channels:
                     self._describe(channel)
@@ -193,37 +192,23 @@ class LogWriter:
             self.end_chunk()
         self._inside.clear()
         self._described_inside.clear()
-        parts = list(parts)
-        inside = _find_described(parts)
-        for part in parts:
+        # Nothing else belongs into a chunk, and the index does not list it.
+        known = [p for p in parts if isinstance(p, MessageRun) or p.opcode in DESCRIPTIONS]
+        inside = _find_described(known)
+        for part in known:
             if isinstance(part, FileRecord):
                 self.learn(part)
             elif part.channel not in inside:
                 self._put_description(part.channel)
-        size = chunk.uncompressed_size if chunk.compression else len(chunk.data)
-        self._put_chunk(chunk.compression, chunk.data, chunk.uncompressed_crc, size, parts)
+        if not chunk.compression:
+            chunk.uncompressed_size = len(chunk.data)
+        self._put_chunk(chunk, known)
         self._stream.flush()
 
-    def _put_chunk(
-        self,
-        compression: str,
-        data: bytes,
-        crc: int,
-        size: int,
-        parts: Iterable[Part],
-    ) -> None:
-        parts = list(parts)
-        (start, end), entries = self._index.take_parts(
-            part for part in parts if not isinstance(part, FileRecord) or part.opcode in _DESCRIBES
-        )
-        chunk = Chunk(
-            compression=compression,
-            data=data,
-            message_start_time=start,
-            message_end_time=end,
-            uncompressed_crc=crc,
-            uncompressed_size=size,
-        )
+    def _put_chunk(self, chunk: Chunk, parts: Sequence[Part]) -> None:
+        """Write a chunk that holds these parts; its times are those of its messages."""
+        (start, end), entries = self._index.take_parts(parts)
+        chunk.message_start_time, chunk.message_end_time = start, end
         self._index.add_chunk(chunk, *self._put(encode_record(chunk)))
         for channel, found in entries.items():
             body = channel.to_bytes(2, "little") + found.nbytes.to_bytes(4, "little")

@@ -29,7 +29,7 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
-from pamctl.log.chunks import MessageRun, Part
+from pamctl.log.chunks import Part
 from pamctl.log.framing import NO_CHECKSUM, Damage, FileRecord, encode_record, record_at
 from pamctl.log.record_walk import Loaded
 
@@ -100,34 +100,30 @@ class FileIndex:
         if known.setdefault(number, record.frame()) != record.frame():
             self._complain(what, f"{what} {number} is described in two ways")
 
-    def take_messages(self, run: MessageRun) -> tuple[int, int]:
-        """Take messages; return their earliest and latest time."""
-        if run.channel not in self.channels:
-            where = f"messages of channel {run.channel}, which is not yet described"
-            self._complain("channel", f"at byte {run.start}, {where}")
-        times = run.records["log_time"]
-        ends = int(times.min()), int(times.max())
-        self._times = [min([*self._times, ends[0]]), max([*self._times, ends[1]])]
-        self.counts[run.channel] += len(times)
-        return ends
-
     def take_parts(self, parts: Iterable[Part]) -> tuple[tuple[int, int], dict[int, NDArray[Any]]]:
         """Take what follows in the data, not over the end of a chunk.
 
         Return its first and last time, and its message index by channel.
         """
         entries: dict[int, list[NDArray[Any]]] = {}
-        times: list[int] = []
+        ends: list[int] = []
         for part in parts:
             if isinstance(part, FileRecord):
                 self.take(part)
                 continue
-            times += self.take_messages(part)
-            found = np.empty(len(part.records), INDEX_ENTRY)
-            found["time"] = part.records["log_time"]
-            found["offset"] = part.start + part.records.itemsize * np.arange(len(found))
+            if part.channel not in self.channels:
+                where = f"messages of channel {part.channel}, which is not yet described"
+                self._complain("channel", f"at byte {part.start}, {where}")
+            times = part.records["log_time"]
+            ends += int(times.min()), int(times.max())
+            self.counts[part.channel] += len(times)
+            found = np.empty(len(times), INDEX_ENTRY)
+            found["time"] = times
+            found["offset"] = part.start + part.records.itemsize * np.arange(len(times))
             entries.setdefault(part.channel, []).append(found)
-        span = min(times, default=0), max(times, default=0)
+        if ends:
+            self._times = [min([*self._times, *ends]), max([*self._times, *ends])]
+        span = min(ends, default=0), max(ends, default=0)
         return span, {channel: np.concatenate(found) for channel, found in entries.items()}
 
     def add_chunk(self, chunk: Chunk, offset: int, length: int) -> None:

@@ -74,15 +74,7 @@ def recover_file(source: str | Path, destination: str | Path) -> Recovery:
         copy.write(writer)
         if not copy.saved:
             raise LogError(f"nothing of {source} can be saved: {'; '.join(copy.damage)}")
-        recovery = Recovery(
-            source=str(source),
-            destination=str(destination),
-            messages=dict(copy.saved),
-            damage=tuple(copy.damage),
-            lossless=copy.lossless,
-            bytes_lost=copy.bytes_lost,
-            unverified=copy.unverified,
-        )
+        recovery = copy.describe(str(source), destination)
         sign_recovery(writer, recovery)
     return recovery
 
@@ -123,15 +115,17 @@ class LogCopy:
         self.last_tick = -(1 << 62)
         self.last_row = -1
 
-    @property
-    def lossless(self) -> bool:
-        """Whether everything that was in the file is saved."""
-        return not (self.lost or self.cut)
-
-    @property
-    def unverified(self) -> tuple[str, ...]:
-        """Names of copied metadata that no checksum covers."""
-        return () if self.verified else tuple(self._metadata)
+    def describe(self, source: str, destination: Path) -> Recovery:
+        """Return what was saved and lost so far."""
+        return Recovery(
+            source=source,
+            destination=str(destination),
+            messages=dict(self.saved),
+            damage=tuple(self.damage),
+            lossless=not (self.lost or self.cut),
+            bytes_lost=self.bytes_lost,
+            unverified=() if self.verified else tuple(self._metadata),
+        )
 
     def write(self, writer: LogWriter) -> None:
         """Write what is undamaged; nothing else must have been written before."""

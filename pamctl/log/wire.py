@@ -8,7 +8,7 @@ one, by the descriptor that the log carries.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -127,22 +127,21 @@ class TickLayout:
 
     def fits(self, octets: NDArray[np.uint8]) -> bool:
         """Tell whether messages, as bytes of shape (n, size), have the expected tags."""
-        at, tags = self._tags
-        return bool((octets[:, at] == tags).all()) and bool(
-            (octets[:, self._find_bytes_of(self.bools)] <= 1).all()
-        )
+        at, low, high = self._limits
+        found = octets[:, at]
+        return bool(((low <= found) & (found <= high)).all())
 
     @cached_property
-    def _tags(self) -> tuple[NDArray[np.intp], NDArray[np.uint8]]:
-        """Positions of the tags within a message, and their bytes."""
-        at = self._find_bytes_of(f"{name}.tag" for name in self.names)
-        return at, np.frombuffer(self.blank.tobytes(), np.uint8)[at]
-
-    def _find_bytes_of(self, parts: Iterable[str]) -> NDArray[np.intp]:
-        marked = np.zeros((), self.dtype)
-        for part in parts:
-            marked[part] = 1
-        return np.flatnonzero(np.frombuffer(marked.tobytes(), np.uint8))
+    def _limits(self) -> tuple[NDArray[Any], ...]:
+        """Positions of tags and bools within a message, their least and their greatest bytes."""
+        marked, most = np.zeros((), self.dtype), self.blank.copy()
+        for name in self.names:
+            marked[f"{name}.tag"] = 1
+        for name in self.bools:
+            marked[name] = most[name] = 1
+        octets = [np.frombuffer(a.tobytes(), np.uint8) for a in (self.blank, most, marked)]
+        at = np.flatnonzero(octets[2])
+        return at, octets[0][at], octets[1][at]
 
 
 Decoder = Callable[[Sequence[bytes]], dict[str, NDArray[Any]]]

@@ -159,17 +159,17 @@ def find_message_run(data: memoryview, first: FileRecord) -> MessageRun:
     size, begin = first.end - first.start, first.start
     is_alone = data[begin : begin + _KIND_BYTES] != data[first.end : first.end + _KIND_BYTES]
     count = 1 if is_alone else (len(data) - begin) // size
-    records = np.frombuffer(data, message_type(size - BODY_AT), count, first.start)
-    octets = np.frombuffer(data, np.uint8, count * size, first.start).reshape(count, size)
-    alike, window = 1, 16
-    while alike < count:  # further and further ahead: channels may take turns
-        ahead = octets[alike : alike + window, :_KIND_BYTES]
-        differs = (ahead != octets[0, :_KIND_BYTES]).any(axis=1)
-        alike += int(differs.argmax()) if differs.any() else len(ahead)
-        if differs.any():
+    records = np.frombuffer(data, message_type(size - BODY_AT), count, begin)
+    octets = np.frombuffer(data, np.uint8, count * size, begin).reshape(count, size)
+    checked, window = 1, 512
+    while checked < count:  # further and further ahead: channels may take turns
+        ahead = octets[checked : checked + window, :_KIND_BYTES]
+        alike = (ahead == octets[0, :_KIND_BYTES]).all(axis=1)
+        if not alike.all():
+            records = records[: checked + int(alike.argmin())]
             break
-        window *= 8
-    return MessageRun(int(records["channel"][0]), first.start, records[:alike])
+        checked, window = checked + window, 8 * window
+    return MessageRun(int(records["channel"][0]), begin, records)
 
 
 def walk_messages(chunk: memoryview) -> Iterator[Part]:

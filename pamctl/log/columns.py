@@ -130,7 +130,7 @@ class GridRows:
         return min(self._rows[run] + tick - self._ticks[run], ends)
 
 
-PAGE_TICKS = 1 << 14
+PAGE_TICKS = 1 << 13
 """Ticks that are decoded together: some megabytes."""
 _KEPT_PAGES = 3
 

@@ -95,7 +95,8 @@ class Signals:
             parts[field.name] = whole[ticks] if isinstance(whole, np.ndarray) else whole
         first = ticks.indices(len(self))[0]
         if first and self.valve_v is not None:
-            parts["held_v"] = find_held_v(self.valve_v, first)
+            held_v = float(self.valve_v[first - 1])
+            parts["held_v"] = held_v if np.isfinite(held_v) else None  # else that write failed
         return Signals(**parts)
 
 
@@ -106,10 +107,11 @@ def signals(log: Log) -> Signals:
     tick at which it applied it: one tick later if a sample clock paces the card. The calibration in
     the log turns it back into a command; raise LogError if there is none.
     """
-    count = len(log)
-    held_v = None
+    count, held_v = len(log), None
     if log.is_imported:
-        valve, acts_after_s = log.columns.get("valve_v"), _find_stated_delay(log)
+        valve = log.columns.get("valve_v")
+        stated_s = float(log.metadata.get("import", {}).get("acts_after_s", 0.0))
+        acts_after_s = np.full(count, stated_s) if stated_s else None
     else:
         output = find_output_steps(log)
         valve, acts_after_s = _compute_valve_v(log, output.output_v), output.acts_after_s
@@ -128,18 +130,6 @@ def signals(log: Log) -> Signals:
         acts_after_s=acts_after_s,
         held_v=held_v,
     )
-
-
-def find_held_v(valve_v: Floats, first: int) -> float | None:
-    """Return the command before a row; None if that write failed."""
-    held_v = float(valve_v[first - 1])
-    return held_v if np.isfinite(held_v) else None
-
-
-def _find_stated_delay(log: Log) -> Floats | None:
-    """Return the constant that the map of an import stated."""
-    stated_s = float(log.metadata.get("import", {}).get("acts_after_s", 0.0))
-    return np.full(len(log), stated_s) if stated_s else None
 
 
 def _compute_valve_v(log: Log, output: Floats) -> Floats:

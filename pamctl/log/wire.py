@@ -160,7 +160,12 @@ def make_decoder(descriptor_set: bytes, message: str) -> Decoder:
 
     def decode(payloads: Sequence[bytes]) -> dict[str, NDArray[Any]]:
         columns: dict[str, NDArray[Any]] = {
-            f.name: np.full(len(payloads), _find_missing(f), _kind_of_field(f)) for f in fields
+            f.name: np.full(
+                len(payloads),
+                np.nan if f.proto3_optional and f.type in _FLOATS else 0,
+                _kind_of_field(f),
+            )
+            for f in fields
         }
         present = Counter[str]()
         try:
@@ -263,11 +268,6 @@ def _kind_of_field(field: FieldDescriptorProto) -> type:
     if field.type == FieldDescriptorProto.TYPE_BOOL:
         return bool
     return float if field.type in _FLOATS else int
-
-
-def _find_missing(field: FieldDescriptorProto) -> float:
-    """Return the value of a field that a message does not hold."""
-    return float("nan") if field.proto3_optional and field.type in _FLOATS else 0
 
 
 def _find_fields(descriptor_set: bytes, message: str) -> Sequence[FieldDescriptorProto]:

@@ -18,11 +18,17 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from numpy.typing import NDArray
 
 from pamctl.json_text import from_json
-from pamctl.log.chunks import MOST_SILENT_BYTES, MessageRun, parse_messages
 from pamctl.log.columns import WALL_TIME, TickColumns
 from pamctl.log.framing import Damage, FileRecord, LogError, map_log_file
 from pamctl.log.record_problems import RecordProblem, judge_schema
-from pamctl.log.record_walk import Hole, Loaded, load_records
+from pamctl.log.record_walk import (
+    MOST_SILENT_BYTES,
+    Hole,
+    Loaded,
+    MessageRun,
+    load_records,
+    parse_messages,
+)
 from pamctl.log.schema import EVENT_TOPIC, GAINS_TOPIC, IMPORTED, KEYFRAME_TOPIC, TICK_TOPIC
 from pamctl.log.wire import TickBatch, TickDecoder, UnknownLayout
 from pamctl.plain_text import clean_document, escape_name
@@ -82,11 +88,15 @@ class Scan:
     def read_records(self) -> None:
         """Take all records, or those up to the first damage that `lose` raises."""
         try:
-            load_records(self.path, self.file, self.take, self.lose)
-        except Damage as damage:
-            self.damage = damage
-        if self.ticks is not None:
-            self.ticks.flush()
+            try:
+                load_records(self.path, self.file, self.take, self.lose)
+            except Damage as damage:
+                self.damage = damage
+            if self.ticks is not None:
+                self.ticks.flush()
+        finally:
+            if self.ticks is not None:
+                self.ticks.take = None  # a circle would keep the file open
 
     def require_whole(self) -> Scan:
         """Raise LogError if any part of the file is damaged, or it has no ticks' channel."""

@@ -21,8 +21,8 @@ from google.protobuf.message_factory import GetMessageClass
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from pamctl.log.chunks import BODY_AT, message_type
 from pamctl.log.framing import FRAME, LogError
+from pamctl.log.record_walk import BODY_AT, message_type
 from pamctl.log.schema import TICK_MESSAGE, tick_descriptor
 from pamctl.signals import Field
 

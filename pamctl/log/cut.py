@@ -20,7 +20,7 @@ from pamctl.exit_codes import ExitCode
 from pamctl.json_text import to_json
 from pamctl.log.framing import LogError, map_log_file
 from pamctl.log.reader import Log, read_some
-from pamctl.log.record_walk import parse_messages
+from pamctl.log.reading.record_walk import parse_messages
 from pamctl.log.recover import LogCopy
 from pamctl.log.schema import CUT, GAINS_TOPIC, JSON_SCHEMAS, KEYFRAME_TOPIC, TICK_TOPIC
 from pamctl.log.writer import LogWriter

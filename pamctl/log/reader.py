@@ -22,9 +22,9 @@ from pamctl.log.annotation import ANNOTATION, Annotation
 from pamctl.log.columns import WALL_TIME, GridRows, Page, Pages, TickColumns, suggest_nearest
 from pamctl.log.framing import Damage, LogError, record_at, release_pages, translate_parse_errors
 from pamctl.log.moments import CHANGES, describe_running_changes
+from pamctl.log.reading.record_walk import MessageRun, read_chunk, read_chunk_content, walk_messages
+from pamctl.log.reading.scan import Scan
 from pamctl.log.record_problems import RecordProblem
-from pamctl.log.record_walk import MessageRun, read_chunk, read_chunk_content, walk_messages
-from pamctl.log.scan import Scan
 from pamctl.log.schema import (
     CUT,
     EVENT_TOPIC,

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.log.column_problems import (
+from pamctl.log.reading.column_problems import (
     JITTER,
     Floats,
     ProblemKind,

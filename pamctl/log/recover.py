@@ -19,7 +19,6 @@ from mcap.records import Attachment, Metadata
 from numpy.typing import NDArray
 
 from pamctl.kept_memory import keep_freed_memory
-from pamctl.log.file_index import DESCRIPTIONS
 from pamctl.log.framing import (
     NO_CHECKSUM,
     Damage,
@@ -30,7 +29,15 @@ from pamctl.log.framing import (
     read_summary,
     translate_parse_errors,
 )
-from pamctl.log.record_walk import Hole, Loaded, MessageRun, Part, load_records, parse_messages
+from pamctl.log.reading.file_index import DESCRIPTIONS
+from pamctl.log.reading.record_walk import (
+    Hole,
+    Loaded,
+    MessageRun,
+    Part,
+    load_records,
+    parse_messages,
+)
 from pamctl.log.schema import JSON_SCHEMAS, TICK_TOPIC
 from pamctl.log.writer import LogWriter
 from pamctl.new_file import create_new_file

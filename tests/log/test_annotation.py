@@ -27,7 +27,7 @@ from pamctl.log.annotation import (
 from pamctl.log.check import check_log
 from pamctl.log.cut import cut_log
 from pamctl.log.framing import map_log_file
-from pamctl.log.record_walk import walk_records
+from pamctl.log.reading.record_walk import walk_records
 from pamctl.log.recover import recover_file
 from pamctl.plain_text import clean_text
 

@@ -19,7 +19,7 @@ from support.small_log import CHUNK_TICKS, CHUNKS, write_small
 from pamctl.log import LogError, info, read
 from pamctl.log.check import check_log
 from pamctl.log.framing import FRAME, encode_record, map_log_file
-from pamctl.log.record_walk import MOST_CHUNK_BYTES, read_chunk_content, walk_records
+from pamctl.log.reading.record_walk import MOST_CHUNK_BYTES, read_chunk_content, walk_records
 from pamctl.log.recover import recover_file
 from pamctl.log.schema import TICK_MESSAGE, TICK_TOPIC, tick_descriptor
 from pamctl.log.wire import make_message_records
@@ -149,7 +149,7 @@ def test_what_does_not_belong_into_a_chunk_costs_none_of_its_messages(tmp_path):
 def test_ticks_of_many_columns_and_few_bytes_are_refused_before_they_fill_the_memory(
     tmp_path, monkeypatch, capsys
 ):
-    monkeypatch.setattr("pamctl.log.scan.MOST_SILENT_BYTES", 1 << 20)
+    monkeypatch.setattr("pamctl.log.reading.scan.MOST_SILENT_BYTES", 1 << 20)
     fields = [Field(f"a{number}", float, "measurement") for number in range(400)]
     with create_new_file(tmp_path / "a.mcap") as stream:
         writer = LogWriter(stream)

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from pamctl.json_text import from_json
 from pamctl.log.columns import WALL_TIME, TickColumns
 from pamctl.log.framing import Damage, FileRecord, LogError, map_log_file
-from pamctl.log.record_problems import RecordProblem, judge_schema
-from pamctl.log.record_walk import (
+from pamctl.log.reading.record_walk import (
     MOST_SILENT_BYTES,
     Hole,
     Loaded,
@@ -29,6 +28,7 @@ from pamctl.log.record_walk import (
     load_records,
     parse_messages,
 )
+from pamctl.log.record_problems import RecordProblem, judge_schema
 from pamctl.log.schema import EVENT_TOPIC, GAINS_TOPIC, IMPORTED, KEYFRAME_TOPIC, TICK_TOPIC
 from pamctl.log.wire import TickBatch, TickDecoder, UnknownLayout
 from pamctl.plain_text import clean_document, escape_name

@@ -289,7 +289,6 @@ def parse_excel(path: Path, hints: TextHints) -> MeasuredTable:
         )
     sheet, layout = found[0]
     builder = TableBuilder(path, layout, hints)
-    builder.look_for_mark(islice(_read_sheet(sheet), layout.first, layout.first + HEAD_ROWS))
     rows = islice(_read_sheet(sheet), layout.first, None)
     while block := list(islice(rows, 10_000)):
         builder.take_rows(block)

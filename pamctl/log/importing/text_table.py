@@ -12,28 +12,45 @@ from collections.abc import Callable, Iterator
 from io import TextIOWrapper
 from itertools import chain, islice
 from pathlib import Path
-from typing import BinaryIO, TextIO
+from typing import BinaryIO, NamedTuple, TextIO
+
+import numpy as np
 
 from pamctl.log.importing.measured_table import ImportRefused, MeasuredTable
 from pamctl.log.importing.quantities import TextHints
 from pamctl.log.importing.table_rows import (
     HEAD_ROWS,
-    WIDE_GAP,
     Row,
     TableBuilder,
     TableLayout,
-    TextBlock,
     find_layout,
 )
 
+WIDE_GAP = "two spaces or more"
 _LONGEST_LINE = 100_000
 """Characters; the parser of cells takes no longer ones."""
 _BLOCK = 1 << 20
 _DELIMITERS = {"\t": "tab", ";": "semicolon", "|": "|", ",": "comma", WIDE_GAP: WIDE_GAP,
                " ": "spaces"}  # fmt: skip
 _COMMENT = re.compile(r"\s*(?:#+|%+|//+|!)\s*")
+_SPECIAL = ('"', "#", "%", "!", "//")
+"""What lines may have that are no plain rows: a cell in quotes, a comment."""
 _BOMS = ((b"\xff\xfe\0\0", "utf-32"), (b"\0\0\xfe\xff", "utf-32"), (b"\xef\xbb\xbf", "utf-8-sig"),
          (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))  # fmt: skip
+
+
+class TextBlock(NamedTuple):
+    """Some lines of a file, without their ends."""
+
+    first: int
+    text: str
+    is_cut: bool = False
+    """For the last line alone, where nothing ends it."""
+
+    @property
+    def lines(self) -> list[str]:
+        """All of them."""
+        return self.text.split("\n")
 
 
 def read_text(path: Path, hints: TextHints, open_file: Callable[[], BinaryIO]) -> MeasuredTable:
@@ -53,20 +70,39 @@ def _read_blocks(
     path: Path, blocks: Iterator[TextBlock], hints: TextHints
 ) -> tuple[str, TableBuilder]:
     begun = list(islice(blocks, 2))  # the second one may be the last line of a short file
-    first = begun[0] if begun else TextBlock(1, [])
-    head = TextBlock(1, [line for block in begun for line in block.lines][: 2 * HEAD_ROWS])
+    first = begun[0] if begun else TextBlock(1, "")
+    head = TextBlock(1, "\n".join([line for one in begun for line in one.lines][: 2 * HEAD_ROWS]))
     delimiter, layout = _choose_delimiter(path, head)
-    builder = TableBuilder(path, layout, hints, delimiter)
+    builder = TableBuilder(path, layout, hints)
     skipped = next((row.number for row in list(_split_rows(head, delimiter))[layout.first :]), 1)
-    if skipped <= len(first.lines):
-        begun[0] = TextBlock(skipped, first.lines[skipped - 1 :], first.is_cut)
-    else:
-        del begun[0]
-    builder.look_for_mark(_split_rows(begun[0], delimiter), HEAD_ROWS)
+    below = first.text.split("\n", skipped - 1)
+    begun[:1] = [TextBlock(skipped, below[-1], first.is_cut)] if len(below) == skipped else []
     for block in chain(begun, blocks):
-        if not builder.take_numbers(block):
+        if builder.take_plain(block.first, block.text, delimiter):
+            continue
+        columns = _split_evenly(block.text, delimiter, len(layout.kinds))
+        if columns is None:
             builder.take_rows(_split_rows(block, delimiter), is_cut=block.is_cut)
+        else:
+            lines = block.first + np.arange(len(columns[0]))
+            builder.take(lines, columns, is_cut=block.is_cut)
     return delimiter, builder
+
+
+def _split_evenly(text: str, delimiter: str, width: int) -> list[list[str]] | None:
+    """Return the cells by column; None where a line has another number of cells, or quotes."""
+    if delimiter in (" ", WIDE_GAP) or width == 1 or any(mark in text for mark in _SPECIAL):
+        return None
+    count = text.count("\n") + 1
+    cells = text.replace("\n", f"{delimiter}\n").split(delimiter)
+    there = len(cells) // count
+    if there < width or len(cells) != there * count:
+        return None
+    first = "".join(cells[::there]).split("\n")  # all line breaks, if the lines are even
+    is_even = len(first) == count and all(
+        not "".join(cells[at::there]).strip() for at in range(width, there)
+    )
+    return [first, *(cells[at::there] for at in range(1, width))] if is_even else None
 
 
 def _find_encoding(
@@ -105,20 +141,21 @@ def _split_blocks(path: Path, file: TextIO) -> Iterator[TextBlock]:
     while text := file.read(_BLOCK):
         text = rest + text
         whole, end, rest = text.rpartition("\n")
-        lines = whole.split("\n") if end else []
-        is_wide = len(text) > 1000 * len(lines)  # else no line can be that long but a few
-        longest = max(map(len, (*lines, rest))) if is_wide else 0
-        if longest > _LONGEST_LINE:
-            at = number + next(n for n, x in enumerate((*lines, rest)) if len(x) == longest)
-            detail = f"the line is longer than {_LONGEST_LINE} characters"
-            raise ImportRefused(f"{path}:{at}: {detail}: is this a table of numbers?")
-        while sum(line.count('"') for line in lines[-50:]) % 2 and '"' in whole:
-            rest = f"{lines.pop()}\n{rest}"  # a cell goes on in the next block
-        if lines:
-            yield TextBlock(number, lines)
-        number += len(lines)
+        count = whole.count("\n") + len(end)
+        if len(text) > 1000 * count:  # else no line can be that long but a few
+            for at, line in enumerate(text.split("\n"), number):
+                if len(line) > _LONGEST_LINE:
+                    detail = f"the line is longer than {_LONGEST_LINE} characters"
+                    raise ImportRefused(f"{path}:{at}: {detail}: is this a table of numbers?")
+        while '"' in whole and sum(x.count('"') for x in whole.rsplit("\n", 50)[-50:]) % 2:
+            whole, end, line = whole.rpartition("\n")  # a cell goes on in the next block
+            rest = f"{line}\n{rest}"
+            count -= 1
+        if end:
+            yield TextBlock(number, whole)
+        number += count
     if rest.strip():
-        yield TextBlock(number, [rest], is_cut=True)
+        yield TextBlock(number, rest, is_cut=True)
 
 
 def _split_rows(block: TextBlock, delimiter: str) -> Iterator[Row]:

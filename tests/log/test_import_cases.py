@@ -492,10 +492,13 @@ def test_the_map_for_the_drivers_voltage_is_shown_whole(tmp_path):
     np.testing.assert_allclose(done.signals.valve_v, VALVE_V, atol=1e-12)
 
 
-@pytest.mark.parametrize("levels", [(0.0, 5.0), (0.0, 10.0), (0.0, 24.0)])
-def test_a_valve_that_switches_gets_no_advice_which_way_round_it_is(tmp_path, levels):
-    columns = (T_S, np.where(VALVE_V > 0, *levels[::-1]), BAR, MM)
-    done = Outcome(write(tmp_path, table(columns=columns)))
+@pytest.mark.parametrize("levels", [(0, 3.3), (0, 5), (5, 0), (0, 10), (10, 0), (24, 0), (5, 5)])
+@pytest.mark.parametrize("noise_v", [0.0, 0.01])
+def test_a_valve_that_switches_gets_no_advice_which_way_round_it_is(tmp_path, levels, noise_v):
+    volts = np.where(VALVE_V > 0, *levels[::-1]) + noise_v * np.sin(1e3 * T_S)
+    if levels == (5, 5) and noise_v:
+        volts = np.select([VALVE_V > 0.5, VALVE_V > -0.5], [10.0, 5.0], 0.0)  # fill, hold, exhaust
+    done = Outcome(write(tmp_path, table(columns=(T_S, volts, BAR, MM))))
     assert "does not say which level fills" in done.said["error", "unit"]
     assert "offset" not in done.report["map_text"]
 

@@ -144,8 +144,7 @@ NEVER_BELOW_PA = 80e3
 def _doubt_valve(
     reading: ColumnReading, values: Floats, low: float, high: float
 ) -> Iterator[tuple[str, ColumnReading]]:
-    levels = values[:1] if low == high else np.unique(values[:: max(len(values) // 10_000, 1)])
-    if len(levels) == 2 and abs(low) < 0.05 * high and high > 4.0:
+    if is_switched(values) or (low == high and high > 4.0):
         yield (
             "a valve that switches? The file does not say which level fills. In the map, gain and "
             "offset must turn the level that fills into 5 V, the one that exhausts into -5 V, and "
@@ -160,3 +159,14 @@ def _doubt_valve(
         )
     elif max(-low, high) > 5.05:
         yield "the command is within -5..5 V; gain and offset in the map turn it into that", reading
+
+
+def is_switched(volts: Floats) -> bool:
+    """Tell whether a voltage, shape (n,), is switched: 0 V and one or two levels, maybe noisy."""
+    low, high = np.quantile(volts, (0.002, 0.998))
+    if high < 3.0 or abs(low) > 0.05 * high:
+        return False
+    counts = np.histogram(volts, 40, (low - 0.0625 * high, high + 0.0625 * high))[0]
+    busy = counts > 0.01 * len(volts)
+    levels = np.count_nonzero(np.diff(busy.astype(np.int8), prepend=0) == 1)
+    return bool(levels <= 3 and busy.sum() <= 2 * levels and counts[busy].sum() > 0.95 * len(volts))

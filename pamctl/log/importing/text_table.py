@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from io import TextIOWrapper
 from itertools import chain, islice
 from pathlib import Path
@@ -16,6 +16,7 @@ from typing import BinaryIO, NamedTuple, TextIO
 
 import numpy as np
 
+from pamctl.log.importing.cell_texts import tell_kind
 from pamctl.log.importing.measured_table import ImportRefused, MeasuredTable
 from pamctl.log.importing.quantities import TextHints
 from pamctl.log.importing.table_rows import (
@@ -29,7 +30,7 @@ from pamctl.log.importing.table_rows import (
 WIDE_GAP = "two spaces or more"
 _LONGEST_LINE = 100_000
 """Characters; the parser of cells takes no longer ones."""
-_BLOCK = 1 << 20
+_BLOCK = 1 << 18
 _DELIMITERS = {"\t": "tab", ";": "semicolon", "|": "|", ",": "comma", WIDE_GAP: WIDE_GAP,
                " ": "spaces"}  # fmt: skip
 _COMMENT = re.compile(r"\s*(?:#+|%+|//+|!)\s*")
@@ -78,7 +79,7 @@ def _read_blocks(
     below = first.text.split("\n", skipped - 1)
     begun[:1] = [TextBlock(skipped, below[-1], first.is_cut)] if len(below) == skipped else []
     for block in chain(begun, blocks):
-        if builder.take_plain(block.first, block.text, delimiter):
+        if not block.is_cut and builder.take_plain(block.first, block.text, delimiter):
             continue
         columns = _split_evenly(block.text, delimiter, len(layout.kinds))
         if columns is None:
@@ -163,7 +164,7 @@ def _split_rows(block: TextBlock, delimiter: str) -> Iterator[Row]:
     if delimiter in (" ", WIDE_GAP):
         wide = re.compile(r"\s{2,}|\t")
         for number, line in enumerate(block.lines, block.first):
-            comment = _COMMENT.match(line)
+            comment = _match_comment(line, line.split(maxsplit=1))
             text = line[comment.end() :] if comment else line.strip()
             if text:
                 cells = text.split() if delimiter == " " else wide.split(text)
@@ -173,12 +174,18 @@ def _split_rows(block: TextBlock, delimiter: str) -> Iterator[Row]:
     number = block.first
     for cells in reader:
         begun, number = number, block.first + reader.line_num
-        comment = _COMMENT.match(cells[0]) if cells else None
+        comment = _match_comment(cells[0], cells) if cells else None
         if comment:
             cells[0] = cells[0][comment.end() :]
         is_separator = begun == 1 and cells[:1] and cells[0].lower().startswith("sep=")
         if any(map(str.strip, cells)) and not is_separator:
             yield Row(begun, cells, comment is not None)
+
+
+def _match_comment(text: str, cells: Sequence[str]) -> re.Match[str] | None:
+    """Return the mark of a comment; None for a row that begins with a word such as `#N/A`."""
+    comment = _COMMENT.match(text)
+    return None if comment and tell_kind(cells[0]) == "m" else comment
 
 
 def _choose_delimiter(path: Path, head: TextBlock) -> tuple[str, TableLayout]:

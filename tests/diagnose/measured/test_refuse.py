@@ -150,13 +150,17 @@ def test_a_rate_at_which_the_pressure_jumps_is_doubted_but_a_spike_is_not() -> N
 
 def test_the_levels_of_a_valve_that_switches_are_to_be_mapped() -> None:
     good = measured("squares", 1)
-    on_off = (good["valve_v"] > 0.0).astype(float)
-    assert [d.rule for d in doubt_record(replace(good, valve_v=10.0 * on_off - 5.0), PAPER)] == []
-    (doubt,) = doubt_record(replace(good, valve_v=24.0 * on_off), PAPER)
-    assert doubt.rule == "command_unit"
-    assert "gain 0.4167, offset -5" in doubt.text
-    (doubt,) = doubt_record(replace(good, valve_v=5.0 * on_off), PAPER)
-    assert "gain 2, offset -5" in doubt.text
+    fills = (good["valve_v"] > 0.0).astype(float)
+    assert [d.rule for d in doubt_record(replace(good, valve_v=10.0 * fills - 5.0), PAPER)] == []
+    noise = 0.02 * np.random.default_rng(1).standard_normal(len(good))
+    for volts in (3.3, 5.0, 10.0, 24.0):
+        for on_off, empties in ((fills, 0.0), (1.0 - fills, volts)):  # in both polarities
+            for measured_v in (volts * on_off, volts * on_off + noise):
+                (doubt,) = doubt_record(replace(good, valve_v=measured_v), PAPER)
+                assert doubt.rule == "command_unit"
+                told = float(doubt.text.split("loses its air while it is ")[1].split(";")[0])
+                assert told == pytest.approx(empties, abs=0.15)
+                assert "offset -5" not in doubt.text
 
 
 def test_a_slow_chamber_may_answer_later_than_a_fast_one() -> None:

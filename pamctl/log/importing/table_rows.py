@@ -94,7 +94,8 @@ def find_layout(rows: Sequence[Row]) -> TableLayout | None:
             odd = ""
             if above and names[0] == "1" and len(above[0].cells) > 1:
                 count = _filled_width(above[0].cells)
-                odd = f"line {above[0].number} has {count} cells, but the rows below have {width}"
+                if count != width:
+                    odd = f"line {above[0].number} has {count} cells, the rows below have {width}"
             return TableLayout(names, units, kinds, first, odd)
     return None
 
@@ -120,8 +121,9 @@ def _find_names(above: Sequence[Row], width: int) -> tuple[list[str], list[str]]
     names: list[str] | None = None
     units = [""] * width
     for row in reversed(above[-6:]):
-        fits = len(row.cells) >= width >= _filled_width(row.cells)
-        if not fits or (row.is_comment and len(row.cells) != width):
+        filled = _filled_width(row.cells)
+        fits = len(row.cells) >= width >= filled
+        if not fits or (row.is_comment and width not in (filled, len(row.cells))):
             if row.is_comment:
                 continue
             break

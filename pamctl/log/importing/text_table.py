@@ -176,7 +176,7 @@ def _split_rows(block: TextBlock, delimiter: str) -> Iterator[Row]:
         begun, number = number, block.first + reader.line_num
         comment = _match_comment(cells[0], cells) if cells else None
         if comment:
-            cells[0] = cells[0][comment.end() :]
+            cells[0] = cells[0][comment.end() :].strip('"')
         is_separator = begun == 1 and cells[:1] and cells[0].lower().startswith("sep=")
         if any(map(str.strip, cells)) and not is_separator:
             yield Row(begun, cells, comment is not None)
@@ -200,7 +200,8 @@ def _choose_delimiter(path: Path, head: TextBlock) -> tuple[str, TableLayout]:
         if layout is None:
             continue
         numeric = sum(kind in "nt" for kind in layout.kinds)
-        score = numeric / len(layout.kinds) + (numeric > 1)
+        is_named = not all(map(str.isdecimal, layout.names))
+        score = numeric / len(layout.kinds) + (numeric > 1) + 0.1 * is_named
         if best is None or score > best[0]:
             best = score, delimiter, layout
     if best is None:

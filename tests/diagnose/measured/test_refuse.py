@@ -12,6 +12,7 @@ from support.made_records import PERIOD_S, measured, pair
 import pamctl
 from pamctl.diagnose import Record, Verdict, diagnose
 from pamctl.diagnose.measured.column_shift import check_time_shifts
+from pamctl.diagnose.measured.from_log import record_of
 from pamctl.diagnose.measured.quality_rules import RULES, doubt_excitation, doubt_record
 from pamctl.diagnose.measured.refuse import (
     BadData,
@@ -20,6 +21,8 @@ from pamctl.diagnose.measured.refuse import (
     read_acceptances,
 )
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
+from pamctl.log.importing.column_map import ImportMap, PressureMap, TimeMap
+from pamctl.log.importing.pipeline import import_log
 from pamctl.plant.model import PlantSettings
 
 PAPER = PlantSettings()
@@ -200,3 +203,21 @@ def test_a_doubt_is_overruled_with_a_reason_that_is_kept() -> None:
 def test_the_manual_lists_every_rule() -> None:
     page = (Path(pamctl.__file__).parent / "manual/how_to/diagnose-a-log.md").read_text()
     assert [name for name in RULES if f"`{name}`" not in page] == []
+
+
+@pytest.mark.parametrize(("atmosphere_pa", "is_told"), [(95e3, True), (101.3e3, False)])
+def test_an_atmosphere_of_the_import_map_that_is_not_the_plants_is_said(
+    tmp_path, atmosphere_pa, is_told
+):
+    t_s = np.arange(50) * 0.01
+    table = tmp_path / "a.csv"
+    rows = np.column_stack([t_s, 2.0 + np.sin(9.0 * t_s)])
+    np.savetxt(table, rows, delimiter=",", header="t_s,p", comments="")
+    pressure = PressureMap(column="p", unit="bar", gauge=True)
+    import_map = ImportMap(
+        time=TimeMap(column="t_s"), pressure=pressure, atmospheric_pressure_pa=atmosphere_pa
+    )
+    import_log(table, tmp_path / "a.mcap", import_map)
+    lines: list[str] = []
+    diagnose([record_of(tmp_path / "a.mcap")], [], PAPER, progress=lines.append)
+    assert any("counts from 95000 Pa" in line for line in lines) == is_told

@@ -530,7 +530,7 @@ def test_a_plain_name_goes_before_words_that_mean_the_same(tmp_path):
     head = "t_s,reference_valve_v,command_v,valve_v,pressure_pa,position_m"
     table.write_text("\n".join([head, *rows]))
     summary = import_log(table, tmp_path / "exported.mcap", accept_units=True)
-    assert {reading.quantity: reading.column for reading in summary.readings} == {
+    assert {quantity: part.column for quantity, part in summary.map.parts().items()} == {
         name: name for name in ("t_s", "valve_v", "pressure_pa", "position_m")
     }
     left_out = {column.name: column.left_out for column in summary.columns if column.left_out}

@@ -21,10 +21,13 @@ import pytest
 import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic import TypeAdapter
 
 import pamctl.log
+from pamctl.log.importing.column_map import ImportMap
 from pamctl.log.importing.measured_table import ImportRefused
 from pamctl.log.importing.pipeline import import_log
+from pamctl.settings.resolve import RawSettings, validate_settings
 
 ROWS = 40
 T_S = np.arange(ROWS) * 0.05
@@ -186,15 +189,39 @@ def write_table(dialect: dict[str, Any]) -> bytes:
     return text.encode(dialect["encoding"])
 
 
-def import_bytes(content: bytes, name: str = "drawn.txt") -> Any:
+def read_shown_map(text: str) -> ImportMap | None:
+    """Return the map that a refusal shows, used as it stands; None where it shows none."""
+    lines = [line for line in text.splitlines() if line.startswith("  ")]
+    if not lines:
+        return None
+    with tempfile.NamedTemporaryFile("w", suffix=".yaml", encoding="utf-8") as file:
+        file.write("\n".join(lines))
+        file.flush()
+        return validate_settings(TypeAdapter(ImportMap), RawSettings.read(Path(file.name)))
+
+
+def import_bytes(content: bytes, import_map: ImportMap | None = None) -> Any:
     """Return the summary and the signals; None for these where nothing was written."""
     with tempfile.TemporaryDirectory() as folder:
-        source = Path(folder, name)
+        source = Path(folder, "drawn.txt")
         source.write_bytes(content)
-        done = import_log(source, Path(folder, "drawn.mcap"), accept_units=True)
+        done = import_log(source, Path(folder, "drawn.mcap"), import_map, accept_units=True)
         if not done.written:
             return done, None
         return done, pamctl.log.signals(pamctl.log.read(done.destination))
+
+
+def require_way_on(content: bytes, refusal: str) -> None:
+    """Follow the maps that refusals show: each is whole, and none leads in a circle."""
+    seen: set[str] = set()
+    while (import_map := read_shown_map(refusal)) is not None:
+        assert refusal not in seen
+        seen.add(refusal)
+        try:
+            import_bytes(content, import_map)
+            return
+        except ImportRefused as again:
+            refusal = str(again)
 
 
 def judge_dialect(dialect: dict[str, Any]) -> str:
@@ -204,9 +231,11 @@ def judge_dialect(dialect: dict[str, Any]) -> str:
         done, measured = import_bytes(content)
     except ImportRefused as refusal:
         assert re.search(r"(:\d+: |line \d+|--map|no rows of numbers)", str(refusal))  # noqa: PT017
+        require_way_on(content, str(refusal))
         return "refused"
     if measured is None:
         assert any(finding.severity == "error" for finding in done.findings)
+        assert read_shown_map("  " + done.map_text.replace("\n", "\n  ")) == done.map
         return "refused"
     told = " ".join(finding.message for finding in done.findings)
     rows = len(measured.t_s)

@@ -70,7 +70,7 @@ def record_of(path: str | Path) -> Record:
     first_s = float(log["t_s"][whole][0])
     experiment = str(log.metadata.get("run", {}).get("experiment") or "")
     story = log.metadata.get("import", {})
-    readings = json.loads(story.get("map") or "[]")
+    atmosphere = story.get("atmospheric_pressure_pa")
     return Record(
         Path(path).stem,
         part.t_s - part.t_s[0],
@@ -82,7 +82,7 @@ def record_of(path: str | Path) -> Record:
         experiment=experiment,
         is_imported=log.is_imported,
         stated_noise=json.loads(story.get("noise") or "{}"),
-        atmosphere_pa=next((r["atmospheric_pressure_pa"] for r in readings if r["gauge"]), None),
+        atmosphere_pa=None if atmosphere is None else float(atmosphere),
         moments=tuple(Moment(at_s - first_s, text) for at_s, text in list_moments(log)),
         settings=log.config,
     )

@@ -11,11 +11,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from pamctl.json_text import to_json
 from pamctl.log.importing.cell_texts import (
     MISSING,
     Cell,
@@ -26,7 +25,7 @@ from pamctl.log.importing.cell_texts import (
     read_plain_rows,
     tell_kind,
 )
-from pamctl.log.importing.column_roles import read_unit
+from pamctl.log.importing.header_words import read_unit
 from pamctl.log.importing.measured_table import (
     MOST_NUMBERS,
     Floats,
@@ -160,7 +159,7 @@ class TableBuilder:
         self._lines: list[Ints] = []
         self._missing = MISSING | {word.lower() for word in hints.missing}
         self._mark = DecimalMark(hints.decimal)
-        self._bad: dict[int, tuple[str, str]] = {}
+        self._bad: dict[int, tuple[str, dict[str, Any]]] = {}
         self._words: dict[int, str] = {}
         self._odd: dict[int, str] = {}
         self._comments: list[int] = []
@@ -269,7 +268,7 @@ class TableBuilder:
         self._bad[at] = (
             f"{self._path}:{line}: {name} is {cell!r}, but must be {must}; if that means a "
             "missing value, say so in the map",
-            f"missing: [{to_json(cell).decode()}]",
+            {"missing": [cell]},
         )
 
     def finish(self, form: str, notes: Sequence[str] = ()) -> MeasuredTable:
@@ -284,7 +283,7 @@ class TableBuilder:
                 f"{self._comments[0]}"
             )
         doubt = self._mark.doubt and f"{self._path}: {self._mark.doubt}"
-        mend = "decimal: '.'  # or ','" if doubt else ""
+        mend = {"decimal": "."} if doubt else {}
         decimal = "decimal comma" if self._mark.choose() == "," else "decimal point"
         rows = np.concatenate(self._lines) if self._lines else np.zeros(0, np.int64)
         columns = list(self._finish_columns())
@@ -296,7 +295,7 @@ class TableBuilder:
         dates = [at for at, clock in self._clocks.items() if clock.is_date]
         order = self._hints.date_order
         for at, (name, unit, kind) in enumerate(zip(*self._layout[:3], strict=True)):
-            bad, mend = self._bad.get(at, ("", ""))
+            bad, mend = self._bad.get(at, ("", {}))
             if kind == "w":
                 says = f"words, no numbers: {self._words.get(at, '')}"
                 yield TableColumn(name, np.zeros(0), unit, is_text=True, says=says)
@@ -312,7 +311,7 @@ class TableBuilder:
                     values = self._clocks[at].finish(times, order, days)
                 except ValueError as error:
                     bad = bad or f"{self._path}: {name}: {error}"
-                    mend = "date_order: d/m/y  # or m/d/y" if "day from month" in bad else mend
+                    mend = {"date_order": "d/m/y"} if "day from month" in bad else mend
                     values = np.full(len(times), np.nan)
                 says = "times of day, in seconds"
                 yield TableColumn(name, values, "s", bad_cell=bad, mend=mend, says=says)

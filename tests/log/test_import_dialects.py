@@ -12,16 +12,22 @@ import gzip
 import lzma
 import re
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
+import openpyxl
+import pyarrow as pa
 import pytest
 import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from nptdms import ChannelObject, TdmsWriter
+from pyarrow import parquet
 from pydantic import TypeAdapter
+from scipy.io import savemat
 
 import pamctl.log
 from pamctl.log.importing.column_map import ImportMap
@@ -264,6 +270,87 @@ def judge_dialect(dialect: dict[str, Any]) -> str:
 @given(dialects())
 def test_a_table_is_read_back_or_refused_in_every_dialect(dialect):
     judge_dialect(dialect)
+
+
+def write_sheet(path: Path, columns: dict[str, Any], units: Mapping[str, str]) -> None:
+    book = openpyxl.Workbook()
+    sheet = book.worksheets[0]
+    sheet.append(["Bench 3"])
+    sheet.append(list(columns))
+    sheet.append([units.get(name, "-") for name in columns])
+    for row in zip(*(values.tolist() for values in columns.values()), strict=True):
+        sheet.append([None if cell != cell else cell for cell in row])
+    book.save(path)
+
+
+def write_tdms(path: Path, columns: dict[str, Any], units: Mapping[str, str]) -> None:
+    with TdmsWriter(path) as writer:
+        for part in (slice(0, 7), slice(7, ROWS)):
+            channels = [
+                ChannelObject("G", name, values[part], {"unit_string": units.get(name, "")})
+                for name, values in columns.items()
+            ]
+            writer.write_segment(channels)
+
+
+def write_hdf5(path: Path, columns: dict[str, Any]) -> None:
+    with h5py.File(path, "w") as file:
+        for name, values in columns.items():
+            file[f"run/{name}"] = values
+
+
+def write_records(path: Path, columns: dict[str, Any]) -> None:
+    table = np.zeros(ROWS, [(name, values.dtype) for name, values in columns.items()])
+    for name, values in columns.items():
+        table[name] = values
+    np.save(path, table)
+
+
+PLAIN_NAMES = {
+    "time": "t_s", "valve_v": "valve_v", "pressure_pa": "pressure_gauge_bar", "force_n": "force_n",
+    "position_m": "position_um",
+}  # fmt: skip
+WRITERS: dict[str, Callable[[Path, dict[str, Any]], Any]] = {
+    "a.npz": lambda path, columns: np.savez_compressed(path, **columns),
+    "a.npy": write_records,
+    "a.parquet": lambda path, columns: parquet.write_table(pa.table(columns), path),
+    "a.h5": write_hdf5,
+    "v7.mat": lambda path, columns: savemat(path, {"run": columns}, do_compression=True),
+    "v4.mat": lambda path, columns: savemat(path, columns, format="4"),
+    "a.xlsx": lambda path, columns: write_sheet(path, columns, {}),
+}
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.sampled_from([*WRITERS, "units.xlsx", "a.tdms"]),
+    st.permutations(["time", *TRUTH]),
+    st.sampled_from(list(TRUTH)),
+    st.sets(st.integers(0, ROWS - 1), max_size=3),
+    st.booleans(),
+)
+def test_a_table_of_any_program_is_read_back(name, order, missing_in, missing_at, whole):
+    truth = {"time": T_S, **{key: values.copy() for key, values in TRUTH.items()}}
+    truth[missing_in][list(missing_at)] = np.nan
+    if whole and missing_in != "force_n":
+        truth["force_n"] = truth["force_n"].astype(np.int32)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, name)
+        if name in WRITERS:
+            WRITERS[name](path, {PLAIN_NAMES[key]: truth[key] for key in order})
+        else:
+            heads = {"time": ("Time", "s"), **HEADS}
+            units = dict(heads.values())
+            write = write_tdms if name == "a.tdms" else write_sheet
+            write(path, {heads[key][0]: truth[key] for key in order}, units)
+        done = import_log(path, Path(folder, "a.mcap"), accept_units=True)
+        assert done.written, done.findings
+        measured = pamctl.log.signals(pamctl.log.read(done.destination))
+    np.testing.assert_allclose(measured.t_s, T_S, atol=1e-9)
+    for key in TRUTH:
+        shift = ATMOSPHERE_PA if key == "pressure_pa" else 0.0
+        got = (getattr(measured, key) - shift) / TO_SI[key]
+        np.testing.assert_allclose(got, truth[key], rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("text", ["1.016", "1,016"])

@@ -18,7 +18,7 @@ from pydantic import Field, model_validator
 
 from hal.configured import Configured
 from pamctl.json_text import to_json
-from pamctl.log.importing.quantities import ATMOSPHERIC_PRESSURE_PA, TIME, UNITS, TextHints
+from pamctl.log.importing.quantities import ATMOSPHERIC_PRESSURE_PA, TIME, UNITS
 
 if TYPE_CHECKING:  # settings import the map, and the loop process must not load numpy
     from pamctl.log.importing.measured_table import Floats
@@ -133,7 +133,22 @@ class LinesMap(Configured):
     last: Annotated[int | None, Field(ge=1)] = None
 
 
-class ImportMap(Configured):
+class TextHints(Configured):
+    """What the user says of a file of text; nothing said is found in the file."""
+
+    encoding: Annotated[str | None, Field(description="of a text, such as cp1252 or shift_jis")] = (
+        None
+    )
+    decimal: Annotated[Literal[".", ","] | None, Field(description="the mark of fractions")] = None
+    date_order: Annotated[
+        Literal["d/m/y", "m/d/y"] | None, Field(description="of dates such as 5/4/2026")
+    ] = None
+    missing: Annotated[
+        tuple[str, ...], Field(description="cells that mean a missing value, beside the usual ones")
+    ] = ()
+
+
+class ImportMap(TextHints):
     """The columns of a measured file; quantities that were not measured are left out."""
 
     time: TimeMap
@@ -147,25 +162,9 @@ class ImportMap(Configured):
             gt=5e4, lt=1.2e5, description="pressure of the atmosphere, the zero of a gauge pressure"
         ),
     ] = ATMOSPHERIC_PRESSURE_PA
-    encoding: Annotated[str | None, Field(description="of a text, such as cp1252 or shift_jis")] = (
-        None
-    )
-    decimal: Annotated[Literal[".", ","] | None, Field(description="the mark of fractions")] = None
-    date_order: Annotated[
-        Literal["d/m/y", "m/d/y"] | None, Field(description="of dates such as 5/4/2026")
-    ] = None
-    missing: Annotated[
-        tuple[str, ...], Field(description="cells that mean a missing value, beside the usual ones")
-    ] = ()
     lines: Annotated[
         LinesMap | None, Field(description="the part of the file to import; else all of it")
     ] = None
-
-    def hints(self) -> TextHints:
-        """Return what the map says of a text's form."""
-        return TextHints(
-            self.encoding or "", self.decimal or "", self.missing, self.date_order or ""
-        )
 
     def parts(self) -> dict[str, ColumnMap]:
         """Return how each column is read, by quantity; time comes first if it has a column."""
@@ -192,10 +191,9 @@ class ImportMap(Configured):
 
     def as_keys(self) -> dict[str, Any]:
         """Return the keys of the map, without those that say nothing new."""
-        keys = self.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
-        for part in self.parts().values():
-            keys[KEYS[part.quantity]] = describe_part(part)
-        return {key: keys[key] for key in type(self).model_fields if key in keys}
+        said = self.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
+        said |= {KEYS[quantity]: describe_part(part) for quantity, part in self.parts().items()}
+        return {key: said[key] for key in (*MAPS, *said) if key in said}
 
 
 def describe_part(part: ColumnMap) -> dict[str, Any]:

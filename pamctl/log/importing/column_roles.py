@@ -193,8 +193,11 @@ def _refuse(
             lines += [_propose(table, one, is_first=one is usable[0]) for one in usable]
     doubts += table.notes
     known = [id(one.column) for found in candidates.values() for one in found]
-    others = [c.name for c in table.columns if id(c) not in known and not c.is_text]
-    lines += [f"# other columns: {', '.join(map(quote, others[:20]))}"] if others else []
+    rest = [c for c in table.columns if id(c) not in known and not c.is_text]
+    others = [c.name for c in rest if not lines[0].startswith(f"time: {{column: {quote(c.name)},")]
+    if others:
+        example = write_key("pressure", {"column": others[-1], "unit": "kPa", "gauge": True})
+        lines.append(f"# other columns: {', '.join(map(quote, others[:20]))}; such as {example}")
     lines += [write_key(key, value) for key, value in table.mend.items()]
     return show_map("; ".join(doubts) + "; say which with --map FILE, such as:", lines)
 

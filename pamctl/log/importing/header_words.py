@@ -33,7 +33,7 @@ class HeaderMeaning(NamedTuple):
 
 
 _NAMES: Mapping[str, frozenset[str]] = {
-    TIME: frozenset({"time", "t", "timestamp", "zeit", "messzeit", "temps", "tiempo"}),
+    TIME: frozenset({"time", "t", "timestamp", "zeit", "messzeit", "uhrzeit", "temps", "tiempo"}),
     "valve_v": frozenset({"valve", "command", "cmd", "control", "u", "ventil", "stellgroesse"}),
     "pressure_pa": frozenset({"pressure", "p", "druck", "pression", "presion"}),
     "position_m": frozenset(

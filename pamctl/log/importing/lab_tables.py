@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from pamctl.log.importing.column_map import TextHints
 from pamctl.log.importing.measured_table import (
     MOST_NUMBERS,
     TIME_S,
@@ -30,7 +31,6 @@ from pamctl.log.importing.measured_table import (
     make_columns,
     refuse_bomb,
 )
-from pamctl.log.importing.quantities import TextHints
 
 
 def number_rows(columns: list[TableColumn], form: str, notes: list[str]) -> MeasuredTable:

@@ -25,7 +25,7 @@ from pamctl.log.importing.import_page import ImportedColumn, describe_column
 from pamctl.log.importing.imported_log import write_imported
 from pamctl.log.importing.measured_table import Floats, ImportRefused, Ints, MeasuredTable
 from pamctl.log.importing.plausibility import judge_clock, judge_record, judge_units
-from pamctl.log.importing.quantities import ATMOSPHERIC_PRESSURE_PA, TIME, UNITS, TextHints
+from pamctl.log.importing.quantities import ATMOSPHERIC_PRESSURE_PA, TIME, UNITS
 from pamctl.log.record_problems import GAP_PERIODS, nominal_period_s
 from pamctl.new_file import require_place
 from pamctl.plain_text import escape_name
@@ -74,7 +74,7 @@ def import_log(
     """
     source, destination = Path(source), Path(destination)
     require_place(destination)
-    table = read_table(source, import_map.hints() if import_map else TextHints())
+    table = read_table(source, import_map)
     findings = LogFindings()
     for note in table.notes:
         findings.warning("file", note)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from hal.calibration import CalibrationSettings
@@ -38,18 +37,6 @@ class SaidQuantity(NamedTuple):
     unit: str
     is_gauge: bool | None
     """Of a pressure; None where nothing says it."""
-
-
-@dataclass(frozen=True)
-class TextHints:
-    """What the user says of a file of text; nothing said is found in the file."""
-
-    encoding: str = ""
-    decimal: str = ""
-    missing: tuple[str, ...] = ()
-    """Words for a missing value, beside the usual ones."""
-    date_order: str = ""
-    """`d/m/y` or `m/d/y`."""
 
 
 def parse_column_name(name: str) -> SaidQuantity | None:

@@ -25,6 +25,7 @@ from pamctl.log.importing.cell_texts import (
     read_plain_rows,
     tell_kind,
 )
+from pamctl.log.importing.column_map import TextHints
 from pamctl.log.importing.header_words import read_unit
 from pamctl.log.importing.measured_table import (
     MOST_NUMBERS,
@@ -34,7 +35,6 @@ from pamctl.log.importing.measured_table import (
     MeasuredTable,
     TableColumn,
 )
-from pamctl.log.importing.quantities import TextHints
 
 HEAD_ROWS = 200
 """The numbers begin within as many rows."""
@@ -127,9 +127,11 @@ def _find_names(above: Sequence[Row], width: int) -> tuple[list[str], list[str]]
                 continue
             break
         cells = [" ".join(str(cell).split()) for cell in row.cells[:width]]
+        if all(tell_kind(cell) == "m" for cell in cells):
+            continue
         if not any(units) and _are_units(cells):
             units = [cell if _may_be_unit(cell) else "" for cell in cells]
-        elif _has_no_number([cell for cell in cells if cell]) and any(cells):
+        elif _has_no_number(cells):
             names = cells
             break
         elif not row.is_comment:
@@ -158,7 +160,7 @@ class TableBuilder:
         self._parts: dict[int, list[Floats]] = {at: [] for at in (*self._plain, *self._clocks)}
         self._lines: list[Ints] = []
         self._missing = MISSING | {word.lower() for word in hints.missing}
-        self._mark = DecimalMark(hints.decimal)
+        self._mark = DecimalMark(hints.decimal or "")
         self._bad: dict[int, tuple[str, dict[str, Any]]] = {}
         self._words: dict[int, str] = {}
         self._odd: dict[int, str] = {}
@@ -283,7 +285,7 @@ class TableBuilder:
                 f"{self._comments[0]}"
             )
         doubt = self._mark.doubt and f"{self._path}: {self._mark.doubt}"
-        mend = {"decimal": "."} if doubt else {}
+        mend = {"decimal": self._mark.choose() if self._mark.is_proved else "."} if doubt else {}
         decimal = "decimal comma" if self._mark.choose() == "," else "decimal point"
         rows = np.concatenate(self._lines) if self._lines else np.zeros(0, np.int64)
         columns = list(self._finish_columns())
@@ -293,7 +295,7 @@ class TableBuilder:
         sentinels = [n for w in self._hints.missing if (n := read_number(w, ".")) is not None]
         found = {at: np.concatenate(parts) for at, parts in self._parts.items() if parts}
         dates = [at for at, clock in self._clocks.items() if clock.is_date]
-        order = self._hints.date_order
+        order = self._hints.date_order or ""
         for at, (name, unit, kind) in enumerate(zip(*self._layout[:3], strict=True)):
             bad, mend = self._bad.get(at, ("", {}))
             if kind == "w":

@@ -17,8 +17,8 @@ from typing import BinaryIO, NamedTuple, TextIO
 import numpy as np
 
 from pamctl.log.importing.cell_texts import tell_kind
+from pamctl.log.importing.column_map import TextHints
 from pamctl.log.importing.measured_table import ImportRefused, MeasuredTable
-from pamctl.log.importing.quantities import TextHints
 from pamctl.log.importing.table_rows import (
     HEAD_ROWS,
     Row,
@@ -56,7 +56,7 @@ class TextBlock(NamedTuple):
 
 def read_text(path: Path, hints: TextHints, open_file: Callable[[], BinaryIO]) -> MeasuredTable:
     """Read a file of text; raise ImportRefused with the line and the cell that has no reading."""
-    encoding, notes = _find_encoding(path, hints.encoding, open_file)
+    encoding, notes = _find_encoding(path, hints.encoding or "", open_file)
     with TextIOWrapper(open_file(), encoding) as file:
         try:
             delimiter, table = _read_blocks(path, _split_blocks(path, file), hints)

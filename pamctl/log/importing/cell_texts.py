@@ -97,8 +97,10 @@ def read_plain_rows(text: str, delimiter: str, decimal: str, width: int) -> Floa
         text = "\n".join([",".join(line.split()) for line in text.split("\n")])
     else:
         text = text.replace(delimiter, ",")
-    if not _PLAIN_ROWS.fullmatch(text):
+    if not _PLAIN_ROWS.fullmatch(text) or "+-" in text:
         return None
+    if "+" in text:
+        text = text.removeprefix("+").replace(",+", ",").replace("\n+", "\n")
     raw = np.frombuffer(f"{text}\n".encode(), np.uint8)
     ends = raw[(raw == ord(",")) | (raw == ord("\n"))] == ord("\n")
     if np.count_nonzero(ends) * width != len(ends) or not ends[width - 1 :: width].all():
@@ -245,16 +247,20 @@ class ClockColumn:
         Times that differ in their digits alone are read together.
         """
         groups: dict[str, list[int]] = {}
-        texts = [str(cell).strip() for cell in cells]
+        texts = [str(cell).strip().replace("\n", " ") for cell in cells]
         if _COMPACT.match(texts[0]):
             texts = [_spread(text) for text in texts]
-        for at, text in enumerate(texts):
-            if text.lower() not in missing:
-                groups.setdefault(text.translate(_ZEROS), []).append(at)
+        for at, form in enumerate("\n".join(texts).translate(_ZEROS).split("\n")):
+            groups.setdefault(form, []).append(at)
+        gone = {word.translate(_ZEROS) for word in missing}
         found = np.full((len(cells), 2), np.nan)
+        bad: list[int] = []
         for form, group in groups.items():
-            found[group] = self._read_alike(form, [texts[at] for at in group])
-        bad = [at for group in groups.values() for at in group if np.isnan(found[at, 0])]
+            if form.lower() in gone:
+                group = [at for at in group if texts[at].lower() not in missing]
+            if group:
+                found[group] = self._read_alike(form, [texts[at] for at in group])
+                bad += [group[at] for at in np.flatnonzero(np.isnan(found[group, 0]))]
         return found, sorted(bad)
 
     def _read_alike(self, form: str, texts: list[str]) -> Floats:
@@ -271,11 +277,12 @@ class ClockColumn:
             self._form, self.first, self.date_form = shape, texts[0], date
         if shape != self._form:
             return found
-        digits = np.array(texts).view(np.uint32).reshape(len(texts), -1).astype(np.int64) - ord("0")
+        signs = np.array(texts).view(np.uint32).reshape(len(texts), -1)
 
         def count(begin: int, end: int) -> Ints:
             places = [at for at in range(begin, end) if form[at] == "0"][:_MOST_DIGITS]
-            number: Ints = digits[:, places] @ 10 ** np.arange(len(places))[::-1]
+            digits = signs[:, places].astype(np.int64) - ord("0")
+            number: Ints = digits @ 10 ** np.arange(len(places))[::-1]
             return number
 
         good = np.ones(len(texts), bool)

@@ -79,15 +79,24 @@ def _read_blocks(
     below = first.text.split("\n", skipped - 1)
     begun[:1] = [TextBlock(skipped, below[-1], first.is_cut)] if len(below) == skipped else []
     for block in chain(begun, blocks):
-        if not block.is_cut and builder.take_plain(block.first, block.text, delimiter):
+        text = _unquote(block.text, delimiter)
+        if not block.is_cut and builder.take_plain(block.first, text, delimiter):
             continue
-        columns = _split_evenly(block.text, delimiter, len(layout.kinds))
+        columns = _split_evenly(text, delimiter, len(layout.kinds))
         if columns is None:
             builder.take_rows(_split_rows(block, delimiter), is_cut=block.is_cut)
         else:
             lines = block.first + np.arange(len(columns[0]))
             builder.take(lines, columns, is_cut=block.is_cut)
     return delimiter, builder
+
+
+def _unquote(text: str, delimiter: str) -> str:
+    """Return lines without the quotes where all cells have them, and no mark within."""
+    marks = (text.count(delimiter), text.count("\n"))
+    is_whole = text[:1] == text[-1:] == '"' and text.count('"') == 2 * (sum(marks) + 1)
+    is_whole = is_whole and marks == (text.count(f'"{delimiter}"'), text.count('"\n"'))
+    return text.replace('"', "") if is_whole else text
 
 
 def _split_evenly(text: str, delimiter: str, width: int) -> list[list[str]] | None:

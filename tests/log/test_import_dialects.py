@@ -300,7 +300,10 @@ def write_hdf5(path: Path, columns: dict[str, Any]) -> None:
 
 
 def write_records(path: Path, columns: dict[str, Any]) -> None:
-    table = np.zeros(ROWS, [(name, values.dtype) for name, values in columns.items()])
+    table = np.zeros(
+        len(next(iter(columns.values()))),
+        [(name, values.dtype) for name, values in columns.items()],
+    )
     for name, values in columns.items():
         table[name] = values
     np.save(path, table)

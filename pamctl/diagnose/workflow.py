@@ -52,6 +52,14 @@ def diagnose(
     `bad_data`.
     """
     stated = {**(plant.noise.stated if plant.noise else {}), **(noise or {})}
+    plants_pa = plant.parameters.atmospheric_pressure_pa
+    for record in (*train, *holdout):
+        if record.atmosphere_pa is not None and abs(record.atmosphere_pa - plants_pa) > 1.0:
+            progress(
+                f"{record.name}: its gauge pressure counts from {record.atmosphere_pa:.6g} Pa, as "
+                f"its import map says, but the plant's atmosphere is {plants_pa:.6g} Pa: make "
+                "atmospheric_pressure_pa the same in both"
+            )
     train, holdout, faults = _mend_records(train, holdout, plant, stated)
     records = [*train, *holdout]
     try:

@@ -67,7 +67,8 @@ SMALL_SHARE = 0.25
 
 NAME_SHARE = 0.1
 """Of the whole gain: what gains less beside the first finding mends the model, and is said to be
-that. Half: the form of a law that is nearly right gets a name of its own."""
+that; so is what has no sure place, and takes off less of what the recalibrated model leaves (RMS).
+Half: the form of a law that is nearly right gets a name of its own."""
 
 LEFT_SHARE = 0.5
 """A name takes off some channel at least this share of what stays unexplained there (RMS over the

@@ -84,11 +84,10 @@ class Finding:
 def climb_ladder(search: NameSearch, base: WeighedModel, m: WeighedModel) -> list[Finding]:
     """Return what may be said of each name of a model, in the order in which they were found."""
     search.weigher.meet(base, m)
-    whole = max(base.total - m.total, 1e-9)
-    return [_find_level(search, m, name, whole) for name in m.names]
+    return [_find_level(search, base, m, name) for name in m.names]
 
 
-def _find_level(search: NameSearch, m: WeighedModel, name: str, whole: float) -> Finding:
+def _find_level(search: NameSearch, base: WeighedModel, m: WeighedModel, name: str) -> Finding:
     weigher, pool, mine = search.weigher, search.pool, search.pool[name]
     without = search.drop(m, name)
     own = without.left_out - m.left_out
@@ -134,13 +133,17 @@ def _find_level(search: NameSearch, m: WeighedModel, name: str, whole: float) ->
     )
     enough = takes_enough(search, without, m)
     low, _, high = bound_gain(own)
-    is_rest = name != m.names[0] and bool(own.sum() < NAME_SHARE * whole)
+    search.weigher.meet(base, m)
+    whole = max(base.total - m.total, 1e-9)
+    taken2 = weigher.find_robust2(without) - weigher.find_robust2(m)
+    little = bool((taken2 < NAME_SHARE**2 * weigher.find_robust2(base)).all())
+    is_rest = name != m.names[0] and (own.sum() < NAME_SHARE * whole or (little and not says_place))
     nearest = tuple(h for _, h in sorted(near, key=lambda n: n[0]))
     return Finding(
         mine, says_place, says_kind,
         says_name and not at_range and enough, float(own.sum()), (float(low), float(high)),
         float(own.sum()) / whole, _list_numbers(weigher, m, name),
-        at_range, is_rest, nearest, tuple(sorted(judged, key=lambda j: j.behind_nats)),
+        at_range, bool(is_rest), nearest, tuple(sorted(judged, key=lambda j: j.behind_nats)),
     )  # fmt: skip
 
 

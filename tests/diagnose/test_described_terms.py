@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 from hidden.excitations import multisine, null_staircase, square
 from hidden.hostile.situations import all_cases
 from hidden.hostile.trial import records_of as hostile_records
 from hidden.rig import hidden_rig
+from hidden.sensors import ENCODER_STEP_M
 from hidden.uncatalogued import UNCATALOGUED
 from support.made_records import names_of, numbers_of, to_records
 
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, summary
+from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.extended_plant_file import format_plant_file
 from pamctl.diagnose.report.page.diagnosis_page import build_diagnosis_page

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 from hidden.excitations import multisine, null_staircase, square
 from hidden.hostile.situations import all_cases
 from hidden.hostile.trial import records_of as hostile_records
 from hidden.rig import hidden_rig
+from hidden.sensors import ENCODER_STEP_M
 from hidden.uncatalogued import UNCATALOGUED
 from support.made_records import names_of, numbers_of, to_records
 
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, summary
+from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.extended_plant_file import format_plant_file
 from pamctl.diagnose.report.page.diagnosis_page import build_diagnosis_page
@@ -95,12 +99,27 @@ def test_a_load_that_is_hung_on_is_a_force_over_time() -> None:
     assert after - before == pytest.approx(-1.7, rel=0.1)
 
 
-@pytest.mark.parametrize("key", ["valve_gain_within/small/random", "leak_from_half/small/random"])
-def test_a_number_that_changes_within_a_record_is_said_as_a_change_over_time(key: str) -> None:
+def of_hostile(key: str) -> Diagnosis:
     (case,) = (one for one in all_cases() if one.id == key)
-    first, *_ = diagnose(*to_records(hostile_records(case)), PlantSettings()).findings
+    return diagnose(*to_records(hostile_records(case)), PlantSettings())
+
+
+def test_a_valve_gain_that_drifts_within_a_record_is_said_as_a_change_over_time() -> None:
+    first, *_ = of_hostile("valve_gain_within/small/random").findings
     assert first.level in ("name", "kind")
     assert first.hypothesis.kind in ("over time", "onset")
+
+
+def test_an_off_centre_encoder_is_placed_at_the_encoder() -> None:
+    def add_wave(position_m: Array) -> Array:
+        shown = position_m + 100e-6 * np.sin(2.0 * np.pi * position_m / 3.7e-3 + 0.7)
+        return np.round(shown / ENCODER_STEP_M) * ENCODER_STEP_M
+
+    train, held = (
+        [replace(r, position_m=add_wave(r["position_m"])) for r in part] for part in measure("")
+    )
+    found = diagnose(train, held, PlantSettings())
+    assert {f.hypothesis.place for f in found.findings if f.level != "set"} == {"encoder"}
 
 
 def test_nothing_is_found_in_noise() -> None:

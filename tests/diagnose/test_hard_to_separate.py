@@ -60,3 +60,12 @@ def test_the_width_of_a_play_is_found_with_the_pressure_of_the_muscle_behind_it(
     assert found.verdict is Verdict.NAMED
     width_m = numbers_of(found)["encoder_backlash.width_m"]
     assert width_m == pytest.approx(rig_of(case).truth.backlash_m, abs=2e-6)
+
+
+def test_steep_stribeck_friction_is_named_with_its_numbers() -> None:
+    case = Case("single/stribeck/10", "single", {"stribeck": 10}, program="brief")
+    found = _diagnose(case, ("stribeck", "coulomb_friction"))
+    assert names_of(found) == ["stribeck"]
+    truth, values = rig_of(case).truth, numbers_of(found)
+    assert values["stribeck.rise"] == pytest.approx(truth.stribeck, rel=0.02)
+    assert values["stribeck.speed_m_per_s"] == pytest.approx(truth.stribeck_m_per_s, rel=0.05)

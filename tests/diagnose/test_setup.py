@@ -105,13 +105,6 @@ def test_the_atmosphere_of_the_place_is_never_told_from_the_sensors_gain() -> No
     )
 
 
-def test_an_atmosphere_that_was_added_twice_is_said() -> None:
-    found = diagnose_spoiled(
-        hidden_rig(seed=4), lambda r: replace(r, pressure_pa=r["pressure_pa"] + 101.3e3)
-    )
-    assert "atmosphere" in found.reason or "pressure_pa" in sentence(found)
-
-
 def test_commands_that_were_logged_more_rarely_than_given_are_said() -> None:
     def decimate(record: Record) -> Record:
         return replace(record, valve_v=record["valve_v"][np.arange(len(record)) // 5 * 5])

@@ -94,6 +94,11 @@ class Diagnosis:
     """What earlier diagnoses expected of these records, and what came of it."""
 
     @property
+    def is_held_out(self) -> bool:
+        """Whether the gap is that of records, or of stretches of records, that were not fitted."""
+        return self.evidence is not None and self.evidence.weigher.held_out is not None
+
+    @property
     def findings(self) -> tuple[Finding, ...]:
         """What the model lacks, the first found first; also what is only mended (`rest`)."""
         return self.evidence.findings if self.evidence else ()

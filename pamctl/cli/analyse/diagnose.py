@@ -83,6 +83,12 @@ def diagnose(
             show_default="from the records",
         ),
     ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            "--jobs", metavar="N", min=1, help="Number of threads", show_default="all cores"
+        ),
+    ] = None,
     interactive: InteractiveOption = False,
     on_rig: Annotated[
         bool,
@@ -160,7 +166,7 @@ def diagnose(
         for note in record.notes:
             typer.echo(f"warning: {record.name}: {note}", err=True)
     if not held:
-        typer.echo("no --holdout: the gap is shown on the fitted logs", err=True)
+        typer.echo("no --holdout: two stretches of each log are held out", err=True)
     diagnosis = find_missing_effects(
         train,
         held,
@@ -168,6 +174,7 @@ def diagnose(
         without=without or (),
         accept=accepted,
         noise=stated,
+        jobs=jobs,
         progress=lambda line: typer.echo(line, err=True),
     )
     names = [path.name for path in (*logs, *(holdout or []))]
@@ -183,7 +190,7 @@ def diagnose(
 
 
 _FOR_RIG = ("experiment", "runs", "minutes", "dry_run", "yes", "socket")
-_FOR_LOGS = ("holdout", "without", "accept", "noise", "interactive")
+_FOR_LOGS = ("holdout", "without", "accept", "noise", "jobs", "interactive")
 
 
 def _require_one_kind(context: typer.Context, logs: Sequence[Path], *, on_rig: bool) -> None:

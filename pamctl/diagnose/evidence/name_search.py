@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from pamctl.diagnose.evidence.constants import (
     EXCHANGE_SHARE,
     FIRST_SHARE,
@@ -14,7 +16,7 @@ from pamctl.diagnose.evidence.constants import (
     SHORTLIST,
 )
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
-from pamctl.diagnose.evidence.pool import Hypothesis, Variant
+from pamctl.diagnose.evidence.pool import TURNED, Hypothesis, Variant
 from pamctl.diagnose.evidence.scores import EvidenceScore, drop_name, extend_model, score_all
 
 ROUGH_STEPS = 3
@@ -44,7 +46,7 @@ class NameSearch:
 
     def run(self, base: WeighedModel) -> WeighedModel:
         """Return the model that nothing improves."""
-        m, been, asked = base, set[frozenset[str]](), list(self.pool)
+        m, been, asked = self.turn_columns(base), set[frozenset[str]](), list(self.pool)
         while len(m.names) < MOST_NAMES and frozenset(m.names) not in been:
             been.add(frozenset(m.names))
             self._fitted[frozenset(m.names)] = m
@@ -67,6 +69,29 @@ class NameSearch:
             taken = self.choose_form(m, taken)
             m = self.exchange(base, self.weigher.settle(taken, 4))
         return self.prune(m)
+
+    def turn_columns(self, base: WeighedModel) -> WeighedModel:
+        """Return the model with the column turned round that explains most, if one does.
+
+        It is asked first, from the plant file's numbers: no tangent leads from one sign to another.
+        """
+        weigher, best = self.weigher, base
+        start = np.array([n.value for n in base.numbers])
+        for its in self.pool.values():
+            if its.kind != TURNED:
+                continue
+            (variant,) = its.variants
+            (factor,) = variant.sizes
+            numbers, x = (*base.numbers, factor), np.append(start, factor.value)
+            e = WeighedModel((its.name,), numbers, {}, x, {its.name: variant})
+            weigher.set_floor(base)
+            weigher.refine(e)
+            if weigher.like(e.d, weigher.floor2).by_block.sum() < base.cost.by_block.sum():
+                e = weigher.settle(e)
+                weigher.meet(base, e)
+                if weigher.counts(base, e) and e.total < min(best.total, base.total):
+                    best = e
+        return best
 
     def score(self, m: WeighedModel, names: Sequence[str]) -> list[EvidenceScore]:
         """Return the scores of those names that a model may take, the best first.

@@ -24,6 +24,8 @@ from pamctl.plant.terms.operators import DRIVERS, KNOTS, OPERATORS, REFERENCES
 CHAIN = "~"
 """Begins the name of a number that no plant has: one of the chain between the plant and a file."""
 ATMOSPHERE = "atmospheric_pressure_pa"
+TURNED = "turned"
+"""The kind of a column of the wrong sign."""
 WIDER = 10.0
 """A mechanism's ranges go so much further than a muscle's of the same force."""
 SPREAD = 5.0
@@ -433,7 +435,7 @@ def _make_turn(short: str, place: str, channel: str) -> Hypothesis:
     factor = Unknown(f"{CHAIN}factor.{channel}", -1.0, -2.0, -0.5, 0.05, 1.0, 0.5)
     name = f"{short}_turned"
     variants = (Variant({}, (factor,)),)
-    return Hypothesis(name, place, "turned", variants, name, setup=("sign", channel))
+    return Hypothesis(name, place, TURNED, variants, name, setup=("sign", channel))
 
 
 def _make_clock(short: str, place: str, channel: str) -> Hypothesis:

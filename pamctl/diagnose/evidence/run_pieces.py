@@ -64,6 +64,7 @@ SPRING_SHARE = 0.2
 """Of the force's span that a spring takes which makes a mechanism forget."""
 INERTIA_SHOWS = 2.0
 """The mean square of the force without the acceleration, over that with it, if a mass shows."""
+TWELFTHS = 12
 HELD_OUT = (5, 11)
 """Of twelve stretches of each record, those that are held out where no record is."""
 FAR = 1e4
@@ -367,7 +368,9 @@ def hold_out(runs: Runs) -> tuple[Runs, Runs | None]:
 
     The latter is None where no record has as many blocks.
     """
-    number = [12 * (b + 0.5) / n for n in np.array(runs.sizes) // runs.block for b in range(n)]
+    number = [
+        TWELFTHS * (b + 0.5) / n for n in np.array(runs.sizes) // runs.block for b in range(n)
+    ]
     held = np.isin(np.floor(number), HELD_OUT)
     shows = (~runs.masked[:, held]).any(axis=(1, 2)).all()
     return (runs.part(~held), runs.part(held)) if shows else (runs, None)

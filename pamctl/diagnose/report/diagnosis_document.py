@@ -6,7 +6,7 @@ from typing import Any
 
 from pamctl.diagnose.diagnosis import Diagnosis, Verdict
 from pamctl.diagnose.evidence.ladder import Finding, JudgedRival
-from pamctl.diagnose.evidence.run_pieces import Runs
+from pamctl.diagnose.evidence.run_pieces import HELD_OUT, TWELFTHS, Runs
 from pamctl.diagnose.report.finding_words import (
     find_form,
     label_hypothesis,
@@ -105,11 +105,14 @@ def _describe_finding(diagnosis: Diagnosis, finding: Finding) -> dict[str, Any]:
 
 
 def _describe_confirmation(diagnosis: Diagnosis) -> dict[str, Any]:
-    records = diagnosis.holdout or diagnosis.train
+    records, share = diagnosis.holdout or diagnosis.train, 1.0
     how = "records that were not fitted" if diagnosis.holdout else "the fitted records"
+    if diagnosis.is_held_out and not diagnosis.holdout:
+        how = "two stretches of each record that were not fitted"
+        share = len(HELD_OUT) / TWELFTHS
     return {
         "records": [r.name for r in records],
-        "duration_s": sum(r.duration_s for r in records),
+        "duration_s": share * sum(r.duration_s for r in records),
         "how": how,
     }
 

@@ -125,7 +125,7 @@ def describe_gap(diagnosis: Diagnosis) -> str:
             steps.append(f"{extended} with what was found")
         noise = display.spell_gap(gap.floor)
         parts.append(f"{display.short} {', '.join(steps)} (noise of its sensor {noise})")
-    where = "On held-out records" if diagnosis.holdout else "On the fitted records"
+    where = "On held-out seconds" if diagnosis.is_held_out else "On the fitted records"
     said = f"{where} the RMS that is left is: {'; '.join(parts)}."
     return f"{said} {describe_left(diagnosis)}".rstrip()
 

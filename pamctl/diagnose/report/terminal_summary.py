@@ -71,7 +71,7 @@ def _list_number_rows(diagnosis: Diagnosis) -> Iterator[str]:
 def _list_gap_rows(diagnosis: Diagnosis) -> Iterator[str]:
     if not diagnosis.gap:
         return
-    of = "held-out gap, RMS" if diagnosis.holdout else "gap, RMS"
+    of = "held-out gap, RMS" if diagnosis.is_held_out else "gap, RMS"
     yield f"{of:<20}{'start model':>12}{'recalibrated':>14}{'extended':>12}{'noise':>10}"
     for channel, gap in diagnosis.gap.items():
         display = SIGNAL_DISPLAYS[channel]

@@ -78,8 +78,8 @@ def _draw_levels(name: str, gap: HeldOutGap, stages: Sequence[ModelStage]) -> Le
 
 def _write_caption(diagnosis: Diagnosis) -> str:
     used = (
-        "on records that were used for no fit"
-        if diagnosis.holdout
+        "on seconds that were used for no fit"
+        if diagnosis.is_held_out
         else "on the fitted records, since none were held out"
     )
     parts = [

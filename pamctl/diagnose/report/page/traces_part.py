@@ -124,7 +124,7 @@ def write_traces(page: Page, diagnosis: Diagnosis) -> None:
         if len(stages) > 1
         else "where the residual is largest"
     )
-    use = "held-out" if diagnosis.holdout else "fitted"
+    use = "held-out" if diagnosis.holdout else "partly fitted"
     page.figure(
         *close_up,
         caption=f"The {use} record {run.name}, at most {STRETCH_S:g} s of it, {why}. A residual "

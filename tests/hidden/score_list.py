@@ -149,9 +149,12 @@ def _misread(kind: str, seed: int) -> ScoredCase:
 
 
 def _misreadings(kind: str) -> list[Cause]:
-    """Of a sensor whose zero wanders, that it is said of the sensor is true, and not asked."""
-    there = frozenset({("pressure_sensor", "time"), ("pressure_sensor", "curve")})
-    return [Cause("wander", there, "none")] if NULLS[kind].wander_pa else []
+    """Of a zero that wanders, a filter, a clock: that it is said is true, and not asked."""
+    lab, there = NULLS[kind], set[Where]()
+    there |= {("pressure_sensor", "time"), ("pressure_sensor", "curve")} if lab.wander_pa else set()
+    there |= {("pressure_sensor", "lag")} if lab.filter_hz else set()
+    names = frozenset({"clock_rate.t_s"} if lab.time_rate else ())
+    return [Cause(kind, frozenset(there), "none", names)] if there or names else []
 
 
 def _with_paper(record: Callable[[], Handed]) -> Made:

@@ -329,11 +329,6 @@ class Weigher:
             return False
         if gain[self.like.n_blocks :].sum() < 0.0:  # the records that are held out
             return False
-        if len(variant.sizes) == 1:
-            (size,) = variant.sizes
-            low, high = self.find_intervals(b)[size.name]
-            if max(low, size.low) <= (size.neutral or 0.0) <= min(high, size.high):
-                return False
         seen = self.find_seen(a, b).max() > SEEN_SHARE
         return bool(seen or self.find_imprint(a, b).max() > 1.0)
 

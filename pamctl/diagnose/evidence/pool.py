@@ -280,8 +280,8 @@ def _make_wave(
 
 CURVES: Mapping[str, tuple[str, ...]] = {
     "command": ("time",),
-    "filling": ("command",),
-    "exhausting": ("command",),
+    "filling": ("command", "time"),
+    "exhausting": ("command", "time"),
     "opening": ("time",),
     "supply": ("time",),
     "flow": ("pressure", "position", "time"),
@@ -420,6 +420,13 @@ def list_of_chain(
         yield _make_clock(short, place, channel)
     if actuator != "direct":
         yield _make_turn("valve", "valve", "valve_v")
+        yield _make_clock("all", "clock", "t_s")
+        # Logged too early it is a delay of the rig.
+        late = Unknown(f"{CHAIN}late.valve_v", tick, 0.0, 20 * tick, tick, 0.0, 0.4 * tick)
+        yield Hypothesis(
+            "valve_late", "valve", "lag", (Variant({}, (late,)),), "valve_late",
+            setup=("skew", "valve_v"),
+        )  # fmt: skip
         yield _make_clock("valve", "valve", "valve_v")
     if "pressure_pa" in channels:
         air = plant["atmospheric_pressure_pa"]

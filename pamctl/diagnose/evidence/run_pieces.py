@@ -270,7 +270,7 @@ class Runs:
         air_pa = chain.get(f"{CHAIN}atmosphere")
         if air_pa is not None:
             plain["atmospheric_pressure_pa"] = air_pa
-        command = {k: v for k, v in chain.items() if k.endswith("valve_v")}
+        command = {k: v for k, v in chain.items() if k.endswith(("valve_v", "t_s"))}
         key = (step_s, *sorted((plain | command).items()))
         last = self._whole._last
         if last is not None and last[0] == key:
@@ -292,6 +292,12 @@ class Runs:
         self, p: PlantParameters, stretch: RunPiece, step_s: float, command: Mapping[str, float]
     ) -> Array:
         inputs, grid = stretch.inputs, stretch.grids[step_s]
+        longer = 1.0 + command.get(f"{CHAIN}clock.t_s", 0.0)
+        if longer != 1.0:
+            grid = grid._replace(
+                samples_s=grid.samples_s / longer, acts_s=grid.acts_s / longer,
+                step_s=grid.step_s / longer, ends_s=grid.ends_s / longer,
+            )  # fmt: skip
         if self.imposed:
             rates = stretch.rates
             return required_force_n(
@@ -308,6 +314,7 @@ class Runs:
         if command:
             commands = commands * command.get(f"{CHAIN}factor.valve_v", 1.0)
             when_s = grid.samples_s * (1.0 + command.get(f"{CHAIN}clock.valve_v", 0.0))
+            when_s = when_s + command.get(f"{CHAIN}late.valve_v", 0.0)
             commands = np.interp(when_s, grid.samples_s, commands)
         coupled = drive_coupled(p, commands, grid, start=self._start(p, stretch))
         return np.stack([getattr(coupled, channel) for channel in self.channels])

@@ -72,7 +72,8 @@ Half: the form of a law that is nearly right gets a name of its own."""
 
 LEFT_SHARE = 0.5
 """A name takes off some channel at least this share of what stays unexplained there (RMS over the
-sensor's noise). Else something larger is still missing, and only its place is said."""
+sensor's noise). Else something larger is still missing, and only its place is said. What comes
+after the first finding takes off twice that share, or it only mends the model."""
 
 EXCHANGE_SHARE = 0.3
 """Only names whose removal costs less than this share of the whole gain are exchanged."""

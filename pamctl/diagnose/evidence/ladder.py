@@ -131,13 +131,16 @@ def _find_level(search: NameSearch, base: WeighedModel, m: WeighedModel, name: s
         if m.values[u.name] != u.neutral
         and not u.low + 1e-3 * u.scale < m.values[u.name] < u.high - 1e-3 * u.scale
     )
-    enough = takes_enough(search, without, m)
+    is_first = name == m.names[0]
+    enough = takes_enough(search, without, m, LEFT_SHARE if is_first else 2.0 * LEFT_SHARE)
     low, _, high = bound_gain(own)
     search.weigher.meet(base, m)
     whole = max(base.total - m.total, 1e-9)
     taken2 = weigher.find_robust2(without) - weigher.find_robust2(m)
     little = bool((taken2 < NAME_SHARE**2 * weigher.find_robust2(base)).all())
-    is_rest = name != m.names[0] and (own.sum() < NAME_SHARE * whole or (little and not says_place))
+    is_rest = not is_first and (
+        own.sum() < NAME_SHARE * whole or (little and not says_place) or not enough
+    )
     nearest = tuple(h for _, h in sorted(near, key=lambda n: n[0]))
     return Finding(
         mine, says_place, says_kind,
@@ -168,13 +171,15 @@ def fit_number(name: str, value: float, interval: tuple[float, float]) -> Fitted
     return FittedNumber(name, value, *interval, "" if name.startswith(CHAIN) else unit_of(name))
 
 
-def takes_enough(search: NameSearch, without: WeighedModel, m: WeighedModel) -> bool:
+def takes_enough(
+    search: NameSearch, without: WeighedModel, m: WeighedModel, share: float = LEFT_SHARE
+) -> bool:
     """Tell whether what a name takes off some channel is not small beside what stays there."""
     weigher = search.weigher
     taken = weigher.find_imprint(without, m)
     left2 = weigher.find_robust2(m) / weigher.find_noise2(m) - 1.0
     there = int(taken.argmax())
-    return bool(taken[there] > LEFT_SHARE * max(float(left2[there]), 0.0) ** 0.5)
+    return bool(taken[there] > share * max(float(left2[there]), 0.0) ** 0.5)
 
 
 def _may_rival(search: NameSearch, name: str, mine: Hypothesis) -> bool:

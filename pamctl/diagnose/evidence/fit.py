@@ -28,7 +28,8 @@ from pamctl.diagnose.evidence.constants import (
 )
 from pamctl.diagnose.evidence.likelihood import Likelihood, Loss, levels_of, to_haar
 from pamctl.diagnose.evidence.pool import CHAIN, Unknown, Variant
-from pamctl.diagnose.evidence.run_pieces import Runs, find_step
+from pamctl.diagnose.evidence.run_pieces import Runs
+from pamctl.diagnose.evidence.sample_masks import find_step
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,8 @@ from pamctl.diagnose.evidence.constants import (
     SHORTLIST,
 )
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
-from pamctl.diagnose.evidence.pool import TURNED, Hypothesis, Variant
+from pamctl.diagnose.evidence.measuring_chain import TURNED
+from pamctl.diagnose.evidence.pool import Hypothesis, Variant
 from pamctl.diagnose.evidence.scores import EvidenceScore, drop_name, extend_model, score_all
 
 ROUGH_STEPS = 3

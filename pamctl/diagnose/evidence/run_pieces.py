@@ -12,22 +12,32 @@ from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass
 from functools import cache, partial
-from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import savgol_filter
 
 from pamctl.diagnose.evidence.constants import (
     COARSE_STEP_S,
     FINE_STEP_S,
     LEAST_LEVELS,
     LEVELS,
-    REST_SHARE,
+)
+from pamctl.diagnose.evidence.measured_motion import (
+    SMOOTH_S,
+    SPEED_S,
+    find_rates,
+    has_no_speed,
+    judge_motion,
 )
 from pamctl.diagnose.evidence.pool import CHAIN
+from pamctl.diagnose.evidence.sample_masks import (
+    fill_gone,
+    find_frozen,
+    find_neighbours,
+    find_spikes,
+)
 from pamctl.plant.axis.required_force import required_force_n
 from pamctl.plant.drive import (
     NO_RESTARTS,
@@ -48,22 +58,12 @@ WARM_S = 0.25
 """After a start from measured values: longer than the plant's memory of 60 ms."""
 WINDOW_S = 0.256
 """A mechanism without a spring never forgets: it begins again after so long."""
-SMOOTH_S = 0.05
-"""Over which a measured state is smoothed, where a window begins."""
-SPEED_S = 0.3
-"""Over which the speed of an imposed motion is measured."""
 OFF_REST_PA = 5e3
 """A muscle whose record begins so far from the atmosphere has not begun vented."""
 GAP = 20.0
 """Periods without a sample after which a record goes on anew."""
-FROZEN = 20
-"""Equal samples in a row of a channel whose noise is above its step."""
 BLOCK_S = 0.512
 """Of a block at 1 kHz; slower logs come as near to it as the levels let them."""
-SPRING_SHARE = 0.2
-"""Of the force's span that a spring takes which makes a mechanism forget."""
-INERTIA_SHOWS = 2.0
-"""The mean square of the force without the acceleration, over that with it, if a mass shows."""
 TWELFTHS = 12
 HELD_OUT = (5, 11)
 """Of twelve stretches of each record, those that are held out where no record is."""
@@ -135,7 +135,7 @@ class Runs:
         self.jobs = jobs
         self.actuator = ACTUATORS[round(plant.get(ACTUATOR, 0.0))]
         self.period_s = float(np.median([np.median(np.diff(r.t_s)) for r in records or ()]))
-        motion = _judge_motion(records, self.actuator, self.period_s)
+        motion = judge_motion(records, self.actuator, self.period_s)
         self.imposed: bool = like.imposed if like else motion[0]
         self.windowed: bool = like.windowed if like else motion[1]
         self.channels = _choose_channels(records, self.actuator, self.imposed)
@@ -194,7 +194,7 @@ class Runs:
     ) -> RunPiece:  # fmt: skip
         shown = np.stack([columns[c] for c in self.channels])
         masked = ~np.isfinite(shown)
-        shown = np.stack([_fill(row, gone) for row, gone in zip(shown, masked, strict=True)])
+        shown = np.stack([fill_gone(row, gone) for row, gone in zip(shown, masked, strict=True)])
         for row, gone in zip(shown, masked, strict=True):
             gone |= find_spikes(row) | find_frozen(row)
         if counts is not None:
@@ -207,9 +207,9 @@ class Runs:
         rates: dict[str, Array] = {}
         if self.actuator == "direct":
             width_s = SPEED_S if self.imposed else SMOOTH_S
-            rates = _find_rates(columns["position_m"], self.period_s, width_s, grids[COARSE_STEP_S])
+            rates = find_rates(columns["position_m"], self.period_s, width_s, grids[COARSE_STEP_S])
         if self.imposed:
-            masked |= _has_no_speed(rates["speed"], grids[COARSE_STEP_S].samples_s)
+            masked |= has_no_speed(rates["speed"], grids[COARSE_STEP_S].samples_s)
         return RunPiece(columns, shown, masked, rates, grids, at_rest)
 
     def _lay_out(self) -> None:
@@ -231,7 +231,7 @@ class Runs:
         """Note what does not count: samples that say nothing, and blocks of the other part."""
         self.hidden: Mask = self.masked | ~self._counts[:, None]
         ends = np.cumsum([0, *self.sizes])
-        self._fills = [_find_neighbours(row.ravel(), ends) for row in self.hidden]
+        self._fills = [find_neighbours(row.ravel(), ends) for row in self.hidden]
 
     def pack(self, parts: Sequence[Array], rest: float | None = None) -> Array:
         """Return rows of all stretches as blocks, shape (rows, n_blocks, block)."""
@@ -407,41 +407,6 @@ def _choose_channels(records: Sequence[Recording], actuator: str, imposed: bool)
     return channels
 
 
-def _judge_motion(
-    records: Sequence[Recording], actuator: str, period_s: float
-) -> tuple[bool, bool]:
-    """Tell whether a mechanism's motion is imposed, and whether it needs windows, by its force.
-
-    A spring that takes part of the force makes it forget. Without one, a force in which the
-    acceleration does not show has not moved the mass: something else did.
-    """
-    if actuator != "direct" or any(r.position_m is None for r in records):
-        return False, False
-    tables, forces = [], []
-    for record in records:
-        grid = build_grid(np.diff(record.t_s), len(record.t_s), 1)
-        rates = _find_rates(np.asarray(record.position_m, float), period_s, SMOOTH_S, grid)
-        speed = rates["speed"]
-        columns = [rates["push"], speed, rates["smooth"], np.sign(speed), np.ones(len(speed))]
-        pressure = record.pressure_pa
-        if record.force_n is not None and pressure is not None:
-            columns += [np.asarray(pressure), pressure * np.sign(speed)]
-        tables.append(np.column_stack(columns))
-        forces.append(record.force_n if record.force_n is not None else pressure)
-    table, force = np.concatenate(tables), np.concatenate(forces)
-    table = table / np.maximum(np.abs(table).max(axis=0), 1e-30)
-    amounts, _, _, _ = np.linalg.lstsq(table, force, rcond=None)
-    less, _, _, _ = np.linalg.lstsq(table[:, 1:], force, rcond=None)
-    left2 = [
-        float(np.mean((force - t @ a) ** 2)) for t, a in ((table, amounts), (table[:, 1:], less))
-    ]
-    spring = abs(amounts[2]) * np.ptp(table[:, 2]) / max(float(np.ptp(force)), 1e-30)
-    if spring >= SPRING_SHARE:
-        return False, False
-    has_force = all(r.force_n is not None for r in records)
-    return has_force and left2[1] < INERTIA_SHOWS * left2[0], True
-
-
 def join_waves(values: Mapping[str, float]) -> tuple[dict[str, float], dict[str, float]]:
     """Return the plant's numbers, and those of the measuring chain.
 
@@ -457,86 +422,3 @@ def join_waves(values: Mapping[str, float]) -> tuple[dict[str, float], dict[str,
         plain[f"{family}.{size}"] = float(np.hypot(sine, cosine))
         plain[f"{family}.{phase}"] = float(np.arctan2(cosine, sine))
     return plain, chain
-
-
-def _find_rates(
-    position_m: Array, period_s: float, width_s: float, grid: SampleGrid
-) -> dict[str, Array]:
-    """Return the smoothed position, its speed and acceleration, of samples at uneven times."""
-    even_s = np.arange(0.0, grid.samples_s[-1] + period_s, period_s)
-    even_m = np.interp(even_s, grid.samples_s, position_m)
-    width = min(max(5, round(width_s / period_s) | 1), (len(even_m) - 1) | 1)
-    found = {
-        name: savgol_filter(even_m, width, 2, deriv=deriv, delta=period_s)
-        for deriv, name in enumerate(("smooth", "speed", "push"))
-    }
-    return {name: np.interp(grid.samples_s, even_s, row) for name, row in found.items()}
-
-
-def _has_no_speed(speed: Array, samples_s: Array) -> Mask:
-    """Tell where a log has no speed: at rest, and where its average goes over a reversal."""
-    size = np.abs(speed)
-    turns_s = samples_s[np.flatnonzero(np.diff(np.sign(speed)))]
-    after = np.searchsorted(turns_s, samples_s)
-    turns_s = np.concatenate([[-np.inf], turns_s, [np.inf]])
-    apart_s = np.minimum(samples_s - turns_s[after], turns_s[after + 1] - samples_s)
-    return np.asarray((size < REST_SHARE * np.quantile(size, 0.95)) | (apart_s < 0.5 * SPEED_S))
-
-
-def _find_neighbours(masked: Mask, ends: NDArray[np.int64]) -> tuple[Any, Any, Any, Array]:
-    """Return the masked samples, their next unmasked ones on either side, and the right's share."""
-    at = np.flatnonzero(masked)
-    lefts, rights = np.zeros(len(at), dtype=int), np.zeros(len(at), dtype=int)
-    for begin, end in pairwise(ends):
-        seen = begin + np.flatnonzero(~masked[begin:end])
-        mine = (at >= begin) & (at < end)
-        if not mine.any():
-            continue
-        if not len(seen):
-            lefts[mine] = rights[mine] = begin
-            continue
-        place = np.searchsorted(seen, at[mine])
-        lefts[mine] = seen[np.maximum(place - 1, 0)]
-        rights[mine] = seen[np.minimum(place, len(seen) - 1)]
-    lefts = np.where(lefts > at, rights, lefts)
-    rights = np.where(rights < at, lefts, rights)
-    share = np.where(rights > lefts, (at - lefts) / np.maximum(rights - lefts, 1), 0.0)
-    return at, lefts, rights, share
-
-
-def _fill(row: Array, gone: Mask) -> Array:
-    if not gone.any():
-        return row
-    if gone.all():
-        return np.zeros_like(row)
-    at = np.arange(len(row))
-    return np.interp(at, at[~gone], row[~gone])
-
-
-def find_step(row: Array) -> float:
-    """Return the step with which a channel was digitised: the smallest change that is one."""
-    steps = np.abs(np.diff(row))
-    steps = steps[steps > 1e-12 * max(float(np.abs(row).max()), 1e-30)]
-    return float(np.quantile(steps, 1e-3)) if len(steps) else 1.0
-
-
-def find_spikes(row: Array) -> Mask:
-    """Return the samples that stand out of their four neighbours, one or two together."""
-    padded = np.pad(row, 2, mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 5)
-    off = np.abs(row - np.median(windows, axis=1))
-    usual = float(np.quantile(off, 0.99))
-    return np.asarray(off > max(20.0 * usual, 10.0 * find_step(row)))
-
-
-def find_frozen(row: Array) -> Mask:
-    """Return the samples of runs of equal values, where the channel's noise forbids them."""
-    changes = np.diff(row) != 0.0
-    frozen = np.zeros(len(row), dtype=bool)
-    if changes.mean() < 0.5:  # a resting encoder repeats itself
-        return frozen
-    edges = np.flatnonzero(np.concatenate([[True], changes, [True]]))
-    for begin, end in pairwise(edges):
-        if end - begin >= FROZEN:
-            frozen[begin:end] = True
-    return frozen

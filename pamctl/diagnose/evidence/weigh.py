@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pamctl.diagnose.evidence.constants import FIT_STEPS
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
 from pamctl.diagnose.evidence.ladder import Finding, climb_ladder, fit_number
+from pamctl.diagnose.evidence.measuring_chain import list_of_chain
 from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.pool import (
     CHAIN,
@@ -19,10 +20,10 @@ from pamctl.diagnose.evidence.pool import (
     Scales,
     Unknown,
     list_effects,
-    list_of_chain,
     list_terms,
 )
-from pamctl.diagnose.evidence.run_pieces import Recording, Runs, find_step, hold_out
+from pamctl.diagnose.evidence.run_pieces import Recording, Runs, hold_out
+from pamctl.diagnose.evidence.sample_masks import find_step
 from pamctl.diagnose.plant_numbers import FittedNumber
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings, values_of

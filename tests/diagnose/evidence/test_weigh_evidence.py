@@ -11,7 +11,7 @@ from hidden.rig import Record, hidden_rig
 
 from pamctl.diagnose.evidence import weigh_evidence
 from pamctl.diagnose.evidence.pool import PAPER_SCALES, list_effects
-from pamctl.diagnose.evidence.run_pieces import find_frozen, find_spikes
+from pamctl.diagnose.evidence.sample_masks import find_frozen, find_spikes
 from pamctl.plant.catalogue import CATALOGUE
 
 

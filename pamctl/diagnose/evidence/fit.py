@@ -29,7 +29,7 @@ from pamctl.diagnose.evidence.constants import (
 from pamctl.diagnose.evidence.likelihood import Likelihood, Loss, levels_of, to_haar
 from pamctl.diagnose.evidence.pool import CHAIN, Unknown, Variant
 from pamctl.diagnose.evidence.run_pieces import Runs
-from pamctl.diagnose.evidence.sample_masks import find_step
+from pamctl.diagnose.evidence.sample_masks import find_resolution
 
 Array = NDArray[np.float64]
 
@@ -102,7 +102,7 @@ class Weigher:
         `noise` states standard deviations of sensors, SI, by channel: no scale is below them.
         """
         self.train, self.held_out, self.base = train, held_out, base
-        steps = map(find_step, train.shown.reshape(len(train.shown), -1))
+        steps = map(find_resolution, train.shown.reshape(len(train.shown), -1))
         stated = ((noise or {}).get(channel, 0.0) for channel in train.channels)
         least2 = np.array([max(q**2 / 12.0, s**2) for q, s in zip(steps, stated, strict=True)])
         level = levels_of(train.block)

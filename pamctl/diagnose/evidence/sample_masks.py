@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pamctl.log.record_problems import find_sensor_step
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
@@ -15,11 +17,9 @@ FROZEN = 20
 """Equal samples in a row of a channel whose noise is above its step."""
 
 
-def find_step(row: Array) -> float:
-    """Return the step with which a channel was digitised: the smallest change that is one."""
-    steps = np.abs(np.diff(row))
-    steps = steps[steps > 1e-12 * max(float(np.abs(row).max()), 1e-30)]
-    return float(np.quantile(steps, 1e-3)) if len(steps) else 1.0
+def find_resolution(row: Array) -> float:
+    """Return the step with which a channel was digitised; a millionth of its span if none shows."""
+    return find_sensor_step(row) or max(1e-6 * float(np.ptp(row)), 1e-12)
 
 
 def find_spikes(row: Array) -> Mask:
@@ -28,7 +28,7 @@ def find_spikes(row: Array) -> Mask:
     windows = np.lib.stride_tricks.sliding_window_view(padded, 5)
     off = np.abs(row - np.median(windows, axis=1))
     usual = float(np.quantile(off, 0.99))
-    return np.asarray(off > max(20.0 * usual, 10.0 * find_step(row)))
+    return np.asarray(off > max(20.0 * usual, 10.0 * find_resolution(row)))
 
 
 def find_frozen(row: Array) -> Mask:

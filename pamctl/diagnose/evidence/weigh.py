@@ -23,7 +23,7 @@ from pamctl.diagnose.evidence.pool import (
     list_terms,
 )
 from pamctl.diagnose.evidence.run_pieces import Recording, Runs, hold_out
-from pamctl.diagnose.evidence.sample_masks import find_step
+from pamctl.diagnose.evidence.sample_masks import find_resolution
 from pamctl.diagnose.plant_numbers import FittedNumber
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings, values_of
@@ -204,7 +204,7 @@ def list_calibrated(
             Unknown("external_load.force_n", 0.0, -10.0 * force, 10.0 * force, 0.1 * force)
         )
     for channel, row in zip(runs.channels, runs.shown, strict=True):
-        step = find_step(row.ravel())
+        step = find_resolution(row.ravel())
         most = {"pressure_pa": ZERO_PA, "position_m": step}.get(channel, 1e3 * np.ptp(row))
         found.append(
             Unknown(f"{CHAIN}zero.{channel}", 0.0, -most, most, 0.2 * min(most, np.ptp(row)))

@@ -20,6 +20,7 @@ from pamctl.diagnose.evidence.constants import (
     SURE,
 )
 from pamctl.diagnose.evidence.fit import Array, WeighedModel, Weigher, bound_gain
+from pamctl.diagnose.evidence.measuring_chain import HOME
 from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.pool import CHAIN, Hypothesis
 from pamctl.diagnose.evidence.scores import EvidenceScore
@@ -162,7 +163,9 @@ def _judge_rival(
 def _list_numbers(weigher: Weigher, m: WeighedModel, name: str) -> tuple[FittedNumber, ...]:
     intervals = weigher.find_intervals(m)
     return tuple(
-        fit_number(u.name, m.values[u.name], intervals[u.name]) for u in m.picked[name].free
+        fit_number(u.name, m.values[u.name], intervals[u.name])
+        for u in m.picked[name].free
+        if not u.name.startswith(HOME)
     )
 
 

@@ -7,6 +7,7 @@ the plant file that no fit moves.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 from pamctl.diagnose.evidence.pool import CHAIN, Hypothesis, Unknown, Variant
 from pamctl.plant.effects.description import Actuator
@@ -14,6 +15,23 @@ from pamctl.plant.effects.description import Actuator
 ATMOSPHERE = "atmospheric_pressure_pa"
 TURNED = "turned"
 """The kind of a column of the wrong sign."""
+
+
+HOME = f"{CHAIN}home."
+"""Begins a zero that is free beside an effect which homing does not see."""
+
+
+def free_home(hypothesis: Hypothesis) -> Hypothesis:
+    """Return the hypothesis with a zero that it leaves open: an encoder is homed within a play."""
+    if hypothesis.family != "encoder_backlash":
+        return hypothesis
+    variants = []
+    for variant in hypothesis.variants:
+        (width,) = variant.sizes
+        half = 0.5 * width.high
+        zero = Unknown(f"{HOME}position_m", 0.0, -half, half, width.scale)
+        variants.append(variant._replace(shapes=(*variant.shapes, zero)))
+    return replace(hypothesis, variants=tuple(variants))
 
 
 def list_of_chain(

@@ -31,6 +31,7 @@ from pamctl.diagnose.evidence.measured_motion import (
     has_no_speed,
     judge_motion,
 )
+from pamctl.diagnose.evidence.measuring_chain import HOME
 from pamctl.diagnose.evidence.pool import CHAIN
 from pamctl.diagnose.evidence.sample_masks import (
     fill_gone,
@@ -358,7 +359,7 @@ class Runs:
                     part[:] = gaussian_filter1d(part, max(width_s / self.period_s, 0.05))
                 at += size
             row *= chain.get(f"{CHAIN}factor.{channel}", 1.0)
-            row += chain.get(f"{CHAIN}zero.{channel}", 0.0)
+            row += chain.get(f"{CHAIN}zero.{channel}", 0.0) + chain.get(f"{HOME}{channel}", 0.0)
             if channel == "pressure_pa" and f"{CHAIN}atmosphere" in chain:
                 row += self._atmosphere_pa - chain[f"{CHAIN}atmosphere"]
         return rows

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pamctl.diagnose.evidence.constants import FIT_STEPS
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
 from pamctl.diagnose.evidence.ladder import Finding, climb_ladder, fit_number
-from pamctl.diagnose.evidence.measuring_chain import list_of_chain
+from pamctl.diagnose.evidence.measuring_chain import free_home, list_of_chain
 from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.pool import (
     CHAIN,
@@ -219,7 +219,7 @@ def list_pool(runs: Runs, values: Mapping[str, float], plant: PlantSettings) -> 
     acting = {name.split(".")[0] for name in values if "." in name}
     taken = {LOCATIONS[t.removesuffix(SUFFIX)].part for t in acting if t.endswith(SUFFIX)}
     pool = [
-        *(h for h in list_effects(plant.actuator, machine) if h.family not in acting),
+        *(free_home(h) for h in list_effects(plant.actuator, machine) if h.family not in acting),
         *list_of_chain(runs.channels, values, runs.period_s, plant.actuator),
         *(h for h in list_terms(plant.actuator, reach, machine) if h.part not in taken),
     ]

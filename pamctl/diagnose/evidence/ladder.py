@@ -19,7 +19,7 @@ from pamctl.diagnose.evidence.constants import (
     RIVAL_SHARE,
     SURE,
 )
-from pamctl.diagnose.evidence.fit import Array, WeighedModel, Weigher, bound_gain
+from pamctl.diagnose.evidence.fit import KEPT_PROMISE, Array, WeighedModel, Weigher, bound_gain
 from pamctl.diagnose.evidence.measuring_chain import HOME
 from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.pool import CHAIN, Hypothesis
@@ -94,6 +94,7 @@ def _find_level(search: NameSearch, base: WeighedModel, m: WeighedModel, name: s
     own = without.left_out - m.left_out
     asked = [n for n in pool if n != name and _may_rival(search, n, mine)]
     scored = _choose_rivals(search, search.score(without, asked), mine)
+    promised = {s.name: s.gain for s in scored}
     rivals = search.refit(without, scored, len(scored), float(own.sum())) if scored else []
     weigher.meet(without, m)
     says_place = says_kind = True
@@ -112,6 +113,11 @@ def _find_level(search: NameSearch, base: WeighedModel, m: WeighedModel, name: s
             or (least > NAME_NATS and takes_enough(search, rival, m))
             or (extra > 0 and lead.sum() > -extra)  # it gains nothing for its further numbers
         )
+        if (
+            its.place == mine.place
+            and rival.total > without.total - KEPT_PROMISE * promised[its.name]
+        ):
+            beaten &= promised[its.name] < LEFT_SHARE * own.sum()  # its fit failed: it may be true
         if not beaten:
             near.append((float(lead.sum()), its))
         is_freer = its.is_term and (its.place == mine.place or its.name in mine.akin)

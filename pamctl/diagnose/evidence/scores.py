@@ -35,6 +35,8 @@ LIKELY_MOVE = 10.0
 """Scales that a number may move beside a new hypothesis: what no sample shows stays."""
 STUCK = 1e-3
 """Scales from its range at which a number counts as held by it."""
+HIGHEST_HZ = 60.0
+"""Of a ripple: pumps and mains are slower."""
 FILTER_S = 0.06
 """The plant's memory, by which a force's imprint on the position lags."""
 LINE = ((1.0, 1.0), (1.0, 0.3), (1.0, 0.0), (0.2, 0.2), (0.2, 0.0), (0.03, 0.0))
@@ -203,11 +205,14 @@ class _Beside:
         span = float(np.ptp(over))
         if span <= 0.0:
             return
-        bins = 4096
+        bins, highest = 4096, 100.0 / span
+        if hypothesis.scan == "time":
+            highest = min(HIGHEST_HZ, 0.2 / runs.period_s)
+            bins = max(bins, 1 << round(np.log2(4.0 * highest * span) + 0.5))
         place = ((over - over.min()) / span * (bins - 1)).astype(int)
         spectrum = np.abs(np.fft.rfft(np.bincount(place, pull.sum(axis=0), bins), 4 * bins)) ** 2
         rates = np.arange(len(spectrum)) / (4.0 * span) * (bins - 1) / bins
-        spectrum[(rates < 0.75 / span) | (rates > 100.0 / span)] = 0.0
+        spectrum[(rates < 0.75 / span) | (rates > highest)] = 0.0
         variant = hypothesis.variants[0]
         for _ in range(2):
             best = int(spectrum.argmax())

@@ -144,8 +144,9 @@ def _collect_numbers(actuator: str, given: dict[str, str]) -> dict[str, float]:
 
 
 def _list_fitted(plant: PlantSettings) -> list[str]:
-    from pamctl.diagnose.evidence.weigh import CALIBRATED
+    from pamctl.diagnose.evidence.weigh import CALIBRATED, LOAD
     from pamctl.diagnose.plant_numbers import value_of
 
-    names = CALIBRATED[plant.actuator]
-    return [name for name in names if name not in plant.known and value_of(plant, name)]
+    names = [name for name in CALIBRATED[plant.actuator] if value_of(plant, name)]
+    load = [LOAD] if plant.actuator == "direct" else []
+    return [name for name in (*names, *load) if name not in plant.known]

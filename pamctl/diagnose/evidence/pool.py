@@ -211,9 +211,11 @@ def _find_place(effect: EffectDescription, number: int | None) -> str:
             "encoder" if any(e.place == "position_reading" for e in effect.entries) else
             "pressure_sensor"
         )  # fmt: skip
-    folder = effect.kind.__module__.split(".")[-2]
+    folder = effect.kind.__module__.rpartition(".")[0].rpartition(".")[2]  # empty outside of pamctl
     if folder in ("valve", "air", "friction"):
         return folder
+    if any(e.place == "friction" for e in effect.entries):
+        return "friction"
     outside = [part for part in ("valve", "air") if part in effect.parts and folder != "mechanics"]
     return outside[0] if outside else "pull"
 

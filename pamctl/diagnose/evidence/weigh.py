@@ -44,6 +44,8 @@ CALIBRATED: Mapping[str, Mapping[str, float]] = {
     "direct": {"mass_kg": 0.2, "damping_n_s_per_m": 0.2, "stiffness_n_per_m": 0.2},
 }
 """Numbers that every model recalibrates, and a visible share of each."""
+LOAD = "external_load.force_n"
+"""The constant load of a direct mechanism; its force sensor's zero is the same to all data."""
 KNOWN_WELL = 0.1
 """A number with a smaller visible share is measured with a tape or a gauge: 6 shares are its range;
 all others are guesses, a factor of 12 (a direct mechanism: 50)."""
@@ -200,9 +202,7 @@ def list_calibrated(
             found.append(Unknown(name, number, low, most, 0.1 * abs(number)))
     if plant.actuator == "direct" and not runs.imposed and "external_load" not in plant.known:
         force = scales_of(runs, plant).force_n
-        found.append(
-            Unknown("external_load.force_n", 0.0, -10.0 * force, 10.0 * force, 0.1 * force)
-        )
+        found.append(Unknown(LOAD, 0.0, -10.0 * force, 10.0 * force, 0.1 * force))
     for channel, row in zip(runs.channels, runs.shown, strict=True):
         step = find_resolution(row.ravel())
         most = {"pressure_pa": ZERO_PA, "position_m": step}.get(channel, 1e3 * np.ptp(row))

@@ -144,9 +144,14 @@ def _word_named(diagnosis: Diagnosis) -> VerdictWords:
         "The model does not explain the measurement, not even with those values of its own numbers "
         f"that fit best. With {names} it does, and nothing else that was asked does as well. "
         f"{_BY_BLOCKS} {body}",
-        (_advise_after_naming(diagnosis),),
+        (*_advise_calibration(diagnosis), _advise_after_naming(diagnosis)),
         "good",
     )
+
+
+def _advise_calibration(diagnosis: Diagnosis) -> Iterator[str]:
+    if runs_here(diagnosis) and any(f.name == "null_offset" for f in diagnosis.findings):
+        yield "The null of the valve is measured by `pamctl calibrate valve --out rig.yaml`."
 
 
 def _advise_after_naming(diagnosis: Diagnosis) -> str:

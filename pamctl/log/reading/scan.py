@@ -195,7 +195,8 @@ class Scan:
         if held > MOST_SILENT_BYTES and not self._has_said:
             self._has_said = True
             what = f"the ticks of {escape_name(str(self.path))} take more than {held / 1e6:.0f} MB"
-            sys.stderr.write(f"note: {what} of memory; `pamctl log cut` makes shorter logs\n")
+            shorter = "`pamctl log cut LOG --out SHORTER.mcap --to-s 600` makes a shorter one"
+            sys.stderr.write(f"note: {what} of memory; {shorter}\n")
         if held > max(MOST_SILENT_BYTES, 2 * self._seen_bytes):
             what = f"take {held / 1e6:.0f} MB in memory, more than twice their bytes in the file"
             raise LogError(f"the ticks of {self.path} {what}: no run writes such ticks")

@@ -265,7 +265,7 @@ def test_a_log_without_a_command_has_a_page_of_the_mechanics_alone():
     html = build_diagnosis_page(found, [alone]).html()
     assert html.count('class="levels"') == 1
     assert "Valve command" not in html
-    assert "on the fitted records, since none were held out" in html
+    assert "on seconds that were used for no fit" in html
 
 
 def test_diagnose_writes_page_and_document_for_bad_data_too(tmp_path: Path):

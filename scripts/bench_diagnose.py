@@ -33,16 +33,7 @@ CASES = {
     "none_known": "left_out/polytropic",
 }
 """Cases of `tests/hidden` by the beginning of their names; the first that fits is taken."""
-PHASES = (
-    "list_candidates",
-    "_recalibrate",
-    "weigh_blocks",
-    "suspect_setup",
-    "name_effects",
-    "ask_beside",
-    "confirm_naming",
-    "_conclude",
-)
+PHASES = ("_mend_records", "weigh_evidence", "audit_evidence", "_decide_next")
 """Steps of `pamctl.diagnose.workflow`; what is in none of them is `other`."""
 YARDSTICK = "total = 0\nfor number in range(10_000_000):\n    total += number"
 
@@ -94,7 +85,7 @@ def measure(path: Path) -> dict[str, Any]:
 
     keep_single_threaded()  # as `pamctl` does: idle threads of the algebra count as well
     from pamctl.diagnose import Record, diagnose, record_of, workflow
-    from pamctl.diagnose.fitting import drives
+    from pamctl.diagnose.evidence import run_pieces
     from pamctl.plant.model import PlantSettings
 
     case = pickle.loads(path.read_bytes())
@@ -129,12 +120,12 @@ def measure(path: Path) -> dict[str, Any]:
 
     for name in PHASES:
         setattr(workflow, name, in_phase(name, getattr(workflow, name)))
-    for name in ("drive_pressure", "drive_mechanics", "drive_coupled"):
-        setattr(drives, name, counting(getattr(drives, name)))
+    for name in ("drive_mechanics", "drive_coupled"):
+        setattr(run_pieces, name, counting(getattr(run_pieces, name)))
     found = in_phase("other", diagnose)(*given, plant, without=case["without"])
     return {
         "verdict": str(found.verdict),
-        "names": sorted(found.model.names) if found.model else [],
+        "names": sorted(f.name for f in found.findings),
         "yardstick_s": round(yardstick_s, 3),
         "cpu_s": round(process_time() - began, 2),
         "simulations": sum(simulated.values()),

@@ -21,7 +21,8 @@ import numpy as np
 from bench_log import make_up_ticks, put_when_there_is_room
 
 from pamctl.log import read
-from pamctl.log.framing import Damage, map_log_file, walk_records
+from pamctl.log.framing import Damage, map_log_file
+from pamctl.log.reading.record_walk import walk_records
 from pamctl.log.recover import recover_file
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import TICK_TOPIC

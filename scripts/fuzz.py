@@ -30,6 +30,7 @@ HOUSE = Path(__file__).resolve().parent.parent
 LONGEST_S = 10
 """A single input that takes longer is harm too."""
 LARGEST_BYTES = 20_000
+MOST_MEMORY_MB = 512
 
 Harness = Callable[[bytes], object]
 
@@ -96,8 +97,9 @@ def _fuzz(name: str, corpus: Path, minutes: float) -> None:
 
     warnings.simplefilter("ignore")
     options = [
-        f"-max_total_time={int(minutes * 60)}", f"-timeout={LONGEST_S}", "-rss_limit_mb=4096",
-        f"-max_len={LARGEST_BYTES}", f"-artifact_prefix={found}/{name}-", "-len_control=0",
+        f"-max_total_time={int(minutes * 60)}", f"-timeout={LONGEST_S}",
+        f"-rss_limit_mb={MOST_MEMORY_MB}", f"-max_len={LARGEST_BYTES}",
+        f"-artifact_prefix={found}/{name}-", "-len_control=0",
     ]  # fmt: skip
     atheris.Setup([sys.argv[0], *options, str(kept)], try_input)
     atheris.Fuzz()
@@ -124,11 +126,19 @@ def _in_file(harness: Callable[[Path], object], suffix: str) -> Harness:
 def _read() -> Harness:
     from pamctl.log import LogError, info, read, signals
     from pamctl.log.check import check_log
+    from pamctl.log.measured_signals import judge_ticks
+    from pamctl.log.reader import read_paged
     from pamctl.replay.read_source import read_replay_source
     from pamctl.settings.problems import ConfigError
 
     def look(path: Path) -> None:
-        for tool in (info, check_log, lambda path: signals(read(path))):
+        for tool in (
+            info,
+            check_log,
+            lambda path: signals(read(path)),
+            lambda path: judge_ticks(read(path)),
+            lambda path: [column[:] for column in read_paged(path).columns.values()],
+        ):
             with suppress(LogError):
                 tool(path)
         with suppress(LogError, ConfigError):

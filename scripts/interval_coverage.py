@@ -41,25 +41,19 @@ from measured_table import format_table, write_measured  # noqa: E402
 from resumable_study import run_resumable  # noqa: E402
 
 from pamctl.diagnose import Record  # noqa: E402
-from pamctl.diagnose.fitting.candidates import Candidate, list_candidates, select_reaching  # noqa: E402
-from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE  # noqa: E402
-from pamctl.diagnose.fitting.evidence import Evidence, prepare_evidence, with_modelled_pressure  # noqa: E402
-from pamctl.diagnose.fitting.fitted_model import Model  # noqa: E402
-from pamctl.diagnose.fitting.intervals import estimate_intervals  # noqa: E402
-from pamctl.diagnose.fitting.model_fit import fit_model, recalibrate  # noqa: E402
-from pamctl.diagnose.naming.score import score_candidates  # noqa: E402
-from pamctl.diagnose.naming.search import (  # noqa: E402
-    confirm_complete,
-    fit_to_end_if_near,
-    rank,
-)
-from pamctl.diagnose.naming.shortlist import list_other_starts  # noqa: E402
+from pamctl.diagnose.evidence.fit import WeighedModel, Weigher  # noqa: E402
+from pamctl.diagnose.evidence.name_search import NameSearch  # noqa: E402
+from pamctl.diagnose.evidence.pool import PAPER_SCALES, list_effects  # noqa: E402
+from pamctl.diagnose.evidence.run_pieces import join_waves  # noqa: E402
+from pamctl.diagnose.evidence.weigh import list_pool, prepare_weigher  # noqa: E402
 from pamctl.plant.drive import drive_coupled  # noqa: E402
 from pamctl.plant.flat import NEUTRAL, PAPER, parameters_of  # noqa: E402
 from pamctl.plant.model import PlantSettings  # noqa: E402
 
 RIGS = ("own", "hidden")
 SIZES = (1.0, 10.0)
+EXPLAINED = 2.0
+"""A model that leaves less than this multiple of each sensor's noise (RMS) explains a rig."""
 OFF = {
     "damping_n_s_per_m": 0.06,
     "stiffness_n_per_m": 0.05,
@@ -158,76 +152,49 @@ def _size(random: np.random.Generator) -> float:
 
 def _draw_parameters(effect: str, random: np.random.Generator) -> dict[str, float]:
     """Draw an effect in one of its forms: its sizes, and its shapes about where a fit starts."""
-    forms = [c for c in _list_candidates() if c.name == effect]
+    forms = [
+        v for h in list_effects("muscle", PAPER_SCALES) if h.family == effect for v in h.variants
+    ]
     form = forms[int(random.integers(len(forms)))]
     size = _size(random)
     values = dict(form.held)
-    for number in form.switches:
-        neutral, step = NEUTRAL[number.name], size * random.uniform(0.85, 1.15) * number.scale
-        fits = neutral + step < number.high
-        values[number.name] = neutral + step if fits else neutral - step
-    for number in form.shapes:
-        usual = values.get(number.name) or NEUTRAL[number.name]
-        values[number.name] = float(
-            np.clip(usual * random.uniform(0.7, 1.4), number.low, number.high)
-        )
-    return values
+    for u in form.sizes:
+        neutral, step = u.neutral or 0.0, size * random.uniform(0.85, 1.15) * u.smallest
+        values[u.name] = neutral + step if neutral + step < u.high else neutral - step
+    for u in form.shapes:
+        values[u.name] = float(np.clip(u.value * random.uniform(0.7, 1.4), u.low, u.high))
+    return join_waves(values)[0]
 
 
-def _list_candidates() -> tuple[Candidate, ...]:
-    return list_candidates(Evidence(PlantSettings(), {PRESSURE: (), MECHANICS: ()}, {}, {}))
-
-
-def fit_structure(runs: Runs, effect: str) -> Model:
+def fit_structure(runs: Runs, effect: str) -> tuple[Weigher, WeighedModel]:
     """Fit the true structure, as the diagnosis does after it has found it."""
-    train, held = runs
-    evidence = prepare_evidence(train, held, PlantSettings())
-    forms = [c for c in list_candidates(evidence) if c.name == effect]
-    air = _best(evidence.select_blocks({PRESSURE}), select_reaching(forms, {PRESSURE}))
-    evidence = with_modelled_pressure(
-        evidence, train, held, air.fit_of(PRESSURE).settings, trusted=air.is_complete
-    )
-    return _best(evidence.weigh_by_floors(recalibrate(evidence).floors), forms)
-
-
-def _best(evidence: Evidence, forms: Sequence[Candidate]) -> Model:
-    """Fit the most promising form first; try more forms only if that fit is not good enough."""
-    base = confirm_complete(recalibrate(evidence))
-    ranked = [
-        score
-        for block in evidence.blocks
-        for score in score_candidates(base.fit_of(block), select_reaching(forms, {block}), block)
-        if score.start
-    ]
-    best = base
-    for score in sorted(ranked, key=lambda s: -s.explained):
-        for starts in ([score.start], [*list_other_starts(base, score)]):
-            model = confirm_complete(
-                fit_to_end_if_near(fit_model(base, (score.candidate,), starts))
-            )
-            best = model if best is base else min(best, model, key=rank)
-            if best.is_complete:
-                return best
-    return best
+    plant = PlantSettings()
+    weigher, start = prepare_weigher(*runs, plant)
+    base = weigher.leave_out(weigher.settle(start))
+    pool = {h.name: h for h in list_pool(weigher.train, weigher.base, plant) if h.family == effect}
+    search = NameSearch(weigher, pool)
+    fits = search.refit(base, search.score(base, [*pool]), len(pool))
+    return weigher, weigher.settle(fits[0]) if fits else base
 
 
 def examine_task(task: Task) -> dict[str, Any]:
     """Return the intervals of one rig with the true values."""
     runs, true = {"own": run_own_rig, "hidden": run_hidden_rig}[task.rig](task)
     began = time.process_time()
-    model = fit_structure(runs, task.effect)
-    found = estimate_intervals(model)
+    weigher, m = fit_structure(runs, task.effect)
+    left2 = weigher.like.mean_squares(m.d) / weigher.find_noise2(m)
+    ratios = dict(zip(weigher.train.channels, map(float, np.sqrt(left2)), strict=True))
     return {
         "key": task.key,
         "rig": task.rig,
         "effect": task.effect,
-        "at_floor": model.is_complete,
-        "ratios": {block: model.ratio(block) for block in model.evidence.blocks},
+        "at_floor": max(ratios.values()) < EXPLAINED,
+        "ratios": ratios,
         "seconds": time.process_time() - began,
         "numbers": [
-            {"name": n.name, "true": true[n.name], "value": n.value, "ci90": [n.low, n.high]}
-            for n in found
-            if n.name in true
+            {"name": name, "true": true[name], "value": m.values[name], "ci90": [*ends]}
+            for name, ends in weigher.find_intervals(m).items()
+            if name in true
         ],
     }
 
@@ -283,7 +250,7 @@ def summarise(results: Sequence[dict[str, Any]]) -> list[Coverage]:
             )
     above = [r for r in results if not r["at_floor"]]
     if above:
-        lines.append(compute_coverage("fits that end above the floor", above))
+        lines.append(compute_coverage("fits that leave more than the noise", above))
     by_effect = [
         compute_coverage(f"`{name}`", [r for r in at_floor if r["effect"] == name])
         for name in sorted({r["effect"] for r in results})

@@ -179,11 +179,11 @@ def write_table(results: list[Outcome]) -> Iterator[str]:
         cells = (f"`{r['key'].replace(':', '`, ')}", first, last, len(r["rounds"]), rig, judge(r))
         yield "| " + " | ".join(map(str, cells)) + " |"
     kinds = [judge(r) for r in results]
-    asked = [r for r in results if r["rounds"] and r["rounds"][0][0] == "ambiguous"]
+    asked = [r for r in results if r["rounds"] and len(r["rounds"][0][1]) > 1]
     decided = sum(judge(r) == "right" for r in asked)
     starved = sum(r["starved_tries"] for r in results)
     sums = ", ".join(f"{kinds.count(k)} {k}" for k in ("right", "WRONG", "open", "not run"))
-    yield f"\n{sums}; of {len(asked)} ambiguous ones {decided} decided rightly; {starved} starved."
+    yield f"\n{sums}; of {len(asked)} open ones {decided} decided rightly; {starved} starved."
 
 
 def main() -> None:

@@ -176,13 +176,13 @@ def judge_case(case: Case, logs: Sequence[Path]) -> dict[str, Any]:
     gap_pa = compared.gap(compared.coupled, "pressure_pa")
     records = [record_of(path) for path in logs]
     diagnosis = diagnose(records[:1], records[1:], plant)
-    model = diagnosis.model
-    ratios = {} if model is None else {b: round(model.ratio(b), 2) for b in model.evidence.blocks}
+    evidence = diagnosis.evidence
+    left = {} if evidence is None else evidence.left_over_noise
     return {
         "verdict": str(diagnosis.verdict),
         "said": diagnosis.reason,
-        "effects": [] if model is None else sorted(model.names),
-        "residual_over_floor": ratios,
+        "effects": sorted(f.name for f in diagnosis.findings),
+        "left_over_noise": {channel: round(ratio, 2) for channel, ratio in left.items()},
         "coupled_um": round(gap_m.rms * 1e6, 2),
         "coupled_pa": round(gap_pa.rms, 1),
         "missed": int(signals.missed.sum()),
@@ -257,7 +257,7 @@ def read_kept(path: Path | None) -> dict[str, dict[str, Any]]:
 def describe(found: Mapping[str, Any]) -> str:
     if "reason" in found:
         return f"{found['verdict']}: {found['reason']}"
-    ratios = ", ".join(f"{b} {r:.2f} x" for b, r in found["residual_over_floor"].items())
+    ratios = ", ".join(f"{b} {r:.2f} x" for b, r in found["left_over_noise"].items())
     loud = "ALARM " if is_alarm(found) else ""
     return (
         f"{loud}{found['verdict']} {' '.join(found['effects'])} {ratios}; "

@@ -144,11 +144,9 @@ def _collect_numbers(actuator: str, given: dict[str, str]) -> dict[str, float]:
 
 
 def _list_fitted(plant: PlantSettings) -> list[str]:
-    from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
-    from pamctl.diagnose.fitting.numbers import calibration_of
+    from pamctl.diagnose.evidence.weigh import CALIBRATED, LOAD
+    from pamctl.diagnose.plant_numbers import value_of
 
-    blocks = {"direct": (MECHANICS,), "chamber": (PRESSURE,)}.get(
-        plant.actuator, (PRESSURE, MECHANICS)
-    )
-    names = [name for block in blocks for name in calibration_of(block, plant)]
-    return list(dict.fromkeys(names))
+    names = [name for name in CALIBRATED[plant.actuator] if value_of(plant, name)]
+    load = [LOAD] if plant.actuator == "direct" else []
+    return [name for name in (*names, *load) if name not in plant.known]

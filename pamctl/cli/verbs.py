@@ -74,7 +74,7 @@ VERBS: Mapping[str, Verb] = {
     "diagnose": Verb(
         "Analyse",
         "analyse.diagnose:diagnose",
-        "Find where model and measurement disagree, name the missing effect, add it to the model.",
+        "Find what the model lacks to explain the logs, say what is sure of it, and add it.",
     ),
     "health": Verb(
         "Analyse",

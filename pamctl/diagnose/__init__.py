@@ -1,19 +1,16 @@
-"""Find where simulation and measurement disagree, name the missing effect, add it, show it.
+"""Find where simulation and measurement disagree, say what is missing, add it, show the gap shrink.
 
-audit   what an excitation cannot show or cannot tell apart, before any fit
-locate  which block, which regime, how far above the floor
-name    shortlist, refit, held-out choice, rivals
-extend  the model with the effect and its fitted numbers
-show    the held-out gap of the coupled model: nominal, recalibrated, extended, floor
+measured   the records: their columns, what is mended, what must be refused
+evidence   the pool of hypotheses, one likelihood, one search, the ladder of place, kind and name
+deciding   the program that tells apart what is left open
+report     document, sentence, page, plant file
 
-Read `workflow.py` first, then the five steps, a file each. The rooms below them: `measured` (the
-records), `fitting` (models and their floors), `naming` (the search); above them: `report`.
+Read `workflow.py` first, then `evidence/weigh.py`.
 """
 
-from pamctl.diagnose.diagnosis import Diagnosis
+from pamctl.diagnose.diagnosis import Diagnosis, Verdict
 from pamctl.diagnose.measured.from_log import record_of
 from pamctl.diagnose.measured.record import Record
-from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.report.terminal_summary import summary
 from pamctl.diagnose.report.verdict_words import sentence
 from pamctl.diagnose.workflow import diagnose

@@ -1,44 +1,49 @@
-"""Step 1, audit: what an excitation cannot show, and what it cannot tell apart.
+"""What an excitation cannot show, and what it cannot tell apart.
 
-Every effect is simulated at its smallest size of interest. What recalibration can imitate is
-removed, and the rest is compared with the floor: below the limit the effect is a blind spot. Of
-a pair of effects, one is simulated and the other fitted: if less than the limit is left, this
-excitation does not tell them apart. For example, the paper's full-scale squares cannot show a
-dead band of the valve: |u| is always 5 V, and the valve's gain absorbs the dead band.
+Every effect is simulated at its smallest size of interest. What the model's own numbers imitate
+is removed, by their tangent; the rest would gain so many nats under the scales of the likelihood,
+and it is seen or not. Both grow with the square of the size. An effect that gains less than a name
+must, or that no channel shows, is a blind spot. Of a pair one is simulated and the other fitted: if
+less than a name is left, this excitation does not tell them apart. For example, the paper's
+full-scale squares cannot show a dead band of the valve: |u| is always 5 V, and the valve's gain
+absorbs the dead band.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from math import inf
+from math import inf, sqrt
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
-from pamctl.diagnose.experiments import find_separating_experiment
-from pamctl.diagnose.fitting.block_fit import Fit, find_secants, project_out
-from pamctl.diagnose.fitting.candidates import (
-    Candidate,
-    apply_dose,
-    list_candidates,
-    list_forms,
+from pamctl.diagnose.evidence.constants import LEFT_SHARE, NAME_NATS, SEEN_SHARE
+from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
+from pamctl.diagnose.evidence.pool import Hypothesis, list_effects
+from pamctl.diagnose.evidence.weigh import (
+    EvidenceVerdict,
+    list_pool,
+    prepare_weigher,
+    scales_of,
 )
-from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
-from pamctl.diagnose.fitting.evidence import prepare_evidence, with_modelled_pressure
-from pamctl.diagnose.fitting.fitted_model import Model, extract_block_fit
-from pamctl.diagnose.fitting.model_fit import recalibrate
-from pamctl.diagnose.fitting.numbers import FreeNumber, look_up_parameter, unit_of, value_of
+from pamctl.diagnose.experiments import find_separating_experiment
+from pamctl.diagnose.measured.noise.mend import mend_records
+from pamctl.diagnose.measured.noise.sensor_noise import estimate_channel_noise
 from pamctl.diagnose.measured.quality_rules import leave_out_unused
 from pamctl.diagnose.measured.record import Array, Record
-from pamctl.diagnose.measured.refuse import check_measured_runs, check_sensors
+from pamctl.diagnose.measured.refuse import BadData, check_measured_runs, check_sensors
+from pamctl.diagnose.plant_numbers import look_up_parameter
 from pamctl.plant.catalogue import CATALOGUE
-from pamctl.plant.model import PlantSettings, plant_parameters
+from pamctl.plant.model import PlantSettings, plant_parameters, settings_of
 
-INERT = 1e-9
-"""An effect that uses a smaller share of the room below the limit changes nothing."""
-_BLOCKS_OF = {"direct": (MECHANICS, "sensors"), "chamber": (PRESSURE, "sensors")}
+INERT = 1e-12
+"""An effect with a smaller power changes nothing: it is no part of another actuator."""
+BLOCKS_OF = {"direct": ("mechanics", "sensors"), "chamber": ("pressure", "sensors")}
 """The blocks that an actuator has; a muscle has all. What it lacks is no blind spot."""
+SINGULAR = 1e-9
+ROOM = 1e-6
+"""Scales; a number at its range has a little room, or there would be no range."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +81,7 @@ class BlindSpot:
 
 @dataclass(frozen=True)
 class Inseparable:
-    """Two effects of which one explains the other down to the floor."""
+    """Two effects of which one explains the other down to the noise."""
 
     names: tuple[str, str]
     experiment: str
@@ -99,7 +104,7 @@ class Audit:
         spots = (
             replace(s, experiment="") if s.experiment == experiment else s for s in self.blind_spots
         )
-        pairs = (_advise_pair(pair.names, (experiment,)) for pair in self.inseparable)
+        pairs = (_advise_pair(pair.names, experiment) for pair in self.inseparable)
         return Audit(self.sees, tuple(spots), tuple(pairs), self.unasked)
 
     def as_dict(self) -> dict[str, object]:
@@ -119,190 +124,183 @@ class Audit:
 def audit_run(record: Record, plant: PlantSettings) -> Audit:
     """Audit one record, measured or simulated; raises `BadData`."""
     (record,), _ = leave_out_unused([record], plant)
+    (record,), _ = mend_records([record])
     check_measured_runs([record], plant)
-    evidence = prepare_evidence([record], [record], plant)
-    check_sensors([record], evidence.noises, plant)
-    candidates = list_candidates(evidence)
-    if {*evidence.blocks} != {PRESSURE, MECHANICS}:
-        found = audit_model(recalibrate(evidence), candidates)
-        return found.advise_beyond(record.experiment)
-    alone = recalibrate(evidence.select_blocks({PRESSURE}))
-    clean, trusted = alone.fit_of(PRESSURE).settings, alone.is_explained(PRESSURE)
-    driven = with_modelled_pressure(evidence, [record], [record], clean, trusted=trusted)
-    found = audit_model(recalibrate(driven, alone.fits), candidates)
-    return found.advise_beyond(record.experiment)
+    noises = {c: estimate_channel_noise([record], c) for c in record.channels if c != "valve_v"}
+    check_sensors([record], noises, plant)
+    try:
+        weigher, start = prepare_weigher([record], (), plant)
+    except ValueError as error:
+        raise BadData(str(error)) from None
+    return audit_model(weigher, weigher.settle(start)).advise_beyond(record.experiment)
 
 
-def audit_model(model: Model, candidates: Sequence[Candidate], *, pairs: bool = True) -> Audit:
-    """Audit the training records of a model that is at its floor, or near it.
+def audit_evidence(found: EvidenceVerdict, *, pairs: bool = True) -> Audit:
+    """Audit the training records of a verdict, beside its extended model."""
+    return audit_model(found.weigher, found.model, pairs=pairs)
 
-    The first form of an effect stands for all its forms.
-    """
-    not_fitted = _list_not_fitted(model)
-    firsts = {c.name: c for c in reversed((*candidates, *not_fitted))}
-    doses = {
-        block: _simulate_doses(model, block, firsts.values()) for block in model.evidence.blocks
-    }
-    spare = {block: _room_below_limit(model, block) for block in model.evidence.blocks}
-    powers = {
-        name: max(
-            (_column_rms(d[name]).min() / spare[block] for block, d in doses.items() if name in d),
-            default=0.0,
-        )
-        for name in firsts
-    }
-    mere = {c.name for c in not_fitted}
-    sees = tuple(name for name, power in powers.items() if power > 1.0 and name not in mere)
-    # What moves nothing at all is no part of another actuator than the muscle.
-    is_muscle = model.evidence.nominal.actuator == "muscle"
-    blind = [
-        _describe_blind_spot(c, powers[n])
-        for n, c in firsts.items()
-        if n not in (*sees, *mere) and (is_muscle or powers[n] > INERT)
+
+def audit_model(weigher: Weigher, m: WeighedModel, *, pairs: bool = True) -> Audit:
+    """Audit the training records of a fitted model."""
+    plant = settings_of(weigher.base)
+    has_already = {*plant.acting, *m.names}
+    fitted = [
+        h
+        for h in list_pool(weigher.train, weigher.base, plant)
+        if h.family in CATALOGUE and not {h.family, h.name} & has_already
     ]
-    blind += [_describe_not_fitted(c, powers[c.name], model) for c in not_fitted]
-    blind += _list_unseen_effects(model, candidates)
-    alike = _find_inseparable_pairs(doses, spare, sees) if pairs else []
+    machine = scales_of(weigher.train, plant)
+    mere = [
+        h
+        for h in list_effects(plant.actuator, machine, fitted=False)
+        if h.family not in has_already and not weigher.train.imposed
+    ]
+    beside = _Beside(weigher, m)
+    asked: dict[str, tuple[Hypothesis, Array]] = {}
+    for h in (*fitted, *mere):
+        doses = beside.push(h)
+        known = asked.get(h.family)
+        if known is None or beside.find_power(doses) > beside.find_power(known[1]):
+            asked[h.family] = h, doses
+    powers = {name: beside.find_power(doses) for name, (_, doses) in asked.items()}
+    not_fitted = {h.family for h in mere}
+    sees = tuple(n for n, power in powers.items() if power > 1.0 and n not in not_fitted)
+    blind = [
+        _describe_blind_spot(h, powers[n], plant, is_fitted=n not in not_fitted)
+        for n, (h, _) in asked.items()
+        if n not in sees and (plant.actuator == "muscle" or powers[n] > INERT)
+    ]
+    blind += [
+        BlindSpot(n, "these records do not drive its block", e.best_experiment, None)
+        for n, e in CATALOGUE.items()
+        if _is_part_of(n, plant) and n not in {*asked, *has_already} and not e.unidentifiable
+    ]
+    alike = []
+    if pairs:
+        seen = [(n, asked[n][1]) for n in sees]
+        alike = [
+            _advise_pair((a, b))
+            for (a, one), (b, other) in combinations(seen, 2)
+            if beside.is_imitated(one, other) or beside.is_imitated(other, one)
+        ]
     told = {*sees, *(spot.name for spot in blind)}
-    unasked = tuple((n, _explain_unasked(n, model)) for n in CATALOGUE if n not in told)
-    return Audit(sees, tuple(blind), tuple(map(_advise_pair, alike)), unasked)
+    unasked = tuple(
+        (n, _explain_unasked(n, plant, has_already)) for n in CATALOGUE if n not in told
+    )
+    return Audit(sees, tuple(blind), tuple(alike), unasked)
 
 
-def _find_inseparable_pairs(
-    doses: Mapping[str, Mapping[str, Array]], spare: Mapping[str, float], sees: Sequence[str]
-) -> list[tuple[str, str]]:
-    """Return the pairs in which one effect explains the other down to the limits."""
+class _Beside:
+    """A model, and what an effect would add to its residual that its own numbers cannot take."""
 
-    def explains(other: str, one: str) -> bool:
-        return all(
-            _unexplained_rms(d[one], d.get(other)) <= spare[block]
-            for block, d in doses.items()
-            if one in d
-        )
+    def __init__(self, weigher: Weigher, m: WeighedModel) -> None:
+        assert m.tangent is not None
+        self.weigher, self.m = weigher, m
+        self.here = m.d + m.lag
+        scales2 = m.cost.scales2[:, weigher.like.level][:, None, :]
+        self.root = np.sqrt(weigher.like.keep / scales2)
+        """One over the scale of each coefficient; 0 for those that do not count."""
+        self.tangent = m.tangent.reshape(len(m.x), -1) * self.root.ravel()
+        self.basis, self.triangle = np.linalg.qr(self.tangent.T)
+        scale = np.array([n.scale for n in m.numbers])
+        low, high = (np.array([getattr(n, k) for n in m.numbers]) for k in ("low", "high"))
+        self.room = (low - m.x) / scale - ROOM, (high - m.x) / scale + ROOM
+        noise2 = weigher.find_noise2(m)
+        counts = weigher.like.counts
+        robust2 = (counts * m.cost.scales2).sum(axis=1) / counts.sum(axis=1)
+        seen2 = np.minimum(noise2, robust2 * SEEN_SHARE / (1.0 - SEEN_SHARE))
+        left2 = weigher.like.mean_squares(m.d) - noise2
+        self.least2 = np.maximum(seen2, LEFT_SHARE**2 * left2)
+        """The mean square that is seen in each channel, and not small beside what is left there."""
 
-    return [(a, b) for a, b in combinations(sees, 2) if explains(a, b) or explains(b, a)]
+    def push(self, hypothesis: Hypothesis) -> Array:
+        """Return the smallest doses of interest, each size alone and all together, weighed.
+
+        Shape (doses, coefficients). Two equal widths may hide where one shows.
+        """
+        variant = hypothesis.variants[0]
+        shapes = {
+            u.name: look_up_parameter(u.name).start if hypothesis.scan else u.value
+            for u in variant.shapes
+        }
+        sizes = {}
+        for u in variant.sizes:
+            neutral = u.neutral or 0.0
+            up = neutral + u.smallest <= u.high
+            sizes[u.name] = neutral + (u.smallest if up else -u.smallest)
+        off = {u.name: u.neutral or 0.0 for u in variant.sizes}
+        doses = [{**off, name: size} for name, size in sizes.items()]
+        doses += [sizes] if len(sizes) > 1 else []
+        rows = []
+        for dose in doses:
+            d = self.weigher.find_residual({**self.m.values, **variant.held, **shapes, **dose})
+            rows.append(((d - self.here) * self.root).ravel())
+        return np.stack([row + self._find_move(row) @ self.tangent for row in rows])
+
+    def _find_move(self, row: Array) -> Array:
+        """Return how the model's own numbers would imitate a dose, within their ranges."""
+        return np.asarray(lsq_linear(self.triangle, -self.basis.T @ row, self.room).x)
+
+    def find_power(self, doses: Array) -> float:
+        """Return how far the strongest dose is above what is sure and seen, as a square."""
+        return max(map(self._weigh, doses))
+
+    def _weigh(self, row: Array) -> float:
+        d = row.reshape(self.root.shape)
+        back = np.divide(d, self.root, out=np.zeros_like(d), where=self.root > 0.0)
+        seen = float((self.weigher.like.mean_squares(back) / self.least2).max())
+        return min(0.5 * float(row @ row) / NAME_NATS, seen)
+
+    def is_imitated(self, hidden: Array, fitted: Array) -> bool:
+        """Tell whether another effect, fitted, leaves less than a name of a dose."""
+        strongest = hidden[int((hidden**2).sum(axis=1).argmax())]
+        basis = _find_basis(fitted)
+        left = strongest - strongest @ basis.T @ basis
+        return 0.5 * float(left @ left) < NAME_NATS
 
 
-def _unexplained_rms(hidden: Array, fitted: Array | None) -> float:
-    """Return the RMS that is left of an effect's strongest dose when another effect is fitted."""
-    strongest = hidden[:, int(np.argmax(_column_rms(hidden)))]
-    if fitted is None:
-        return float(np.sqrt(np.mean(strongest**2)))
-    return float(np.sqrt(np.mean(project_out(np.linalg.qr(fitted)[0], strongest) ** 2)))
+def _find_basis(rows: Array) -> Array:
+    """Return orthonormal rows that span the same."""
+    values, vectors = np.linalg.eigh(rows @ rows.T)
+    kept = values > SINGULAR * max(float(values[-1]), 1e-300)
+    return np.asarray((vectors[:, kept] / np.sqrt(values[kept])).T @ rows)
 
 
-def _column_rms(columns: Array) -> Array:
-    values: Array = np.sqrt(np.mean(columns**2, axis=0))
-    return values
-
-
-def _advise_pair(pair: tuple[str, str], without: Sequence[str] = ()) -> Inseparable:
+def _advise_pair(pair: tuple[str, str], *without: str) -> Inseparable:
     advice = find_separating_experiment(pair, without)
     return Inseparable(pair, str(advice["name"]), str(advice["why"]))
 
 
-def _room_below_limit(model: Model, block: str) -> float:
-    """Return how much a misfit may add before the limit is passed, in deviations of the sensor."""
-    floor = model.floors[block]
-    return float(np.sqrt(floor.limit**2 - floor.mean**2))
+def _describe_blind_spot(
+    hypothesis: Hypothesis, power: float, plant: PlantSettings, *, is_fitted: bool
+) -> BlindSpot:
+    effect, size = CATALOGUE[hypothesis.family], hypothesis.variants[0].sizes[0]
+    number = size.name.rpartition(".")[2]
+    p = next((p for p in effect.parameters if p.name == number), effect.parameters[0])
+    unit = "" if p.unit == "1" else p.unit
+    dose = f"{size.smallest:g} {unit}".rstrip()
+    if size.neutral:
+        dose += f" away from {size.neutral:g}"
+    why = f"a size of {dose} is lost in the sensors' noise"
+    if effect.unidentifiable and not is_fitted:
+        because = effect.unidentifiable(plant_parameters(plant).paper)
+        why = f"{why}: {because}"
+        if power > 1.0:
+            why = f"it is not fitted, though its smallest size would show: {because}"
+    needed = size.smallest / sqrt(power) if power > 0.0 else inf
+    if needed > max(abs(size.high), abs(size.low)):
+        return BlindSpot(effect.name, why, effect.best_experiment, None)
+    return BlindSpot(effect.name, why, effect.best_experiment, (needed, unit), 1.0 / sqrt(power))
 
 
-def _simulate_doses(model: Model, block: str, candidates: Iterable[Candidate]) -> dict[str, Array]:
-    """Simulate the smallest sizes of interest, without what recalibration can imitate.
-
-    Returns arrays of shape (n, doses) by name, in deviations of the sensor.
-    """
-    fitted = extract_block_fit(model.fit_of(block), block)
-    basis = np.linalg.qr(fitted.jacobian)[0] if fitted.free else np.zeros((len(fitted.residual), 0))
-    return {
-        c.name: project_out(basis, find_secants(fitted, _list_smallest_doses(c, fitted)))
-        for c in candidates
-        if block in c.blocks
-    }
+def _is_part_of(name: str, plant: PlantSettings) -> bool:
+    effect = CATALOGUE[name]
+    there = BLOCKS_OF.get(plant.actuator, (effect.block,))
+    return plant.actuator in effect.actuators and effect.block in there
 
 
-def _list_smallest_doses(candidate: Candidate, fitted: Fit) -> list[dict[str, float]]:
-    """List each switch alone, and all together: two equal widths may hide where one shows."""
-    held = dict(candidate.held)
-    sizes = {
-        s.name: apply_dose(s, 1.0, value_of(fitted.settings, s.name)) for s in candidate.switches
-    }
-    alone_each = [{**held, name: size} for name, size in sizes.items()]
-    return [*alone_each, {**held, **sizes}] if len(sizes) > 1 else alone_each
-
-
-def _describe_blind_spot(candidate: Candidate, power: float) -> BlindSpot:
-    switch = candidate.switches[0]
-    size = switch.scale
-    effect = CATALOGUE[candidate.name]
-    dose = f"{size:g} {unit_of(switch)}".rstrip()
-    if neutral := look_up_parameter(switch.name).neutral:
-        dose += f" away from {neutral:g}"
-    why = f"a size of {dose} stays below the floor's limit"
-    visible_from = _find_visible_size(switch, size, power)
-    sizes = 1.0 / power if visible_from else inf
-    return BlindSpot(candidate.name, why, effect.best_experiment, visible_from, sizes)
-
-
-def _find_visible_size(switch: FreeNumber, size: float, power: float) -> tuple[float, str] | None:
-    """Return the size that just passes the limit, in proportion; None beyond its range."""
-    if power <= 0.0 or size / power > max(abs(switch.high), abs(switch.low)):
-        return None
-    return size / power, unit_of(switch)
-
-
-def _list_not_fitted(model: Model) -> tuple[Candidate, ...]:
-    """Return the effects that no diagnosis fits, where these records drive their block."""
-    evidence = model.evidence
-    return tuple(
-        form
-        for effect in CATALOGUE.values()
-        if effect.unidentifiable
-        and evidence.nominal.actuator in effect.actuators
-        and effect.name not in evidence.nominal.acting
-        for form in list_forms(effect, evidence)
-    )
-
-
-def _describe_not_fitted(candidate: Candidate, power: float, model: Model) -> BlindSpot:
-    """Say of an effect that no diagnosis fits whether it would show here, and from which size."""
-    explain = CATALOGUE[candidate.name].unidentifiable
-    assert explain is not None
-    because = explain(plant_parameters(model.evidence.nominal).paper)
-    spot = _describe_blind_spot(candidate, power)
-    if power <= 1.0:
-        return replace(spot, why=f"{spot.why}: {because}")
-    return replace(spot, why=f"it is not fitted, though its smallest size would show: {because}")
-
-
-def _explain_unasked(name: str, model: Model) -> str:
+def _explain_unasked(name: str, plant: PlantSettings, has_already: set[str]) -> str:
     """Say why an effect is neither among those that show nor among the blind spots."""
-    effect, nominal = CATALOGUE[name], model.evidence.nominal
-    there = _BLOCKS_OF.get(nominal.actuator, (PRESSURE, MECHANICS, "sensors"))
-    if nominal.actuator not in effect.actuators or effect.block not in there:
-        return f"it is no part of a plant with `actuator: {nominal.actuator}`"
-    if name in nominal.acting or name in model.names:
-        return "the model has it already"
-    if not effect.is_searched:
-        return "no candidate of the search: asked as a fault of the set-up, or of what is left"
-    return "it changes nothing in these records, or was left out"
-
-
-def _list_unseen_effects(model: Model, candidates: Sequence[Candidate]) -> list[BlindSpot]:
-    """List effects that reach no block that these records drive."""
-    examined = {c.name for c in candidates} | {*model.names}
-    actuator = model.evidence.nominal.actuator
-    there = _BLOCKS_OF.get(actuator)
-    here = {
-        name: effect
-        for name, effect in CATALOGUE.items()
-        if actuator in effect.actuators and (there is None or effect.block in there)
-    }
-    spots = []
-    for name, effect in here.items():
-        if name in examined or not effect.is_searched:
-            continue
-        if effect.block not in (*model.evidence.blocks, "sensors"):
-            why = "these records do not drive its block"
-            spots.append(BlindSpot(name, why, effect.best_experiment, None))
-    return spots
+    if not _is_part_of(name, plant):
+        return f"it is no part of a plant with `actuator: {plant.actuator}`"
+    return "the model has it already" if name in has_already else "it changes nothing here"

@@ -1,30 +1,66 @@
-"""The result of a diagnosis in one object: verdict, names, numbers, the extended plant."""
+"""The result of a diagnosis in one object: verdict, findings, numbers, the extended plant."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import NamedTuple
 
 from pamctl.diagnose.audit import Audit
 from pamctl.diagnose.deciding.deciding_program import DecidingProgram
 from pamctl.diagnose.deciding.forecast import JudgedForecast
-from pamctl.diagnose.fitting.fitted_model import Model
-from pamctl.diagnose.fitting.intervals import FittedNumber
-from pamctl.diagnose.fitting.numbers import value_of
-from pamctl.diagnose.fitting.split import ConfirmedOn
-from pamctl.diagnose.locate import RegimeMisfit, describe_worst_regimes
+from pamctl.diagnose.evidence.ladder import Finding
+from pamctl.diagnose.evidence.weigh import EvidenceVerdict
 from pamctl.diagnose.measured.noise.channel_noise import ChannelNoise
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.measured.refuse import AcceptedDoubt
-from pamctl.diagnose.naming.remainder import Remainder
-from pamctl.diagnose.naming.rivals import Standing
-from pamctl.diagnose.naming.search import EffectsTrial
-from pamctl.diagnose.naming.verdict import Verdict
-from pamctl.diagnose.naming.whiteness import ResidualSign
-from pamctl.diagnose.setup.setup_finding import SetupFinding
-from pamctl.diagnose.show import HeldOutGap
-from pamctl.diagnose.terms.describe import Description
+from pamctl.diagnose.plant_numbers import FittedNumber, value_of
 from pamctl.plant.model import PlantSettings
+
+OPEN_TIMES = 1.2
+"""Of the sensor's noise: what is left above it is visible."""
+LEFT_TIMES = 3.0
+"""A channel that is left at so many times its sensor's noise (RMS) holds something more."""
+
+
+class Verdict(StrEnum):
+    """What the measurement says about the model."""
+
+    NO_DISCREPANCY = "no_discrepancy"
+    MISCALIBRATED = "miscalibrated"
+    """Only numbers of the plant file or of the set-up are off."""
+    NAMED = "named"
+    DESCRIBED = "described"
+    """What is missing has a place, or a place and a kind, and no name."""
+    AMBIGUOUS = "ambiguous"
+    """One of several is missing, at several places."""
+    PARTIAL = "partial"
+    """Something is named, and something else has only a place."""
+    NONE_KNOWN = "none_known"
+    """Nothing that was asked explains anything, and something is left."""
+    BAD_DATA = "bad_data"
+
+
+class HeldOutGap(NamedTuple):
+    """RMS of measurement minus simulation of one channel, SI, by model; and its sensor's noise."""
+
+    nominal: float
+    recalibrated: float
+    extended: float
+    floor: float
+    """RMS of the sensor's own noise."""
+
+    @property
+    def is_open(self) -> bool:
+        """Tell whether recalibration leaves visibly more than noise."""
+        return self.recalibrated > OPEN_TIMES * self.floor
+
+    @property
+    def closed(self) -> float:
+        """Share of the way from recalibrated to the sensor's noise that the findings go."""
+        way = self.recalibrated - self.floor
+        return min(max((self.recalibrated - self.extended) / way, 0.0), 1.0) if way > 0.0 else 1.0
 
 
 @dataclass(frozen=True)
@@ -34,42 +70,14 @@ class Diagnosis:
     verdict: Verdict
     nominal: PlantSettings
     plant: PlantSettings
-    """The model to go on with: recalibrated, and extended by what was named."""
+    """The model to go on with: recalibrated, and extended by what was found."""
     reason: str = ""
     """Why the data cannot be diagnosed; empty otherwise."""
-    model: Model | None = None
-    """The fits with the named effects; None for bad data."""
-    base: Model | None = None
-    """The fits without any effect."""
-    standings: tuple[Standing, ...] = ()
-    numbers: tuple[FittedNumber, ...] = ()
-    gap: dict[str, HeldOutGap] | None = None
-    misfits: tuple[RegimeMisfit, ...] = ()
-    """What the model leaves, by regime."""
-    base_misfits: tuple[RegimeMisfit, ...] = ()
-    """What the recalibrated model leaves, by regime."""
-    substep_changes: Mapping[str, float] = field(default_factory=dict)
-    """By how much half the integrator's sub-step changes each block, over its floor."""
-    trials: tuple[EffectsTrial, ...] = ()
-    """Every set of effects that was fitted, the best first."""
-    remainder: Remainder | None = None
-    """The shape of what the effects leave."""
+    evidence: EvidenceVerdict | None = None
+    """The models, what they leave, and what was asked; None for bad data."""
     train: tuple[Record, ...] = ()
     holdout: tuple[Record, ...] = ()
-    explained: float = 0.0
-    """The smallest of `explained_by_block`; 1 where each block alone was at its limit before."""
-    explained_by_block: Mapping[str, float] = field(default_factory=dict)
-    """Share of the way from recalibrated to limit that the effects go, by block that they reach."""
-    confirmed_on: ConfirmedOn | None = None
-    """The samples that `gap`, the shares and `confirmed_ratios` rest on."""
-    confirmed_ratios: Mapping[str, float] = field(default_factory=dict)
-    """Residual over floor by block, on the samples that confirm."""
-    signs: tuple[ResidualSign, ...] = ()
-    """What speaks against noise in residuals that are at their limits."""
-    setup: tuple[SetupFinding, ...] = ()
-    """What is wrong about the set-up: numbers of the plant file, columns of the records."""
-    described: Description | None = None
-    """What was asked of a remainder that no effect explains; None where nothing was asked."""
+    """Records that were not fitted; the gap is theirs if there are any."""
     audit: Audit | None = None
     """What these records could not have shown."""
     accepted: tuple[AcceptedDoubt, ...] = ()
@@ -86,26 +94,75 @@ class Diagnosis:
     """What earlier diagnoses expected of these records, and what came of it."""
 
     @property
+    def is_held_out(self) -> bool:
+        """Whether the gap is that of records, or of stretches of records, that were not fitted."""
+        return self.evidence is not None and self.evidence.weigher.held_out is not None
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What the model lacks, the first found first; also what is only mended (`rest`)."""
+        return self.evidence.findings if self.evidence else ()
+
+    @property
     def recalibrated(self) -> tuple[FittedNumber, ...]:
         """The numbers that the start model has already, those of its effects included."""
-        named = self.model.names if self.model else ()
-        return tuple(n for n in self.numbers if n.name.split(".")[0] not in named)
+        return self.evidence.recalibrated if self.evidence else ()
+
+    @property
+    def numbers(self) -> tuple[FittedNumber, ...]:
+        """Every fitted number: the recalibrated ones, then those of the findings."""
+        return (*self.recalibrated, *(n for f in self.findings for n in f.numbers))
+
+    @property
+    def gap(self) -> Mapping[str, HeldOutGap]:
+        """What each model leaves of each channel; of held-out records, if there are any."""
+        if self.evidence is None:
+            return {}
+        nominal, recalibrated, extended = (
+            self.evidence.gap[stage] for stage in ("nominal", "recalibrated", "extended")
+        )
+        return {
+            c: HeldOutGap(nominal[c], recalibrated[c], extended[c], floor)
+            for c, floor in self.evidence.noise_rms.items()
+        }
+
+    @property
+    def explained(self) -> float | None:
+        """The least `closed` of the channels that are open; None where none is."""
+        closed = [gap.closed for gap in self.gap.values() if gap.is_open]
+        return min(closed, default=None)
 
     @property
     def at_bound(self) -> tuple[str, ...]:
         """Fitted numbers at an end of their range."""
-        return self.model.at_bound if self.model else ()
+        ended = self.evidence.at_range if self.evidence else ()
+        return (*dict.fromkeys((*ended, *(name for f in self.findings for name in f.at_range))),)
 
     def start_value(self, name: str) -> float:
         """Return a number of the start model."""
         return value_of(self.nominal, name)
 
 
-def find_largest_remainder(diagnosis: Diagnosis) -> tuple[str, float, str]:
-    """Return the block with the most left: its name, residual over floor, and worst regimes."""
-    model, ratios = diagnosis.model, diagnosis.confirmed_ratios
-    if model is None:
-        return "", 0.0, ""
-    block = max(model.evidence.blocks, key=model.ratio)
-    ratio = ratios.get(block, model.ratio(block))
-    return block, ratio, describe_worst_regimes(diagnosis.misfits, block)
+def decide_verdict(evidence: EvidenceVerdict) -> Verdict:
+    """Return the word for what the evidence says: that of the least of its findings."""
+    said = [f for f in evidence.findings if f.level != "rest"]
+    if not said:
+        left = max(evidence.left_over_noise.values(), default=0.0)
+        if left > LEFT_TIMES:
+            return Verdict.NONE_KNOWN
+        return Verdict.MISCALIBRATED if _is_start_off(evidence) else Verdict.NO_DISCREPANCY
+    if any(f.level == "set" for f in said):
+        return Verdict.AMBIGUOUS
+    named = [f for f in said if f.level == "name"]
+    if len(named) < len(said):
+        return Verdict.PARTIAL if named else Verdict.DESCRIBED
+    only_setup = all(f.hypothesis.setup for f in named)
+    return Verdict.MISCALIBRATED if only_setup else Verdict.NAMED
+
+
+def _is_start_off(evidence: EvidenceVerdict) -> bool:
+    """Tell whether the start model leaves visibly more than the recalibrated one."""
+    start, fitted = evidence.gap["nominal"], evidence.gap["recalibrated"]
+    return any(
+        start[c] > OPEN_TIMES * max(fitted[c], noise) for c, noise in evidence.noise_rms.items()
+    )

@@ -1,21 +1,25 @@
-"""Step 4, extend: the plant to go on with, with the named effects and the fitted numbers."""
+"""The plant to go on with: the recalibrated numbers, and what was found."""
 
 from __future__ import annotations
 
-from pamctl.diagnose.fitting.fitted_model import Model
-from pamctl.diagnose.fitting.numbers import with_values
-from pamctl.diagnose.naming.verdict import Verdict
+from pamctl.diagnose.evidence.pool import CHAIN
+from pamctl.diagnose.evidence.run_pieces import join_waves
+from pamctl.diagnose.evidence.weigh import EvidenceVerdict
+from pamctl.diagnose.plant_numbers import with_values
 from pamctl.plant.model import PlantSettings
 
 
-def extend_plant(verdict: Verdict, model: Model) -> PlantSettings:
-    """Return the plant to go on with under this verdict."""
-    if verdict is Verdict.NO_DISCREPANCY:
-        return model.evidence.nominal
-    return assemble_plant(model)
+def extend_plant(nominal: PlantSettings, found: EvidenceVerdict) -> PlantSettings:
+    """Return the plant with the numbers of the extended model.
+
+    What is wrong with the measuring chain stays out of it, except the pressure of the place.
+    """
+    return assemble_plant(nominal, found.model.values)
 
 
-def assemble_plant(model: Model) -> PlantSettings:
-    """Put the fits of the blocks together; where the geometry differs, the mechanics' counts."""
-    fixed = {name: value for effect in model.effects for name, value in effect.fixed_numbers}
-    return with_values(model.evidence.nominal, {**model.values, **fixed})
+def assemble_plant(nominal: PlantSettings, values: dict[str, float]) -> PlantSettings:
+    """Return the plant with a model's numbers; raise ValidationError if one is out of range."""
+    plain, chain = join_waves(values)
+    if f"{CHAIN}atmosphere" in chain:
+        plain["atmospheric_pressure_pa"] = chain[f"{CHAIN}atmosphere"]
+    return with_values(nominal, plain)

@@ -13,8 +13,8 @@ from typing import Literal
 
 import numpy as np
 
-from pamctl.diagnose.fitting.intervals import FittedNumber
 from pamctl.diagnose.measured.record import Array
+from pamctl.diagnose.plant_numbers import FittedNumber
 
 SIGMAS_OF_CI90 = 1.645
 SURE = 20.0

@@ -7,25 +7,31 @@ from dataclasses import dataclass, field, replace
 from math import hypot
 from pathlib import Path
 
-from pamctl.diagnose.fitting.drives import PRESSURE
-from pamctl.diagnose.fitting.evidence import prepare_evidence
-from pamctl.diagnose.fitting.intervals import FittedNumber, estimate_intervals
-from pamctl.diagnose.fitting.model_fit import recalibrate
-from pamctl.diagnose.fitting.numbers import calibration_of
+import numpy as np
+
+from pamctl.diagnose.evidence.ladder import fit_number
+from pamctl.diagnose.evidence.pool import CHAIN
+from pamctl.diagnose.evidence.weigh import prepare_weigher
 from pamctl.diagnose.measured.from_log import record_of
 from pamctl.diagnose.measured.noise.mend import mend_records
+from pamctl.diagnose.measured.noise.sensor_noise import estimate_channel_noise
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.measured.refuse import BadData, check_measured_runs, check_sensors
+from pamctl.diagnose.plant_numbers import FittedNumber
 from pamctl.log.framing import LogError
 from pamctl.plant.model import PlantSettings
 
+PRESSURE = "pressure"
 MISFIT = " misfit"
-"""Ends the name of a block's misfit, which is followed like a number."""
+"""Ends the name of a channel's misfit, which is followed like a number."""
 MISFIT_SCATTER = 0.15
-"""Relative half width of a misfit over its floor."""
+"""Relative half width of a misfit over its sensor's noise."""
 PRESSURE_SCATTER = 0.05
 """Half width of the pressure's misfit where the model explains it: runs of an unchanged rig differ
-by 0.06 of the floor at most (140 runs of 35 hidden rigs); those of the mechanics by 0.4."""
+by 0.06 of the noise at most (140 runs of 35 hidden rigs); those of the position by 0.4."""
+ENCODER_SPREAD = 2.3
+"""Runs of an unchanged rig scatter by this multiple of their intervals: an encoder's steps are no
+independent noise (120 numbers of 17 rigs; with white noise in its place the factor is 1)."""
 SHORTEST_S = 3.0
 
 
@@ -37,10 +43,9 @@ class FittedRun:
     when_s: float
     experiment: str = ""
     numbers: Mapping[str, FittedNumber] = field(default_factory=dict)
-    """Fitted numbers by name, and the misfit of each block, over its floor.
+    """Fitted numbers by name, and the misfit of each channel, over its sensor's noise.
 
-    Less than the floor says only that this run's noise was taken for larger than it is: it counts
-    as the floor.
+    Less than the noise says only that this run's was taken for larger than it is: it counts as 1.
     """
     refused: str = ""
 
@@ -62,33 +67,36 @@ def fit_record(record: Record, plant: PlantSettings) -> FittedRun:
     if record.duration_s < SHORTEST_S:
         raise BadData(f"{record.duration_s:.1f} s after homing; {SHORTEST_S:g} s are needed")
     check_measured_runs([record], plant, None)
-    evidence = prepare_evidence([record], [record], plant)
-    if not evidence.blocks:
-        raise BadData("it holds no pressure with the valve's command or the position")
-    check_sensors([record], evidence.noises, plant, None)
-    model = recalibrate(evidence)
-    ratios = {block: max(model.ratio(block), 1.0) for block in evidence.blocks}
-    numbers = {n.name: _widen_by_misfit(n, ratios, plant) for n in estimate_intervals(model)}
-    for block, ratio in ratios.items():
+    noises = {c: estimate_channel_noise([record], c) for c in record.channels if c != "valve_v"}
+    check_sensors([record], noises, plant, None)
+    try:
+        weigher, start = prepare_weigher([record], (), plant)
+    except ValueError as error:
+        raise BadData(str(error)) from None
+    m = weigher.settle(start)
+    left2 = weigher.like.mean_squares(m.d) / weigher.find_noise2(m)
+    ratios = {
+        channel.split("_")[0]: max(float(ratio), 1.0)
+        for channel, ratio in zip(weigher.train.channels, np.sqrt(left2), strict=True)
+    }
+    numbers = {
+        name: _widen_by_misfit(fit_number(name, m.values[name], ends), max(ratios.values()))
+        for name, ends in weigher.find_intervals(m).items()
+        if not name.startswith(CHAIN)
+    }
+    for short, ratio in ratios.items():
         half = MISFIT_SCATTER * ratio
-        if block == PRESSURE:
+        if short == PRESSURE:
             half = hypot(PRESSURE_SCATTER, MISFIT_SCATTER * (ratio - 1.0))
-        name = block + MISFIT
-        numbers[name] = FittedNumber(name, ratio, ratio - half, ratio + half, "x floor")
+        name = short + MISFIT
+        numbers[name] = FittedNumber(name, ratio, ratio - half, ratio + half, "x noise")
     return FittedRun(record.name, 0.0, record.experiment, numbers)
 
 
-def _widen_by_misfit(
-    number: FittedNumber, ratios: Mapping[str, float], plant: PlantSettings
-) -> FittedNumber:
-    """Widen an interval by what its block leaves beyond the scatter of a floor.
-
-    What is left moves numbers too.
-    """
-    own = [ratio for block, ratio in ratios.items() if number.name in calibration_of(block, plant)]
-    factor = max(max(own or ratios.values()) / (1.0 + MISFIT_SCATTER), 1.0)
-    value = number.value
-    low, high = (value + factor * (end - value) for end in (number.low, number.high))
+def _widen_by_misfit(number: FittedNumber, ratio: float) -> FittedNumber:
+    """Widen an interval by what is left beyond a misfit's scatter: what is left moves numbers."""
+    factor = ENCODER_SPREAD * max(ratio / (1.0 + MISFIT_SCATTER), 1.0)
+    low, high = (number.value + factor * (end - number.value) for end in (number.low, number.high))
     return replace(number, low=low, high=high)
 
 

@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from pamctl.diagnose.fitting.numbers import with_values
+from pamctl.diagnose.plant_numbers import with_values
 from pamctl.exit_codes import ExitCode
 from pamctl.health.find_drift import SIGMAS_OF_CI90, NumberDrift, find_drift
 from pamctl.health.fit_run import MISFIT, FittedRun, fit_halves, fit_log
 from pamctl.plant.model import PlantSettings
 
 GOOD_MISFIT = 1.5
-"""A run whose blocks all stay below this multiple of their floors is good."""
+"""A run whose channels all stay below this multiple of their sensors' noise is good."""
 LATEST_FOR_HALVES = 3
 SURE_WITHIN = 3.0
 """A change within runs counts from this multiple of its uncertainty on."""
@@ -40,7 +40,7 @@ class FollowedDrift:
     within: bool | None
     """True: it changes within runs; False: from run to run only; None: the runs do not tell."""
     is_doubtful: bool
-    """The block's misfit grew too: an effect may have moved the number."""
+    """A misfit grew too: an effect may have moved the number."""
 
 
 @dataclass(frozen=True)

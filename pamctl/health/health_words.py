@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any
 
-from pamctl.diagnose.fitting.drives import PRESSURE
-from pamctl.diagnose.fitting.numbers import CALIBRATED
 from pamctl.health.fit_run import MISFIT, FittedRun
 from pamctl.health.follow_health import FollowedDrift, RigHealth
 from pamctl.settings.yaml12 import dump_yaml
 
 SCHEMA = 1
+AIR_NUMBERS = ("valve_gain_m2_per_v", "tank_pressure_pa", "braid_length_m")
+"""Numbers of a pressure balance."""
 AIR_RIVALS = ("chamber_leak", "valve_leak", "null_offset")
 """Effects that a pressure balance cannot tell from its numbers where each is small."""
 _WITHIN = {
@@ -59,7 +59,7 @@ def describe_drift(drift: FollowedDrift, runs: Sequence[FittedRun]) -> str:
 
 def list_rivals(drift: FollowedDrift) -> tuple[str, ...]:
     """Return the effects that may have moved the number in its place."""
-    return AIR_RIVALS if drift.change.name in CALIBRATED[PRESSURE] else ()
+    return AIR_RIVALS if drift.change.name in AIR_NUMBERS else ()
 
 
 def format_day(when_s: float) -> str:

@@ -32,8 +32,8 @@ from pamctl.log.framing import (
     map_log_file,
     records_in,
     translate_parse_errors,
-    walk_records,
 )
+from pamctl.log.reading.record_walk import walk_records
 from pamctl.new_file import create_new_file
 
 __all__ = ["LogError", "append_metadata", "read_annotation", "write_annotation"]

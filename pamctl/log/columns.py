@@ -32,11 +32,16 @@ class TickColumns:
     Each column is one piece of memory that grows in place: an hour's ticks are never held twice.
     """
 
-    def __init__(self, none: Page) -> None:
-        """`none` has the columns without ticks, each of its type."""
-        times = np.empty(0, np.uint64)
-        self._columns = {WALL_TIME: times, **{name: c.copy() for name, c in none.items()}}
-        self._count = self._room = 0
+    def __init__(self, none: Page, room: int = 0) -> None:
+        """`none` has the columns without ticks, each of its type; `room` is for so many ticks."""
+        kinds = {WALL_TIME: np.dtype(np.uint64), **{name: c.dtype for name, c in none.items()}}
+        self._columns = {name: np.empty(room, kind) for name, kind in kinds.items()}
+        self._count, self._room = 0, room
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes in memory."""
+        return sum(column.nbytes for column in self._columns.values())
 
     def take(self, batch: TickBatch) -> None:
         """Add a batch."""
@@ -52,6 +57,8 @@ class TickColumns:
         return self._columns
 
     def _resize(self, ticks: int) -> None:
+        if ticks == self._room:
+            return
         self._room = ticks
         for column in self._columns.values():
             column.resize(ticks, refcheck=False)
@@ -68,17 +75,19 @@ class GridRows:
         self.count = 0
         """Number of rows."""
         self.is_rising = True
-        """Every tick is later than the one before it."""
+        """Every tick is later than the one before it, by its number and by its time."""
         self.losses: set[int] = set()
         """Rows with a loss before them: the run did not miss those ticks, but the log lost them."""
         self.missed_first = 0
         """Ticks that the run missed before the first row."""
-        self._last_tick = 0
+        self._last_tick, self._last_t_s = 0, -np.inf
         self._rows: list[int] = []
         self._ticks: list[int] = []
 
-    def take(self, tick: NDArray[np.int64], missed: NDArray[np.int64]) -> None:
-        """Add the next rows; both arrays have shape (n,)."""
+    def take(
+        self, tick: NDArray[np.int64], missed: NDArray[np.int64], t_s: NDArray[np.float64]
+    ) -> None:
+        """Add the next rows; the arrays have shape (n,)."""
         if not len(tick):
             return
         if self.count == 0:
@@ -94,7 +103,9 @@ class GridRows:
             if step != 1 and row:
                 self._begin_run(row, int(tick[at]))
         self.count += len(tick)
-        self._last_tick = int(tick[-1])
+        with np.errstate(invalid="ignore"):  # a time may be infinite
+            self.is_rising &= bool((np.diff(t_s, prepend=self._last_t_s) > 0.0).all())
+        self._last_tick, self._last_t_s = int(tick[-1]), float(t_s[-1])
 
     def _begin_run(self, row: int, tick: int) -> None:
         self._rows.append(row)
@@ -119,7 +130,7 @@ class GridRows:
         return min(self._rows[run] + tick - self._ticks[run], ends)
 
 
-PAGE_TICKS = 1 << 14
+PAGE_TICKS = 1 << 13
 """Ticks that are decoded together: some megabytes."""
 _KEPT_PAGES = 3
 
@@ -132,9 +143,11 @@ class Pages(Mapping[str, Any]):
         none: Page,
         places: Sequence[tuple[int, int]],
         grid: GridRows,
-        decode: Callable[[Sequence[int]], Page],
+        decode: Callable[[Sequence[int], int], Page],
     ) -> None:
-        """`places` has the first row and the place of each chunk; `decode` reads such chunks.
+        """`places` has the first row and the place of each chunk.
+
+        `decode` reads such chunks with so many rows.
 
         `none` has the columns without ticks, each of its type.
         """
@@ -172,12 +185,12 @@ class Pages(Mapping[str, Any]):
             number = bisect_right(self._rows, begin) - 1
             first = self._rows[number]
             last = self._rows[number + 1] if number + 1 < len(self._rows) else self.grid.count
-            yield self._read(number), slice(begin - first, min(end, last) - first)
+            yield self._read(number, last - first), slice(begin - first, min(end, last) - first)
             begin = last
 
-    def _read(self, number: int) -> Page:
+    def _read(self, number: int, rows: int) -> Page:
         if number not in self._kept:
-            self._kept[number] = self._decode(self._chunks[number])
+            self._kept[number] = self._decode(self._chunks[number], rows)
         self._kept.move_to_end(number)
         if len(self._kept) > _KEPT_PAGES:
             self._kept.popitem(last=False)

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.exit_codes import ExitCode
-from pamctl.json_text import from_json, to_json
+from pamctl.json_text import to_json
 from pamctl.log.framing import LogError, map_log_file
 from pamctl.log.reader import Log, read_some
+from pamctl.log.reading.record_walk import parse_messages
 from pamctl.log.recover import LogCopy
 from pamctl.log.schema import CUT, GAINS_TOPIC, JSON_SCHEMAS, KEYFRAME_TOPIC, TICK_TOPIC
 from pamctl.log.writer import LogWriter
@@ -204,7 +205,7 @@ class _PieceCopy(LogCopy):
             times_ns = messages["log_time"]
             keep = (times_ns >= first_ns) & (times_ns <= last_ns)
         else:
-            bodies = (from_json(body.tobytes()) for body in messages["body"])
+            bodies = parse_messages(messages)
             keep = np.array([self._belongs(topic, body) for body in bodies], dtype=bool)
         kept: NDArray[Any] = messages[keep]
         return kept

@@ -1,14 +1,12 @@
-"""Split a log file into records and verify checksums; the meaning of a record is not known here.
+"""The records of a log file, their checksums, and its end; what a record means is not known here.
 
 Records are views into the file: nothing is copied. Checksums cover every byte of a log that
-pamctl finished, and all of them are verified. `walk_records` stops at the first damage;
-`salvage_records` goes on behind it, at the next chunk whose own checksum is right.
+pamctl finished, and all of them are verified.
 """
 
 from __future__ import annotations
 
 import mmap
-import re
 import struct
 import zlib
 from collections.abc import Iterable, Iterator
@@ -17,10 +15,9 @@ from io import BytesIO
 from pathlib import Path
 from typing import NamedTuple
 
-import zstandard
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Chunk, DataEnd, Footer, McapRecord, SummaryOffset
+from mcap.records import DataEnd, Footer, McapRecord, SummaryOffset
 
 from pamctl.exit_codes import ExitCode
 from pamctl.regular_file import describe_irregular_file
@@ -85,7 +82,7 @@ def map_log_file(path: Path) -> memoryview:
         raise LogError(f"{path} is empty: no log was written there") from error
 
 
-_HELD_BYTES = 1 << 24
+HELD_BYTES = 1 << 24
 """Of a file that is read in order, at most so much stays mapped in memory."""
 
 
@@ -119,25 +116,6 @@ def records_in(data: memoryview, at: int = 0) -> Iterator[FileRecord]:
         record = record_at(data, at)
         yield record
         at = record.end
-
-
-def walk_records(file: memoryview) -> Iterator[FileRecord]:
-    """Yield a file's records, the footer last; raise Damage if no next record can be found."""
-    if file[: len(MAGIC)] != MAGIC:
-        raise Damage(0, "it does not begin as an MCAP file does")
-    at, opcode, has_data_end, held_at = len(MAGIC), 0, False, 0
-    while opcode != Opcode.FOOTER:
-        record = record_at(file, at)
-        yield record
-        at, opcode = record.end, record.opcode
-        if at - held_at > _HELD_BYTES:
-            release_pages(file, held_at, at)
-            held_at = at
-        has_data_end |= opcode == Opcode.DATA_END
-    if not has_data_end:
-        raise Damage(at, "the record at the end of the data, with their checksum, is missing")
-    if file[at:] != MAGIC:
-        raise Damage(at, "it does not end as an MCAP file does")
 
 
 # --- checksums ----------------------------------------------------------------------------------
@@ -179,80 +157,19 @@ def _compare_checksum(record: FileRecord, what: str, stored: int, data: memoryvi
 
 def _compute_checksum(data: memoryview) -> int:
     """Return the CRC of a part of a file; only that of all the data is long."""
-    crc, is_long = 0, len(data) > _HELD_BYTES
-    for begin in range(0, len(data), _HELD_BYTES):
-        part = data[begin : begin + _HELD_BYTES]
+    crc, is_long = 0, len(data) > HELD_BYTES
+    for begin in range(0, len(data), HELD_BYTES):
+        part = data[begin : begin + HELD_BYTES]
         crc = zlib.crc32(part, crc)
         if is_long:  # then it begins where the file does
             release_pages(data, begin, begin + len(part))
     return crc
 
 
-# --- chunks -------------------------------------------------------------------------------------
+# --- the end of a file -------------------------------------------------------------------------
 
-MOST_CHUNK_BYTES = 1 << 26
-"""What a compressed chunk may hold: 16 times the largest that common writers make by default."""
-MOST_SILENT_BYTES = 1 << 29
-MOST_TIMES_PACKED = 100
-"""A file that unpacks to more than `MOST_SILENT_BYTES` and to more than so many times its own
-bytes is refused. Ticks of a real run unpack to some three times theirs, of one at rest to ten."""
-
-
-class Unpacker:
-    """Unpacks the chunks of one file, and refuses a small file that unpacks to a huge one."""
-
-    def __init__(self, path: Path, file: memoryview) -> None:
-        self._path, self._file_bytes = path, len(file)
-        self._unpacked = 0
-
-    def unpack(self, record: FileRecord) -> tuple[Chunk, memoryview]:
-        """Return a chunk, and its records as bytes; raise Damage if they are not as written.
-
-        Raise LogError if the file unpacks to too much.
-        """
-        with translate_parse_errors(record):
-            chunk = Chunk.read(record.stream())
-            content = read_chunk_content(chunk)
-        self._unpacked += len(content)
-        if self._unpacked > max(MOST_SILENT_BYTES, MOST_TIMES_PACKED * self._file_bytes):
-            raise LogError(
-                f"{self._path} has {self._file_bytes / 1e6:.3g} MB and unpacks to more than "
-                f"{self._unpacked / 1e6:.0f} MB: no run's log is packed {MOST_TIMES_PACKED} to 1, "
-                "so the rest is not unpacked; delete it if you do not know where it comes from"
-            )
-        return chunk, memoryview(content)
-
-
-def read_chunk_content(chunk: Chunk) -> bytes:
-    """Return a chunk's records as bytes; raise a parser's error if they are not as written."""
-    content = _decompress(chunk)
-    if chunk.uncompressed_crc not in (0, zlib.crc32(content)):
-        raise ValueError("the checksum of a chunk is wrong")
-    return content
-
-
-def _decompress(chunk: Chunk) -> bytes:
-    """Decompress no more than a chunk declares: a kilobyte may hold a gigabyte."""
-    size, data = chunk.uncompressed_size, chunk.data
-    if chunk.compression == "":
-        return data
-    if size > MOST_CHUNK_BYTES:
-        limit = f"the limit is {MOST_CHUNK_BYTES >> 20} MB"
-        raise ValueError(f"a chunk declares {size / 2**20:.1f} MB, {limit}")
-    if chunk.compression == "zstd":
-        # What the frame itself declares would overrule the chunk.
-        declared = zstandard.get_frame_parameters(data).content_size
-        is_larger = declared not in (size, zstandard.CONTENTSIZE_UNKNOWN)
-        content = b"" if is_larger else zstandard.decompress(data, size)
-    elif chunk.compression == "lz4":
-        import lz4.frame  # no log of pamctl needs it
-
-        content = lz4.frame.LZ4FrameDecompressor().decompress(data, size + 1)
-    else:
-        raise ValueError(f"a chunk is compressed with {chunk.compression}")
-    if len(content) != size:
-        raise ValueError(f"a chunk does not hold the {size} bytes that it declares")
-    return content
+_FOOTER_BYTES = FRAME.size + 20
+_DATA_END_BYTES = FRAME.size + 4
 
 
 def encode_summary(start: int, groups: Iterable[tuple[int, bytes]]) -> bytes:
@@ -269,65 +186,6 @@ def encode_summary(start: int, groups: Iterable[tuple[int, bytes]]) -> bytes:
     summary += offsets
     footer.summary_crc = zlib.crc32(summary + encode_record(footer)[: -len(NO_CHECKSUM)])
     return summary + encode_record(footer) + MAGIC
-
-
-# --- behind damage ------------------------------------------------------------------------------
-
-_CHUNK_FRAME = re.compile(rb"(?=\x06.{4}\x00{4})", re.DOTALL)
-"""A chunk's opcode, and a length below 4 GiB."""
-_FOOTER_BYTES = FRAME.size + 20
-_DATA_END_BYTES = FRAME.size + 4
-
-
-class Hole(NamedTuple):
-    """A place where no record can be found."""
-
-    damage: Damage
-    bytes_lost: int
-    at_end: bool
-    """Whether nothing is found after it."""
-
-
-def salvage_records(file: memoryview) -> Iterator[FileRecord | Hole]:
-    """Yield records and holes in order, to the footer or the end of the file.
-
-    Behind a hole, a chunk is recognised by its own checksum: nothing is taken for one by chance.
-    """
-    if file[: len(MAGIC)] != MAGIC:
-        yield Hole(Damage(0, "it does not begin as an MCAP file does"), 0, at_end=False)
-    at = last = len(MAGIC)
-    in_data = True
-    while True:
-        try:
-            record = record_at(file, at)
-            # Opcodes from 128 on are free for private use.
-            if Opcode.DATA_END < record.opcode < 128:
-                raise Damage(at, f"there is no record of kind {record.opcode}")
-        except Damage as damage:
-            # The previous record may have had a wrong length, and may hide a chunk.
-            found = _find_next_chunk(file, last + 1) if in_data else None
-            if found is None:
-                yield Hole(damage, len(file) - at if in_data else 0, at_end=True)
-                return
-            yield Hole(damage, max(0, found.start - at), at_end=False)
-            record = found
-        yield record
-        at, last = record.end, record.start
-        in_data = in_data and record.opcode != Opcode.DATA_END
-        if record.opcode == Opcode.FOOTER:
-            if file[at:] != MAGIC:
-                yield Hole(Damage(at, "it does not end as an MCAP file does"), 0, at_end=True)
-            return
-
-
-def _find_next_chunk(file: memoryview, at: int) -> FileRecord | None:
-    for match in _CHUNK_FRAME.finditer(file, at):
-        with suppress(Exception):  # a parser may raise anything for bytes that are not a chunk
-            record = record_at(file, match.start())
-            chunk = Chunk.read(record.stream())
-            if chunk.uncompressed_crc and read_chunk_content(chunk):
-                return record
-    return None
 
 
 def read_summary(file: memoryview) -> list[FileRecord]:

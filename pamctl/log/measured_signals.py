@@ -23,7 +23,13 @@ from pydantic import ValidationError
 from hal.calibration import CalibrationSettings, calibration, valve_v
 from pamctl.log.framing import LogError
 from pamctl.log.reader import Log
-from pamctl.log.record_problems import RecordColumn, RecordProblem, find_record_problems
+from pamctl.log.record_problems import (
+    FIRST_TICKS,
+    RecordColumn,
+    RecordProblem,
+    find_record_problems,
+    judge_first_tick,
+)
 from pamctl.log.schema import IMPORTED_QUANTITIES, unit_of_column
 from pamctl.signals import Phase
 
@@ -89,7 +95,8 @@ class Signals:
             parts[field.name] = whole[ticks] if isinstance(whole, np.ndarray) else whole
         first = ticks.indices(len(self))[0]
         if first and self.valve_v is not None:
-            parts["held_v"] = find_held_v(self.valve_v, first)
+            held_v = float(self.valve_v[first - 1])
+            parts["held_v"] = held_v if np.isfinite(held_v) else None  # else that write failed
         return Signals(**parts)
 
 
@@ -100,10 +107,11 @@ def signals(log: Log) -> Signals:
     tick at which it applied it: one tick later if a sample clock paces the card. The calibration in
     the log turns it back into a command; raise LogError if there is none.
     """
-    count = len(log)
-    held_v = None
+    count, held_v = len(log), None
     if log.is_imported:
-        valve, acts_after_s = log.columns.get("valve_v"), _find_stated_delay(log)
+        valve = log.columns.get("valve_v")
+        stated_s = float(log.metadata.get("import", {}).get("acts_after_s", 0.0))
+        acts_after_s = np.full(count, stated_s) if stated_s else None
     else:
         output = find_output_steps(log)
         valve, acts_after_s = _compute_valve_v(log, output.output_v), output.acts_after_s
@@ -122,18 +130,6 @@ def signals(log: Log) -> Signals:
         acts_after_s=acts_after_s,
         held_v=held_v,
     )
-
-
-def find_held_v(valve_v: Floats, first: int) -> float | None:
-    """Return the command before a row; None if that write failed."""
-    held_v = float(valve_v[first - 1])
-    return held_v if np.isfinite(held_v) else None
-
-
-def _find_stated_delay(log: Log) -> Floats | None:
-    """Return the constant that the map of an import stated."""
-    stated_s = float(log.metadata.get("import", {}).get("acts_after_s", 0.0))
-    return np.full(len(log), stated_s) if stated_s else None
 
 
 def _compute_valve_v(log: Log, output: Floats) -> Floats:
@@ -167,6 +163,67 @@ def find_signal_problems(columns: Mapping[str, NDArray[Any]]) -> list[RecordProb
     return [problem for problem in found if problem.kind not in ("gap", "jitter")]
 
 
+PIECE_TICKS = 1 << 15
+"""Ticks whose signals are looked at together where a log does not fit: half a minute at 1 kHz."""
+_OF_THE_WHOLE = ("constant", "reversed")
+"""Kinds that mean nothing where they are not true of each piece."""
+
+
+class SignalPieces:
+    """Looks at the measured signals of a log of any length, piece by piece."""
+
+    def __init__(self) -> None:
+        """Begin without ticks."""
+        self._piece: dict[str, Floats] = {}
+        self._filled = self._pieces = self._first_row = 0
+        self._found: dict[tuple[str, str], list[RecordProblem]] = {}
+
+    def take(self, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Take the next ticks, each column of shape (n,)."""
+        if not self._piece:
+            names = [name for name in ("t_s", *IMPORTED_QUANTITIES) if name in columns]
+            self._piece = {name: np.empty(PIECE_TICKS) for name in names}
+        count = len(columns["t_s"])
+        taken = 0
+        while taken < count:
+            part = min(count - taken, PIECE_TICKS - self._filled)
+            for name, piece in self._piece.items():
+                piece[self._filled : self._filled + part] = columns[name][taken : taken + part]
+            self._filled, taken = self._filled + part, taken + part
+            if self._filled == PIECE_TICKS:
+                self._judge()
+
+    def _judge(self) -> None:
+        """Judge the ticks that were taken; the last one begins the next piece, too."""
+        piece = {name: column[: self._filled] for name, column in self._piece.items()}
+        for problem in find_signal_problems(piece):
+            moved = tuple((a + self._first_row, b + self._first_row) for a, b in problem.stretches)
+            found = self._found.setdefault((problem.kind, problem.column), [])
+            found.append(problem._replace(stretches=moved, share=problem.share * self._filled))
+        self._pieces += 1
+        self._first_row += self._filled - 1
+        for column in self._piece.values():
+            column[0] = column[self._filled - 1]
+        self._filled = 1
+
+    def find_problems(self) -> list[RecordProblem]:
+        """Return the problems of all ticks, each kind of a column once."""
+        if not self._piece:
+            return find_signal_problems({"t_s": np.empty(0)})
+        rows = self._first_row + self._filled
+        if self._filled > 1 or not self._pieces:
+            self._judge()
+        return [
+            found[0]._replace(
+                stretches=tuple(stretch for one in found for stretch in one.stretches),
+                to_s=found[-1].to_s,
+                share=sum(one.share for one in found) / rows,
+            )
+            for (kind, _), found in self._found.items()
+            if len(found) == self._pieces or kind not in _OF_THE_WHOLE
+        ]
+
+
 def judge_ticks(log: Log, *, may_lack: bool = False) -> list[str]:
     """Return what is doubtful in the ticks of a log, each with its rows and seconds.
 
@@ -174,10 +231,11 @@ def judge_ticks(log: Log, *, may_lack: bool = False) -> list[str]:
     number, as a page leaves it out.
     """
     see = f"`pamctl log check {log.path}` lists all that is wrong"
+    log["t_s"]  # or there is nothing to look at
     phase = log.columns.get("phase", np.empty(0, np.int64))
     unknown = find_unknown_phase(phase)
     if unknown is not None:
-        row = int((np.asarray(phase) == unknown).argmax())
+        row = int((phase == unknown).argmax())
         what = f"from row {row} on, {describe_unknown_phase(unknown)}"
         raise LogError(f"{log.path} cannot be used: {what}; {see}")
     problems = find_signal_problems(log.columns)
@@ -186,7 +244,17 @@ def judge_ticks(log: Log, *, may_lack: bool = False) -> list[str]:
             fix = f"; cut a sound part out with `pamctl log cut {log.path} --out PART.mcap`"
             way_on = see + (fix if problem.share < 1.0 else "")
             raise LogError(f"{log.path} cannot be used: {problem.describe()}; {way_on}")
-    return [problem.describe() for problem in problems if problem.kind != "constant"]
+    doubts = [problem.describe() for problem in problems if problem.kind != "constant"]
+    return judge_description(log) + doubts
+
+
+def judge_description(log: Log) -> list[str]:
+    """Return what is doubtful in what a log says of its ticks, in memory or in the file."""
+    problems = list(log.schema_problems)
+    if "tick" in log.columns and len(log):
+        first = slice(0, FIRST_TICKS)
+        problems += judge_first_tick(log.columns["tick"][first], log.columns["t_s"][first])
+    return [problem.describe() for problem in problems]
 
 
 def find_unknown_phase(phase: NDArray[Any]) -> int | None:

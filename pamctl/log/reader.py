@@ -1,8 +1,6 @@
 """Read a log: the ticks as arrays by column, everything else as plain values.
 
-One pass, `Scan`, serves all who read: it verifies every checksum, passes the ticks on in batches
-and keeps everything else, which is little. `read` collects the ticks in memory, `read_paged`
-leaves them in the file, `info` counts them, and `check.py` looks at each of them.
+`read` collects the ticks in memory, `read_paged` leaves them in the file, and `info` counts them.
 
 A log of another version is read by the descriptor that it carries, or refused with the reason.
 """
@@ -10,7 +8,7 @@ A log of another version is read by the descriptor that it carries, or refused w
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -18,26 +16,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Metadata, Schema
 from numpy.typing import NDArray
 
-from pamctl.json_text import from_json
 from pamctl.log.annotation import ANNOTATION, Annotation
 from pamctl.log.columns import WALL_TIME, GridRows, Page, Pages, TickColumns, suggest_nearest
-from pamctl.log.framing import (
-    Damage,
-    FileRecord,
-    LogError,
-    Unpacker,
-    map_log_file,
-    record_at,
-    release_pages,
-    translate_parse_errors,
-    verify_checksum,
-    walk_records,
-)
+from pamctl.log.framing import Damage, LogError, record_at, release_pages, translate_parse_errors
 from pamctl.log.moments import CHANGES, describe_running_changes
+from pamctl.log.reading.record_walk import MessageRun, read_chunk, read_chunk_content, walk_messages
+from pamctl.log.reading.scan import Scan
+from pamctl.log.record_problems import RecordProblem
 from pamctl.log.schema import (
     CUT,
     EVENT_TOPIC,
@@ -47,22 +34,10 @@ from pamctl.log.schema import (
     TICK_TOPIC,
     unit_of_column,
 )
-from pamctl.log.wire import (
-    MessageRun,
-    TickBatch,
-    TickDecoder,
-    UnknownLayout,
-    find_message_run,
-    require_short,
-    walk_messages,
-)
-from pamctl.plain_text import clean_document
+from pamctl.log.wire import TickBatch, TickDecoder
 from pamctl.signals import Phase
 
 __all__ = ["Log", "LogError", "NoSuchColumn", "Scan", "info", "read", "read_paged", "read_some"]
-
-MOST_JSON_BYTES = 1 << 24
-"""Events, gains and states that are read without a word, beside the bytes of the file itself."""
 
 
 class NoSuchColumn(LogError):
@@ -95,6 +70,8 @@ class Log:
     """Number of messages in the file, by topic."""
     is_imported: bool
     """Whether another system measured it: then it holds no controller to replay."""
+    schema_problems: tuple[RecordProblem, ...] = ()
+    """What is wrong with the description of the ticks."""
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         """Return a column; raise LogError with the nearest name if there is none."""
@@ -112,193 +89,13 @@ class Log:
         if isinstance(self.columns, Pages):
             return self.columns.grid
         grid = GridRows()
-        grid.take(self["tick"], self["missed"])
+        grid.take(self["tick"], self["missed"], self["t_s"])
         return grid
 
     @property
     def t(self) -> NDArray[np.float64]:
         """Seconds since the first tick, shape (n,)."""
         return self["t_s"]
-
-
-class Scan:
-    """One pass over a log: all that is in it but the ticks, which are passed on in batches."""
-
-    def __init__(
-        self,
-        path: str | Path,
-        topics: Collection[str] = (),
-        fields: Collection[str] | None = None,
-        take: Callable[[TickBatch], None] | None = None,
-    ) -> None:
-        """Keep these topics and decode these fields of the ticks; by default all.
-
-        `take` gets each batch of ticks; by default they are collected. Nothing is read before
-        `run`. Raise LogError if there is no such file.
-        """
-        self.path = Path(path)
-        self.file = map_log_file(self.path)
-        self.damage: Damage | None = None
-        """The first damage of the file."""
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
-        self.ticks: TickDecoder | None = None
-        self.tick_channel = -1
-        """The number of the channel of the ticks."""
-        self.places: list[tuple[int, int]] = []
-        """Row of the first tick of each chunk, and where the chunk begins; -1: in no chunk."""
-        self.values: dict[str, list[dict[str, Any]]] = {
-            topic: [] for topic in (EVENT_TOPIC, GAINS_TOPIC, KEYFRAME_TOPIC)
-        }
-        """Messages by topic, without the ticks."""
-        self.counts: Counter[str] = Counter()
-        """Number of messages in the file, by topic."""
-        self.attachments: dict[str, bytes] = {}
-        self.metadata: dict[str, dict[str, str]] = {}
-        self._topics, self._fields, self._take = topics, fields, take
-        self._collected: TickColumns | None = None
-        self._json_bytes = 0
-
-    def run(self) -> Scan:
-        """Read up to the first damage; raise LogError for a version that cannot be read."""
-        try:
-            self._read_records()
-        except UnknownLayout as error:
-            what = f"was written by a version that cannot be read: {error}"
-            raise LogError(f"{self.path} {what}") from error
-        return self
-
-    def _read_records(self) -> None:
-        unpacker = Unpacker(self.path, self.file)
-        try:
-            for record in walk_records(self.file):
-                with translate_parse_errors(record):
-                    verify_checksum(self.file, record)
-                    if record.opcode == Opcode.CHUNK:
-                        _, content = unpacker.unpack(record)
-                        self.take_parts(walk_messages(content), record.start)
-                    else:
-                        self.take(record)
-        except Damage as damage:
-            self.damage = damage
-        self.flush()
-
-    def require_whole(self) -> Scan:
-        """Raise LogError if any part of the file is damaged, or it has no ticks' channel."""
-        if self.damage is not None and self.damage.offset == 0:
-            raise LogError(f"{self.path} is not a log: {self.damage}")
-        if self.damage is not None:
-            raise LogError(
-                f"{self.path} is damaged: {self.damage}; "
-                f"save the undamaged part with `pamctl log recover {self.path} DESTINATION`"
-            )
-        if self.wants(TICK_TOPIC) and self.ticks is None:
-            raise LogError(f"{self.path} is not a log of pamctl: it has no channel {TICK_TOPIC}")
-        return self
-
-    @property
-    def is_imported(self) -> bool:
-        """Whether another system measured it."""
-        return any(c.metadata.get("origin") == IMPORTED for c in self.channels.values())
-
-    @property
-    def outcome(self) -> dict[str, Any] | None:
-        """How the run ended; None if the log does not say it."""
-        ended = (e for e in reversed(self.values[EVENT_TOPIC]) if e.get("event") == "outcome")
-        return next(ended, None)
-
-    def config(self) -> dict[str, Any]:
-        """Return the configuration, empty if there is none; raise LogError if it is not JSON."""
-        try:
-            return dict(clean_document(from_json(self.attachments.get("config.json", b"{}"))))
-        except (ValueError, TypeError) as error:
-            raise LogError(f"the attachment config.json makes no sense: {error}") from error
-
-    def wants(self, topic: str) -> bool:
-        """Tell whether to keep the messages of a topic."""
-        return topic in (self._topics or (topic,))
-
-    def columns(self) -> dict[str, NDArray[Any]]:
-        """Return the columns that were collected, and `WALL_TIME`; empty ones without ticks."""
-        if self._collected is None:
-            return {WALL_TIME: np.zeros(0, np.uint64)}
-        return self._collected.finish()
-
-    def to_log(self, columns: Mapping[str, NDArray[Any]], time_ns: NDArray[np.uint64]) -> Log:
-        """Return the log of these columns, and of all else that was read."""
-        return Log(
-            path=self.path,
-            columns=columns,
-            time_ns=time_ns,
-            units={name: unit_of_column(name) for name in columns},
-            events=self.values[EVENT_TOPIC],
-            gains=self.values[GAINS_TOPIC],
-            keyframes=self.values[KEYFRAME_TOPIC],
-            config=self.config(),
-            attachments=self.attachments,
-            metadata=self.metadata,
-            counts=dict(self.counts),
-            is_imported=self.is_imported,
-        )
-
-    def take(self, record: FileRecord) -> None:
-        """Take a record of the file that is no chunk."""
-        match record.opcode:
-            case Opcode.MESSAGE:
-                self._take_run(find_message_run(self.file[: record.end], record), -1)
-            case Opcode.SCHEMA:
-                schema = Schema.read(record.stream())
-                self.schemas.setdefault(schema.id, schema)
-            case Opcode.CHANNEL:
-                self._take_channel(Channel.read(record.stream()))
-            case Opcode.ATTACHMENT:
-                attachment = Attachment.read(record.stream())
-                self.attachments[attachment.name] = attachment.data
-            case Opcode.METADATA:
-                metadata = Metadata.read(record.stream())
-                self.metadata[metadata.name] = clean_document(metadata.metadata)
-
-    def take_parts(self, parts: Iterable[FileRecord | MessageRun], chunk_at: int) -> None:
-        """Take what the chunk at this place of the file holds."""
-        for part in parts:
-            if isinstance(part, MessageRun):
-                self._take_run(part, chunk_at)
-            else:
-                self.take(part)
-
-    def flush(self) -> None:
-        """Pass on the ticks that wait to be decoded together."""
-        if self.ticks is not None:
-            self.ticks.flush()
-
-    def _take_channel(self, channel: Channel) -> None:
-        self.channels.setdefault(channel.id, channel)
-        if channel.topic != TICK_TOPIC or channel.id == self.tick_channel:
-            return
-        if self.ticks is not None or channel.message_encoding != "protobuf":
-            raise UnknownLayout(f"{TICK_TOPIC} is not one channel of protobuf messages")
-        schema = self.schemas[channel.schema_id]
-        self.ticks = TickDecoder(schema.data, schema.name, self._fields)
-        self.tick_channel = channel.id
-        if self.wants(TICK_TOPIC):
-            self._collected = TickColumns(self.ticks.wanted)
-            self.ticks.take = self._take or self._collected.take
-
-    def _take_run(self, run: MessageRun, chunk_at: int) -> None:
-        topic = self.channels[run.channel].topic
-        if self.ticks is not None and run.channel == self.tick_channel:
-            if not self.places or self.places[-1][1] != chunk_at:
-                self.places.append((self.counts[topic], chunk_at))
-            self.ticks.add(run.records)
-        elif topic in self.values and self.wants(topic):
-            require_short(run)
-            self._json_bytes += run.records.nbytes
-            if self._json_bytes > MOST_JSON_BYTES + len(self.file):
-                size = f"{self._json_bytes / 1e6:.0f} MB of {topic}"
-                raise LogError(f"{self.path} unpacks to more than {size}: no run writes so many")
-            bodies = (body.tobytes() for body in run.records["body"])
-            self.values[topic] += [clean_document(from_json(body)) for body in bodies]
-        self.counts[topic] += len(run.records)
 
 
 def read(path: str | Path, *topics: str, fields: Collection[str] | None = None) -> Log:
@@ -325,7 +122,26 @@ def read_some(path: str | Path, fields: Collection[str], *topics: str) -> Log:
 def _collect_log(scan: Scan) -> Log:
     columns = scan.columns()
     times = columns.pop(WALL_TIME)
-    return scan.to_log(columns, times)
+    return _make_log(scan, columns, times)
+
+
+def _make_log(scan: Scan, columns: Mapping[str, NDArray[Any]], time_ns: NDArray[np.uint64]) -> Log:
+    """Return the log of these columns, and of all else that was read."""
+    return Log(
+        path=scan.path,
+        columns=columns,
+        time_ns=time_ns,
+        units={name: unit_of_column(name) for name in columns},
+        events=scan.values[EVENT_TOPIC],
+        gains=scan.values[GAINS_TOPIC],
+        keyframes=scan.values[KEYFRAME_TOPIC],
+        config=scan.config(),
+        attachments=scan.attachments,
+        metadata=scan.metadata,
+        counts=dict(scan.counts),
+        is_imported=scan.is_imported,
+        schema_problems=scan.schema_problems(),
+    )
 
 
 def read_paged(path: str | Path) -> Log:
@@ -337,49 +153,43 @@ def read_paged(path: str | Path) -> Log:
     grid = GridRows()
 
     def take(batch: TickBatch) -> None:
-        if {"tick", "missed"} <= batch.columns.keys():
-            grid.take(batch.columns["tick"], batch.columns["missed"])
+        if len(batch.columns) == len(needed):
+            grid.take(*(batch.columns[name] for name in needed))
 
-    scan = Scan(path, fields=("tick", "missed"), take=take).run().require_whole()
+    needed = ("tick", "missed", "t_s")
+    scan = Scan(path, fields=needed, take_ticks=take).run().require_whole()
     is_loose = any(chunk_at < 0 for _, chunk_at in scan.places)  # another program wrote it
     if is_loose or grid.count != scan.counts[TICK_TOPIC]:
         return read(path)
     assert scan.ticks is not None
-    pages = Pages(scan.ticks.none, scan.places, grid, _PageDecoder(scan).decode)
-    return scan.to_log(pages, pages.time_ns)
+    schema = scan.schemas[scan.channels[scan.tick_channel].schema_id]
+    decoder = TickDecoder(schema.data, schema.name)
 
-
-class _PageDecoder:
-    """Decodes the ticks of some chunks of a log that was read before."""
-
-    def __init__(self, scan: Scan) -> None:
-        self._path, self._file, self._channel = scan.path, scan.file, scan.tick_channel
-        schema = scan.schemas[scan.channels[scan.tick_channel].schema_id]
-        self._decoder = TickDecoder(schema.data, schema.name)
-
-    def decode(self, places: Sequence[int]) -> Page:
-        """Return the columns; raise LogError if the file is not what it was."""
-        columns = TickColumns(self._decoder.none)
-        self._decoder.take = columns.take
-        unpacker = Unpacker(self._path, self._file)
+    def decode(places: Sequence[int], rows: int) -> Page:
+        columns = TickColumns(decoder.none, rows)
+        decoder.take = columns.take
         try:
             for at in places:
-                record = record_at(self._file, at)
-                _, content = unpacker.unpack(record)
-                release_pages(self._file, record.start, record.end)
-                for part in walk_messages(content):
-                    if isinstance(part, MessageRun) and part.channel == self._channel:
-                        self._decoder.add(part.records)
-            self._decoder.flush()
+                record = record_at(scan.file, at)
+                with translate_parse_errors(record):
+                    content = read_chunk_content(read_chunk(record))
+                    for part in walk_messages(memoryview(content)):
+                        if isinstance(part, MessageRun) and part.channel == scan.tick_channel:
+                            decoder.add(part.records)
+                release_pages(scan.file, record.start, record.end)
+            decoder.flush()
         except Damage as damage:
-            raise LogError(f"{self._path} was changed while it was read: {damage}") from damage
+            raise LogError(f"{path} was changed while it was read: {damage}") from damage
         return columns.finish()
+
+    pages = Pages(scan.ticks.none, scan.places, grid, decode)
+    return _make_log(scan, pages, pages.time_ns)
 
 
 def info(path: str | Path) -> dict[str, Any]:
     """Summarise the undamaged part of a log of any length; raise LogError if there is none."""
     ticks = _Tally()
-    scan = Scan(path, fields=("tick", "t_s", "phase"), take=ticks.take).run()
+    scan = Scan(path, fields=("tick", "t_s", "phase"), take_ticks=ticks.take).run()
     if scan.damage is not None and not scan.metadata:
         raise LogError(f"{path} is not a log, or nothing in it can be read: {scan.damage}")
     run, origin = scan.metadata.get("run", {}), scan.metadata.get("pamctl", {})
@@ -433,6 +243,9 @@ class _Tally:
         self._phases: Counter[int] = Counter()
 
     def take(self, batch: TickBatch) -> None:
+        if not {"tick", "t_s"} <= batch.columns.keys():
+            self.count += len(batch.sequence)
+            return
         tick, t_s = batch.columns["tick"], batch.columns["t_s"]
         before = tick[0] - 1 if self._last_tick is None else self._last_tick
         skipped = np.maximum(np.diff(tick, prepend=before) - 1, 0)

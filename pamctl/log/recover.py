@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import zlib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,30 +18,32 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
 from numpy.typing import NDArray
 
-from pamctl.json_text import from_json
 from pamctl.kept_memory import keep_freed_memory
 from pamctl.log.framing import (
     NO_CHECKSUM,
     Damage,
     FileRecord,
-    Hole,
     LogError,
-    Unpacker,
     is_data_verified,
     map_log_file,
     read_summary,
-    salvage_records,
     translate_parse_errors,
-    verify_checksum,
+)
+from pamctl.log.reading.file_index import DESCRIPTIONS
+from pamctl.log.reading.record_walk import (
+    Hole,
+    Loaded,
+    MessageRun,
+    Part,
+    load_records,
+    parse_messages,
 )
 from pamctl.log.schema import JSON_SCHEMAS, TICK_TOPIC
-from pamctl.log.wire import MessageRun, find_message_run, require_short, walk_messages
 from pamctl.log.writer import LogWriter
 from pamctl.new_file import create_new_file
 from pamctl.plain_text import escape_name
 
 _LOOSE_BYTES = 1 << 20
-_DESCRIPTIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
 
 
 @dataclass(frozen=True)
@@ -78,15 +80,7 @@ def recover_file(source: str | Path, destination: str | Path) -> Recovery:
         copy.write(writer)
         if not copy.saved:
             raise LogError(f"nothing of {source} can be saved: {'; '.join(copy.damage)}")
-        recovery = Recovery(
-            source=str(source),
-            destination=str(destination),
-            messages=dict(copy.saved),
-            damage=tuple(copy.damage),
-            lossless=copy.lossless,
-            bytes_lost=copy.bytes_lost,
-            unverified=copy.unverified,
-        )
+        recovery = copy.describe(str(source), destination)
         sign_recovery(writer, recovery)
     return recovery
 
@@ -110,8 +104,8 @@ class LogCopy:
 
     def __init__(self, path: Path | None) -> None:
         """Raise LogError if there is no such file. None: there is nothing to copy."""
+        self._path = path or Path()
         self._file = map_log_file(path) if path else memoryview(b"")
-        self._unpacker = Unpacker(path or Path(), self._file)
         self.verified = is_data_verified(self._file)
         """Whether the data are known to be undamaged, by a checksum of the whole file."""
         self._metadata: dict[str, None] = {}
@@ -127,61 +121,53 @@ class LogCopy:
         self.last_tick = -(1 << 62)
         self.last_row = -1
 
-    @property
-    def lossless(self) -> bool:
-        """Whether everything that was in the file is saved."""
-        return not (self.lost or self.cut)
-
-    @property
-    def unverified(self) -> tuple[str, ...]:
-        """Names of copied metadata that no checksum covers."""
-        return () if self.verified else tuple(self._metadata)
+    def describe(self, source: str, destination: Path) -> Recovery:
+        """Return what was saved and lost so far."""
+        return Recovery(
+            source=source,
+            destination=str(destination),
+            messages=dict(self.saved),
+            damage=tuple(self.damage),
+            lossless=not (self.lost or self.cut),
+            bytes_lost=self.bytes_lost,
+            unverified=() if self.verified else tuple(self._metadata),
+        )
 
     def write(self, writer: LogWriter) -> None:
         """Write what is undamaged; nothing else must have been written before."""
         if not len(self._file):
             return
         for record in read_summary(self._file):
-            if record.opcode in _DESCRIPTIONS:  # in case the first chunk is damaged
+            if record.opcode in DESCRIPTIONS:  # in case the first chunk is damaged
                 with suppress(Damage), translate_parse_errors(record):
                     writer.learn(record)
-        for part in salvage_records(self._file):
-            if isinstance(part, Hole):
-                self.damage.append(str(part.damage))
-                self.bytes_lost += part.bytes_lost
-                # A cut at the end loses nothing if the ring holds the rest.
-                self.lost = self.lost or (self.cut and not part.at_end)
-            else:
-                self._try_copy(writer, part)
-                self.cut = self.cut and part.opcode != Opcode.DATA_END
+        self._load(lambda loaded: self._copy(writer, loaded), self._lose)
+
+    def _load(self, take: Callable[[Loaded], None], lose: Callable[[Hole], None]) -> None:
+        load_records(self._path, self._file, take, lose, is_verified=self.verified)
+
+    def _lose(self, hole: Hole) -> None:
+        self.damage.append(str(hole.damage))
+        if self.cut:  # else it is in the summary, which is computed again
+            self.bytes_lost += hole.bytes_lost
+            # A cut at the end loses nothing if the ring holds the rest.
+            self.lost = self.lost or not hole.at_end
+        self.cut = self.cut and hole.opcode != Opcode.DATA_END
 
     def select_messages(self, topic: str, messages: NDArray[Any]) -> NDArray[Any]:
         """Return those of these messages that are to be copied: all, unless a subclass differs."""
         del topic
         return messages
 
-    def _try_copy(self, writer: LogWriter, record: FileRecord) -> None:
-        try:
-            with translate_parse_errors(record):
-                if not (self.verified and record.opcode == Opcode.DATA_END):  # verified before
-                    verify_checksum(self._file, record)
-                if self.cut:  # what follows the data is computed again
-                    self._copy(writer, record)
-        except Damage as damage:
-            self.damage.append(str(damage))
-            self.lost = self.lost or self.cut
-            if record.opcode != Opcode.DATA_END:
-                self.bytes_lost += record.end - record.start
-
-    def _copy(self, writer: LogWriter, record: FileRecord) -> None:
+    def _copy(self, writer: LogWriter, loaded: Loaded) -> None:
+        record = loaded.record
+        if not self.cut:  # what follows the data is computed again
+            return
         match record.opcode:
             case Opcode.CHUNK:
-                self._copy_chunk(writer, record)
+                self._copy_chunk(writer, loaded)
             case Opcode.MESSAGE:  # another program wrote it in no chunk
-                for channel, kept in self._choose(
-                    writer, record, [find_message_run(self._file[: record.end], record)]
-                ):
-                    writer.add(channel, kept.copy())
+                self._add(writer, self._choose(writer, record, loaded.parts))
                 if writer.pending_bytes > _LOOSE_BYTES:
                     writer.end_chunk()
             case Opcode.SCHEMA | Opcode.CHANNEL:
@@ -194,23 +180,27 @@ class LogCopy:
                 metadata = Metadata.read(record.stream())
                 writer.metadata(metadata.name, metadata.metadata)
                 self._metadata[metadata.name] = None
+            case Opcode.DATA_END:
+                self.cut = False
 
-    def _copy_chunk(self, writer: LogWriter, record: FileRecord) -> None:
-        chunk, content = self._unpacker.unpack(record)
-        self._refuse_unchecked(record, chunk.uncompressed_crc != 0)
-        parts = list(walk_messages(content))
-        runs = [part for part in parts if isinstance(part, MessageRun)]
-        for part in parts:
-            if isinstance(part, FileRecord) and part.opcode in _DESCRIPTIONS:
-                writer.learn(part)
-        chosen = self._choose(writer, record, runs)
-        if sum(len(kept) for _, kept in chosen) == sum(len(run.records) for run in runs):
-            chunk.uncompressed_crc = chunk.uncompressed_crc or zlib.crc32(content)
+    def _copy_chunk(self, writer: LogWriter, loaded: Loaded) -> None:
+        chunk, parts = loaded.chunk, loaded.parts
+        assert chunk is not None
+        self._refuse_unchecked(loaded.record, chunk.uncompressed_crc != 0)
+        for part in _find_descriptions(parts):
+            writer.learn(part)
+        chosen = self._choose(writer, loaded.record, parts)
+        count = sum(len(part.records) for part in parts if isinstance(part, MessageRun))
+        if sum(len(kept) for _, kept in chosen) == count:
+            chunk.uncompressed_crc = chunk.uncompressed_crc or zlib.crc32(loaded.content)
             writer.copy_chunk(chunk, parts)
             return
+        self._add(writer, chosen)
+        writer.end_chunk()
+
+    def _add(self, writer: LogWriter, chosen: Iterable[tuple[int, NDArray[Any]]]) -> None:
         for channel, kept in chosen:
             writer.add(channel, kept.copy())
-        writer.end_chunk()
 
     def _refuse_unchecked(self, record: FileRecord, checked: bool) -> None:
         """Raise Damage for parts without a checksum: a block of zeros would look like that."""
@@ -218,12 +208,13 @@ class LogCopy:
             raise Damage(record.start, "it has no checksum: damage would not be noticed")
 
     def _choose(
-        self, writer: LogWriter, record: FileRecord, runs: Sequence[MessageRun]
+        self, writer: LogWriter, record: FileRecord, parts: Sequence[Part]
     ) -> list[tuple[int, NDArray[Any]]]:
         """Return each run's channel and those of its messages that are to be copied; count them.
 
         Raise Damage if a channel is not known: it was described in a lost part.
         """
+        runs = [part for part in parts if isinstance(part, MessageRun)]
         if not all(writer.knows(run.channel) for run in runs):
             self._look_ahead(writer, record)
         chosen, counts = [], Counter[str]()
@@ -231,8 +222,6 @@ class LogCopy:
             if not writer.knows(run.channel):
                 raise Damage(record.start, f"channel {run.channel} was described in a lost part")
             topic = writer.topic(run.channel)
-            if topic in JSON_SCHEMAS:
-                require_short(run)
             kept = self.select_messages(topic, run.records)
             chosen.append((run.channel, kept))
             if len(kept):
@@ -243,7 +232,7 @@ class LogCopy:
 
     def _note_place(self, topic: str, kept: NDArray[Any]) -> None:
         if topic in JSON_SCHEMAS:
-            rows = (from_json(body.tobytes()).get("row", -1) for body in kept["body"])
+            rows = (message.get("row", -1) for message in parse_messages(kept))
             self.last_row = max(self.last_row, *rows)
         elif topic == TICK_TOPIC:
             self.last_tick = max(self.last_tick, int(kept["sequence"].max()))
@@ -253,16 +242,23 @@ class LogCopy:
         if self._has_looked_ahead:
             return
         self._has_looked_ahead = True
-        for part in salvage_records(self._file):
-            if isinstance(part, Hole) or part.opcode != Opcode.CHUNK or part.start < first.start:
-                continue
-            with suppress(Damage), translate_parse_errors(part):
-                described = [
-                    inside
-                    for inside in walk_messages(self._unpacker.unpack(part)[1])
-                    if isinstance(inside, FileRecord) and inside.opcode in _DESCRIPTIONS
-                ]
-                for record in described:
-                    writer.learn(record)
-                if described:
-                    return
+
+        def learn(loaded: Loaded) -> None:
+            descriptions = _find_descriptions(loaded.parts)
+            if loaded.chunk is None or loaded.record.start < first.start or not descriptions:
+                return
+            for description in descriptions:
+                writer.learn(description)
+            raise _Found
+
+        with suppress(_Found):
+            self._load(learn, lambda hole: None)
+
+
+class _Found(LogError):
+    """What was looked for."""
+
+
+def _find_descriptions(parts: Iterable[Part]) -> list[FileRecord]:
+    """Return the schemas and channels that a chunk describes."""
+    return [p for p in parts if isinstance(p, FileRecord) and p.opcode in DESCRIPTIONS]

@@ -7,7 +7,8 @@ one, by the descriptor that the log carries.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -20,30 +21,20 @@ from google.protobuf.message_factory import GetMessageClass
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from pamctl.log.framing import FRAME, FileRecord, LogError, record_at
+from pamctl.log.framing import FRAME, LogError
+from pamctl.log.reading.record_walk import BODY_AT, message_type
 from pamctl.log.schema import TICK_MESSAGE, tick_descriptor
 from pamctl.signals import Field
 
 SEQUENCE = 0xFFFFFFFF
 """MCAP's sequence has 32 bits: at 1 kHz the tick exceeds it after 49 days."""
-_MESSAGE_HEADER = [
-    ("opcode", "u1"),
-    ("length", "<u8"),
-    ("channel", "<u2"),
-    ("sequence", "<u4"),
-    ("log_time", "<u8"),
-    ("publish_time", "<u8"),
-]
-_BODY_AT = np.dtype(_MESSAGE_HEADER).itemsize
-_KIND_AT = 11
-"""Bytes of a message's head up to its sequence: messages that share them are alike."""
 
 
 def make_message_records(
     data: NDArray[Any], times_ns: NDArray[Any], sequences: NDArray[Any]
 ) -> NDArray[Any]:
     """Make n message records from n messages of equal length; the channel is filled in later."""
-    records = np.empty(len(data), [*_MESSAGE_HEADER, ("body", f"V{data.itemsize}")])
+    records = np.empty(len(data), message_type(data.itemsize))
     records["opcode"] = Opcode.MESSAGE
     records["length"] = records.itemsize - FRAME.size
     records["sequence"] = sequences & SEQUENCE
@@ -56,54 +47,6 @@ def make_message_record(data: bytes, time_ns: int, sequence: int) -> NDArray[Any
     """Make one message record; the message must not be empty."""
     one = np.frombuffer(data, f"V{len(data)}")
     return make_message_records(one, np.array([time_ns]), np.array([sequence]))
-
-
-class MessageRun(NamedTuple):
-    """Messages of one channel and one length that follow one another."""
-
-    channel: int
-    start: int
-    """Where the first begins in its chunk or file."""
-    records: NDArray[Any]
-    """A view, shape (n,): opcode, length, channel, sequence, log_time, publish_time, body."""
-
-
-def find_message_run(data: memoryview, first: FileRecord) -> MessageRun:
-    """Return the messages of `data` from `first` on that have its channel and its length."""
-    size = first.end - first.start
-    count = (len(data) - first.start) // size
-    records = np.frombuffer(
-        data, [*_MESSAGE_HEADER, ("body", f"V{size - _BODY_AT}")], count, first.start
-    )
-    if count > 1:
-        octets = np.frombuffer(data, np.uint8, count * size, first.start).reshape(count, size)
-        alike = (octets[:, :_KIND_AT] == octets[0, :_KIND_AT]).all(axis=1)
-        records = records if alike.all() else records[: int(alike.argmin())]
-    return MessageRun(int(records["channel"][0]), first.start, records)
-
-
-LONGEST_JSON_BYTES = 1 << 20
-"""Of an event, gains or a state; parsed, they take many times their bytes."""
-
-
-def require_short(run: MessageRun) -> None:
-    """Raise ValueError for JSON that no run writes."""
-    if run.records.itemsize > LONGEST_JSON_BYTES:
-        raise ValueError(f"a JSON message has {run.records.itemsize / 1e6:.3g} MB")
-
-
-def walk_messages(chunk: memoryview) -> Iterator[FileRecord | MessageRun]:
-    """Yield the records of a chunk in order, similar messages together."""
-    at = 0
-    while at < len(chunk):
-        record = record_at(chunk, at)
-        if record.opcode == Opcode.MESSAGE:
-            run = find_message_run(chunk, record)
-            yield run
-            at += run.records.nbytes
-        else:
-            yield record
-            at = record.end
 
 
 _FIXED_WIDTH: dict[int, tuple[int, str]] = {
@@ -125,8 +68,8 @@ _NO_NUMBERS = (
     FieldDescriptorProto.TYPE_STRING,
     FieldDescriptorProto.TYPE_BYTES,
 )
-_MOST_DESCRIPTOR_BYTES = 1 << 20
-"""Of pamctl's ticks it has 3 kB; parsed, it takes many times its bytes."""
+_MOST_DESCRIPTOR_BYTES = 1 << 16
+"""Of pamctl's ticks it has 3 kB; each field of it costs memory, also where a tick lacks it."""
 
 
 class UnknownLayout(LogError):
@@ -184,25 +127,24 @@ class TickLayout:
 
     def fits(self, octets: NDArray[np.uint8]) -> bool:
         """Tell whether messages, as bytes of shape (n, size), have the expected tags."""
-        at, tags = self._tags
-        return bool((octets[:, at] == tags).all()) and bool(
-            (octets[:, self._find_bytes_of(self.bools)] <= 1).all()
-        )
+        at, low, high = self._limits
+        found = octets[:, at]
+        return bool(((low <= found) & (found <= high)).all())
 
     @cached_property
-    def _tags(self) -> tuple[NDArray[np.intp], NDArray[np.uint8]]:
-        """Positions of the tags within a message, and their bytes."""
-        at = self._find_bytes_of(f"{name}.tag" for name in self.names)
-        return at, np.frombuffer(self.blank.tobytes(), np.uint8)[at]
+    def _limits(self) -> tuple[NDArray[Any], ...]:
+        """Positions of tags and bools within a message, their least and their greatest bytes."""
+        marked, most = np.zeros((), self.dtype), self.blank.copy()
+        for name in self.names:
+            marked[f"{name}.tag"] = 1
+        for name in self.bools:
+            marked[name] = most[name] = 1
+        octets = [np.frombuffer(a.tobytes(), np.uint8) for a in (self.blank, most, marked)]
+        at = np.flatnonzero(octets[2])
+        return at, octets[0][at], octets[1][at]
 
-    def _find_bytes_of(self, parts: Iterable[str]) -> NDArray[np.intp]:
-        marked = np.zeros((), self.dtype)
-        for part in parts:
-            marked[part] = 1
-        return np.flatnonzero(np.frombuffer(marked.tobytes(), np.uint8))
 
-
-Decoder = Callable[[Iterable[bytes]], dict[str, NDArray[Any]]]
+Decoder = Callable[[Sequence[bytes]], dict[str, NDArray[Any]]]
 
 
 def make_decoder(descriptor_set: bytes, message: str) -> Decoder:
@@ -216,15 +158,28 @@ def make_decoder(descriptor_set: bytes, message: str) -> Decoder:
         pool.Add(file)
     parse = GetMessageClass(pool.FindMessageTypeByName(message)).FromString
 
-    def decode(payloads: Iterable[bytes]) -> dict[str, NDArray[Any]]:
+    def decode(payloads: Sequence[bytes]) -> dict[str, NDArray[Any]]:
+        columns: dict[str, NDArray[Any]] = {
+            f.name: np.full(
+                len(payloads),
+                np.nan if f.proto3_optional and f.type in _FLOATS else 0,
+                _kind_of_field(f),
+            )
+            for f in fields
+        }
+        present = Counter[str]()
         try:
-            messages = [parse(payload) for payload in payloads]
+            for row, payload in enumerate(payloads):
+                for held, value in parse(payload).ListFields():
+                    columns[held.name][row] = value
+                    present[held.name] += 1
         except DecodeError as error:
             raise UnknownLayout("a tick does not match its descriptor") from error
-        return {
-            field.name: np.array([_read_value(m, field) for m in messages], _kind_of_field(field))
-            for field in fields
-        }
+        for field in fields:
+            is_needed = field.proto3_optional and field.type not in _FLOATS
+            if is_needed and present[field.name] < len(payloads):
+                raise UnknownLayout(f"a tick lacks its {field.name}")
+        return columns
 
     return decode
 
@@ -255,6 +210,7 @@ class TickDecoder:
         if len(descriptor_set) > _MOST_DESCRIPTOR_BYTES:
             raise UnknownLayout(f"its descriptor has {len(descriptor_set)} bytes")
         self._layout = TickLayout.of_descriptor(descriptor_set, message)
+        self._bools = self._layout.bools if self._layout else frozenset()
         self._decode = make_decoder(descriptor_set, message)
         self.none = self._decode([])
         """All columns without ticks, each of its type."""
@@ -286,34 +242,32 @@ class TickDecoder:
 
     def _decode_batch(self, records: NDArray[Any]) -> None:
         assert self.take is not None
-        columns = self._decode_columns(records)
-        self.take(TickBatch(records["log_time"], records["sequence"], columns))
+        table = self._view_table(records)
+        # Ticks of another form become objects, which take many times their bytes.
+        most = len(records) if table is not None else _BATCH_TICKS
+        for begin in range(0, len(records), most):
+            part = records[begin : begin + most]
+            if table is None:
+                found = self._decode([body.tobytes() for body in part["body"]])
+                columns = {name: found[name] for name in self.wanted}
+            else:
+                bools = self._bools
+                columns = {n: table[n].view(bool) if n in bools else table[n] for n in self.wanted}
+            self.take(TickBatch(part["log_time"], part["sequence"], columns))
 
-    def _decode_columns(self, records: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    def _view_table(self, records: NDArray[Any]) -> NDArray[Any] | None:
+        """Return ticks of constant form as a structured array; None for others."""
         layout, bodies = self._layout, records["body"]
-        if layout is not None and bodies.itemsize == layout.dtype.itemsize:
-            octets = records.view(np.uint8).reshape(len(records), records.itemsize)
-            if layout.fits(octets[:, _BODY_AT:]):
-                table = bodies.view(layout.dtype)
-                return {
-                    n: table[n].view(bool) if n in layout.bools else table[n] for n in self.wanted
-                }
-        found = self._decode(body.tobytes() for body in bodies)
-        return {name: found[name] for name in self.wanted}
+        if layout is None or bodies.itemsize != layout.dtype.itemsize:
+            return None
+        octets = records.view(np.uint8).reshape(len(records), records.itemsize)
+        return bodies.view(layout.dtype) if layout.fits(octets[:, BODY_AT:]) else None
 
 
 def _kind_of_field(field: FieldDescriptorProto) -> type:
     if field.type == FieldDescriptorProto.TYPE_BOOL:
         return bool
     return float if field.type in _FLOATS else int
-
-
-def _read_value(message: Any, field: FieldDescriptorProto) -> Any:
-    if not field.proto3_optional or message.HasField(field.name):
-        return getattr(message, field.name)
-    if field.type in _FLOATS:
-        return float("nan")
-    raise UnknownLayout(f"a tick lacks its {field.name}")
 
 
 def _find_fields(descriptor_set: bytes, message: str) -> Sequence[FieldDescriptorProto]:

@@ -14,8 +14,7 @@ from __future__ import annotations
 import platform
 import sys
 import zlib
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from io import BufferedWriter
@@ -25,32 +24,14 @@ from typing import Any
 import numpy as np
 import zstandard
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Header,
-    McapRecord,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-)
+from mcap.records import Attachment, Channel, Chunk, DataEnd, Header, McapRecord, Metadata, Schema
 from numpy.typing import NDArray
 
 import pamctl
 from pamctl.json_text import to_json
-from pamctl.log.framing import (
-    FRAME,
-    MAGIC,
-    FileRecord,
-    encode_record,
-    encode_summary,
-    record_at,
-)
+from pamctl.log.framing import FRAME, MAGIC, FileRecord, encode_record, encode_summary, record_at
+from pamctl.log.reading.file_index import DESCRIPTIONS, FileIndex
+from pamctl.log.reading.record_walk import MessageRun, Part, walk_messages
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import (
     JSON_SCHEMAS,
@@ -60,141 +41,15 @@ from pamctl.log.schema import (
     tick_descriptor,
     units_of_columns,
 )
-from pamctl.log.wire import MessageRun, walk_messages
 
 LIBRARY = f"pamctl/{pamctl.__version__}"
 NO_SCHEMA = ("", "", b"")
 DESCRIBED_EVERY = 16
 """Every 16th chunk repeats all schemas and channels; so does the second chunk."""
-INDEX_ENTRY = np.dtype([("time", "<u8"), ("offset", "<u8")])
 
 _LEVEL = 1
 """Of zstd: half the time of its default, for files that are 4 % larger."""
 _MEDIA_TYPES = {".json": "application/json", ".yaml": "application/yaml"}
-
-
-class FileIndex:
-    """What the end of a file says of its data: descriptions, counts, times and places.
-
-    The writer builds it from what it writes, the check from what it reads.
-    """
-
-    def __init__(self, complain: Callable[[str, str], None] = lambda kind, what: None) -> None:
-        """`complain` is told of descriptions that are missing, or contradict each other."""
-        self._complain = complain
-        self.schemas: dict[int, bytes] = {}
-        """Schema records by number, as they stand in the file."""
-        self.channels: dict[int, bytes] = {}
-        self.counts: Counter[int] = Counter()
-        """Messages by channel."""
-        self.chunks: list[ChunkIndex] = []
-        self.attachments: list[AttachmentIndex] = []
-        self.metadata: list[MetadataIndex] = []
-        self._times: list[int] = []
-        """Of the earliest and the latest message, ns."""
-
-    def take(self, record: FileRecord) -> None:
-        """Take a record of the data that is neither a chunk nor a message."""
-        length = record.end - record.start
-        match record.opcode:
-            case Opcode.SCHEMA | Opcode.CHANNEL:
-                self._describe(record)
-            case Opcode.ATTACHMENT:
-                a = Attachment.read(record.stream())
-                place = (record.start, length, a.create_time, a.log_time, len(a.data))
-                self.attachments.append(AttachmentIndex(*place, a.name, a.media_type))
-            case Opcode.METADATA:
-                name = Metadata.read(record.stream()).name
-                self.metadata.append(MetadataIndex(record.start, length, name))
-
-    def _describe(self, record: FileRecord) -> None:
-        number = int.from_bytes(record.body[:2], "little")
-        what, known = "schema", self.schemas
-        if record.opcode == Opcode.CHANNEL:
-            what, known = "channel", self.channels
-            channel = Channel.read(record.stream())
-            if channel.schema_id and channel.schema_id not in self.schemas:
-                there = f"schema {channel.schema_id}, which does not exist"
-                self._complain(what, f"channel {channel.topic} has {there}")
-        else:
-            Schema.read(record.stream())
-            if number == 0:
-                self._complain(what, f"at byte {record.start}, a schema has the number 0")
-        if known.setdefault(number, record.frame()) != record.frame():
-            self._complain(what, f"{what} {number} is described in two ways")
-
-    def take_messages(self, run: MessageRun) -> tuple[int, int]:
-        """Take messages; return their earliest and latest time."""
-        if run.channel not in self.channels:
-            where = f"messages of channel {run.channel}, which is not yet described"
-            self._complain("channel", f"at byte {run.start}, {where}")
-        times = run.records["log_time"]
-        ends = int(times.min()), int(times.max())
-        self._times = [min([*self._times, ends[0]]), max([*self._times, ends[1]])]
-        self.counts[run.channel] += len(times)
-        return ends
-
-    def take_chunk(
-        self, parts: Iterable[FileRecord | MessageRun]
-    ) -> tuple[tuple[int, int], dict[int, NDArray[Any]]]:
-        """Take what a chunk holds; return its first and last time, and its index by channel."""
-        entries: dict[int, list[NDArray[Any]]] = {}
-        times: list[int] = []
-        for part in parts:
-            if isinstance(part, FileRecord):
-                self.take(part)
-                continue
-            times += self.take_messages(part)
-            found = np.empty(len(part.records), INDEX_ENTRY)
-            found["time"] = part.records["log_time"]
-            found["offset"] = part.start + part.records.itemsize * np.arange(len(found))
-            entries.setdefault(part.channel, []).append(found)
-        span = min(times, default=0), max(times, default=0)
-        return span, {channel: np.concatenate(found) for channel, found in entries.items()}
-
-    def add_chunk(self, chunk: Chunk, offset: int, length: int) -> None:
-        """Note where a chunk stands; its message indexes follow with `add_message_index`."""
-        self.chunks.append(
-            ChunkIndex(
-                chunk_length=length,
-                chunk_start_offset=offset,
-                compression=chunk.compression,
-                compressed_size=len(chunk.data),
-                message_end_time=chunk.message_end_time,
-                message_index_length=0,
-                message_index_offsets={},
-                message_start_time=chunk.message_start_time,
-                uncompressed_size=chunk.uncompressed_size,
-            )
-        )
-
-    def add_message_index(self, channel: int, offset: int, length: int) -> None:
-        """Note where an index of the last chunk stands."""
-        self.chunks[-1].message_index_offsets[channel] = offset
-        self.chunks[-1].message_index_length += length
-
-    def groups(self) -> dict[Opcode, list[bytes]]:
-        """Return the records of the summary by kind, encoded."""
-        start, end = self._times or (0, 0)
-        statistics = Statistics(
-            attachment_count=len(self.attachments),
-            channel_count=len(self.channels),
-            channel_message_counts=dict(self.counts),
-            chunk_count=len(self.chunks),
-            message_count=self.counts.total(),
-            message_end_time=end,
-            message_start_time=start,
-            metadata_count=len(self.metadata),
-            schema_count=len(self.schemas),
-        )
-        return {
-            Opcode.SCHEMA: list(self.schemas.values()),
-            Opcode.CHANNEL: list(self.channels.values()),
-            Opcode.STATISTICS: [encode_record(statistics)],
-            Opcode.CHUNK_INDEX: list(map(encode_record, self.chunks)),
-            Opcode.ATTACHMENT_INDEX: list(map(encode_record, self.attachments)),
-            Opcode.METADATA_INDEX: list(map(encode_record, self.metadata)),
-        }
 
 
 class LogWriter:
@@ -225,7 +80,7 @@ class LogWriter:
     @property
     def chunks(self) -> int:
         """Number of chunks written."""
-        return len(self._index.chunks)
+        return self._index.chunks
 
     @property
     def pending_bytes(self) -> int:
@@ -320,14 +175,14 @@ class LogWriter:
             self._described_inside.clear()
             self._has_messages = False
             packed = self._compressor.compress(content)
-            crc = zlib.crc32(content)
-            self._put_chunk("zstd", packed, crc, len(content), walk_messages(memoryview(content)))
+            chunk = Chunk("zstd", packed, 0, 0, zlib.crc32(content), len(content))
+            self._put_chunk(chunk, list(walk_messages(memoryview(content))))
             if self.chunks == 1 or self.chunks % DESCRIBED_EVERY == 0:
                 for channel in self._index.channels:
                     self._describe(channel)
         self._stream.flush()
 
-    def copy_chunk(self, chunk: Chunk, parts: Iterable[FileRecord | MessageRun]) -> None:
+    def copy_chunk(self, chunk: Chunk, parts: Iterable[Part]) -> None:
         """Write a whole chunk of another file as it is packed, `parts` being what it holds.
 
         Its channels keep their numbers: they must be the writer's. The head of a chunk has no
@@ -337,35 +192,23 @@ class LogWriter:
             self.end_chunk()
         self._inside.clear()
         self._described_inside.clear()
-        parts = list(parts)
-        inside = _find_described(parts)
-        for part in parts:
+        # Nothing else belongs into a chunk, and the index does not list it.
+        known = [p for p in parts if isinstance(p, MessageRun) or p.opcode in DESCRIPTIONS]
+        inside = _find_described(known)
+        for part in known:
             if isinstance(part, FileRecord):
                 self.learn(part)
             elif part.channel not in inside:
                 self._put_description(part.channel)
-        size = chunk.uncompressed_size if chunk.compression else len(chunk.data)
-        self._put_chunk(chunk.compression, chunk.data, chunk.uncompressed_crc, size, parts)
+        if not chunk.compression:
+            chunk.uncompressed_size = len(chunk.data)
+        self._put_chunk(chunk, known)
         self._stream.flush()
 
-    def _put_chunk(
-        self,
-        compression: str,
-        data: bytes,
-        crc: int,
-        size: int,
-        parts: Iterable[FileRecord | MessageRun],
-    ) -> None:
-        parts = list(parts)
-        (start, end), entries = self._index.take_chunk(parts)
-        chunk = Chunk(
-            compression=compression,
-            data=data,
-            message_start_time=start,
-            message_end_time=end,
-            uncompressed_crc=crc,
-            uncompressed_size=size,
-        )
+    def _put_chunk(self, chunk: Chunk, parts: Sequence[Part]) -> None:
+        """Write a chunk that holds these parts; its times are those of its messages."""
+        (start, end), entries = self._index.take_parts(parts)
+        chunk.message_start_time, chunk.message_end_time = start, end
         self._index.add_chunk(chunk, *self._put(encode_record(chunk)))
         for channel, found in entries.items():
             body = channel.to_bytes(2, "little") + found.nbytes.to_bytes(4, "little")
@@ -404,7 +247,7 @@ class LogWriter:
         return offset, len(data)
 
 
-def _find_described(parts: Iterable[FileRecord | MessageRun]) -> set[int]:
+def _find_described(parts: Iterable[Part]) -> set[int]:
     """Return the numbers of the channels that are described in a chunk."""
     records = (part for part in parts if isinstance(part, FileRecord))
     return {int.from_bytes(r.body[:2], "little") for r in records if r.opcode == Opcode.CHANNEL}

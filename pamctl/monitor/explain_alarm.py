@@ -91,8 +91,7 @@ def explain_record(record: Record, plant: PlantSettings, before: Record | None) 
     if found.verdict not in _DECIDED and before is not None:
         held = diagnose([record], [], hold_constants(before, plant))
         found = _choose_surer(found, held)
-    names = _list_names(found)
-    rivals = list(dict.fromkeys(r.name for s in found.standings for r in s.rivals if r.is_equal))
+    names, rivals = _list_names(found), _list_rivals(found)
     numbers = {n.name: n.as_dict() for n in found.numbers if n.name.split(".")[0] in names}
     text = f"best explanation: {sentence(found)}"
     if rivals:
@@ -113,14 +112,13 @@ def hold_constants(before: Record, plant: PlantSettings) -> PlantSettings:
     A small effect hides in constants that may move: a leak in the valve's gain and the tank's
     pressure. They did not move when the block left the model, unless they are what moved.
     """
-    from pamctl.diagnose.fitting.evidence import prepare_evidence
-    from pamctl.diagnose.fitting.model_fit import recalibrate
-    from pamctl.diagnose.fitting.numbers import calibration_of, with_values
+    from pamctl.diagnose.evidence.weigh import CALIBRATED, prepare_weigher
+    from pamctl.diagnose.plant_numbers import with_values
 
-    evidence = prepare_evidence([before], [before], plant)
-    names = {n for block in evidence.blocks for n in calibration_of(block, plant)}
-    fitted = recalibrate(evidence).values
-    held = with_values(plant, {n: v for n, v in fitted.items() if n in names})
+    weigher, start = prepare_weigher([before], (), plant)
+    fitted = weigher.settle(start).values
+    names = {*CALIBRATED[plant.actuator]} & {*fitted}
+    held = with_values(plant, {name: fitted[name] for name in names})
     return held.model_copy(update={"known": tuple(sorted({*plant.known, *names}))})
 
 
@@ -132,15 +130,23 @@ def _choose_surer(free: Diagnosis, held: Diagnosis) -> Diagnosis:
     """
     from pamctl.diagnose import Verdict
 
-    open_names = {*_list_names(free), *(n for s in free.standings for n in s.equal_rivals)}
-    left = {*_list_names(held), *(n for s in held.standings for n in s.equal_rivals)}
-    reaches_floor = held.verdict in (Verdict.NAMED, Verdict.AMBIGUOUS)
+    open_names = {*_list_names(free), *_list_rivals(free)}
+    left = {*_list_names(held), *_list_rivals(held)}
+    decides = held.verdict in (Verdict.NAMED, Verdict.AMBIGUOUS)
     is_surer = left < open_names or (left == open_names and free.verdict is Verdict.PARTIAL)
-    return held if reaches_floor and left and is_surer else free
+    return held if decides and left and is_surer else free
 
 
 def _list_names(found: Diagnosis) -> list[str]:
-    return [standing.effect.name for standing in found.standings]
+    return [f.name for f in found.findings if f.level != "rest"]
+
+
+def _list_rivals(found: Diagnosis) -> list[str]:
+    """Return what the data do not refute beside the names, without freer terms of a sure name."""
+    names = _list_names(found)
+    open_ones = [f for f in found.findings if f.level not in ("name", "rest")]
+    rivals = dict.fromkeys(r.name for f in open_ones for r in f.rivals)
+    return [name for name in rivals if name not in names]
 
 
 def main() -> int:

@@ -8,30 +8,31 @@ sensors' noise, and is judged in the same way.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
+from scipy.signal import butter, savgol_filter, sosfiltfilt
 
-from pamctl.diagnose.fitting.drives import (
-    MECHANICS,
-    PRESSURE,
-    SMOOTH_HZ,
-    Drive,
-    has_constant_volume,
-    smooth_signal,
-)
 from pamctl.diagnose.measured.noise.sensor_noise import Noise
 from pamctl.diagnose.measured.record import Array, Record
 from pamctl.monitor.activity import find_mechanics_activity, find_pressure_activity
-from pamctl.plant.drive import count_steps
+from pamctl.plant.drive import build_grid, count_steps, drive_mechanics, drive_pressure
 from pamctl.plant.model import PlantSettings, plant_parameters
-from pamctl.plant.parameters import PlantParameters
+from pamctl.plant.parameters import PlantParameters, rest_state
+
+PRESSURE, MECHANICS = "pressure", "mechanics"
 
 RUN_IN_S = 0.5
 JUDGED_S = 1.0
 START_SAMPLES = 20
-"""Samples whose mean is the pressure from which a window starts; its error is projected out."""
+"""Samples whose mean is what a window starts from; its error is projected out."""
+START_STEP_PA = 500.0
+SMOOTH_HZ = 60.0
+"""Cutoff for a measured pressure before it drives the mechanics: friction rectifies its noise."""
+CUBIC_SAMPLES = 15
+"""Of the cubic that smooths a position before it drives the pressure."""
 DRAWS = 2
 """Simulations of the floor in each window: each costs as much as the window itself."""
 MEAN_S = 0.01
@@ -76,81 +77,72 @@ class WindowJudge:
         random = np.random.default_rng(seed)
         judged = record.t_s - record.t_s[0] >= RUN_IN_S
         found = [self._judge_pressure(p, record, judged, random)]
-        if not has_constant_volume(self.plant):
+        if self.plant.actuator == "muscle":
             found.append(self._judge_mechanics(p, record, judged, random))
         return found
 
     def _judge_pressure(
         self, p: PlantParameters, record: Record, judged: Array, random: np.random.Generator
     ) -> WindowMisfit:
-        noise = self.noises["pressure_pa"]
-        measured_pa = record["pressure_pa"]
-        drive = Drive(
-            PRESSURE,
-            record.name,
-            record.step_s,
-            record["valve_v"],
-            smooth_signal(record["position_m"], record.step_s, 0.0),
-            0.0,
-            measured_pa,
-            max(noise.total, 1.0),
-            0.0,
-            _start_pressure(measured_pa),
-            count_steps(record.period_s),
-            acts_after_s=record.acts_after_s,
-            held_v=record.held_v,
-        )
-        mode = self._find_start_mode(p, drive)
-        shown = drive.simulate_with(p)
+        noise, measured_pa = self.noises["pressure_pa"], record["pressure_pa"]
+        position_m = _smooth(record, record["position_m"], _smooth_by_cubic)
+        grid = build_grid(
+            record.step_s, len(record), count_steps(record.period_s),
+            record.acts_after_s, record.held_v,
+        )  # fmt: skip
+
+        def simulate(start_pa: float) -> Array:
+            start = rest_state(p, float(position_m[0]), start_pa)
+            return drive_pressure(p, record["valve_v"], position_m, grid, start=start).pressure_pa
+
+        start_pa = _start_pressure(measured_pa)
+        shown = simulate(start_pa)
+        mode = (simulate(start_pa + START_STEP_PA) - shown) / START_STEP_PA
         length = max(round(MEAN_S / record.period_s), 1)
-        rms = _rms_without(drive.measured - shown, mode, judged, length)
+        rms = _rms_without(measured_pa - shown, mode, judged, length)
         louder = _find_growth(measured_pa - shown, noise)
         floors = []
         for _ in range(DRAWS):
             drawn = shown + louder * (noise.simulate_sensor(shown, random) - shown)
-            again = replace(drive, measured=drawn, start=_start_pressure(drawn))
-            floors.append(_rms_without(drawn - again.simulate_with(p), mode, judged, length))
+            error = drawn - simulate(_start_pressure(drawn))
+            floors.append(_rms_without(error, mode, judged, length))
         activity = find_pressure_activity(record, judged, p, noise.total)
         return _compare(PRESSURE, *activity, rms, floors)
-
-    def _find_start_mode(self, p: PlantParameters, drive: Drive) -> Array:
-        """Return how an error of the start goes on, shape (n,)."""
-        step_pa = 500.0
-        moved = replace(drive, start=drive.start + step_pa)
-        mode: Array = (moved.simulate_with(p) - drive.simulate_with(p)) / step_pa
-        return mode
 
     def _judge_mechanics(
         self, p: PlantParameters, record: Record, judged: Array, random: np.random.Generator
     ) -> WindowMisfit:
         noise, driving = self.noises["position_m"], self.noises["pressure_pa"]
-        drive = Drive(
-            MECHANICS,
-            record.name,
-            record.step_s,
-            np.zeros(len(record)),
-            smooth_signal(record["pressure_pa"], record.step_s, SMOOTH_HZ),
-            SMOOTH_HZ,
-            record["position_m"],
-            max(noise.total, 1e-7),
-            0.0,
-            float(record["position_m"][0]),
-            count_steps(record.period_s),
-            windows=(slice(0, len(record)),),
-            has_known_start=False,
-        )
-        shown = drive.simulate_with(p)
-        rms = _rms_without(drive.measured - shown, None, judged)
+        grid = build_grid(record.step_s, len(record), count_steps(record.period_s))
+        sections = butter(2, SMOOTH_HZ, fs=1.0 / record.period_s, output="sos")
+        below = partial(sosfiltfilt, sections, padtype="even")
+        pressure_pa = _smooth(record, record["pressure_pa"], below)
+
+        def simulate(driven_pa: Array, measured_m: Array) -> Array:
+            start = rest_state(p, float(np.mean(measured_m[:START_SAMPLES])), float(driven_pa[0]))
+            return drive_mechanics(p, driven_pa, grid, start=start).position_m
+
+        shown = simulate(pressure_pa, record["position_m"])
+        rms = _rms_without(record["position_m"] - shown, None, judged)
         floors = []
         for _ in range(DRAWS):
-            disturbance = smooth_signal(
-                driving.simulate_sensor(np.zeros(len(record)), random), record.step_s, SMOOTH_HZ
-            )
+            disturbance = driving.simulate_sensor(np.zeros(len(record)), random)
             drawn = noise.simulate_sensor(shown, random)
-            again = replace(drive, measured=drawn, driven=drive.driven + disturbance)
-            floors.append(_rms_without(drawn - again.simulate_with(p), None, judged))
+            error = drawn - simulate(pressure_pa + _smooth(record, disturbance, below), drawn)
+            floors.append(_rms_without(error, None, judged))
         activity = find_mechanics_activity(record, judged, noise.total)
         return _compare(MECHANICS, *activity, rms, floors)
+
+
+def _smooth(record: Record, values: Array, smooth: Callable[[Array], Array]) -> Array:
+    """Smooth evenly spaced values, over missed ticks too, shape (n,)."""
+    even_s = record.t_s[0] + np.arange(0.0, record.duration_s + record.period_s, record.period_s)
+    even = smooth(np.interp(even_s, record.t_s, values))
+    return np.asarray(np.interp(record.t_s, even_s, even))
+
+
+def _smooth_by_cubic(values: Array) -> Array:
+    return np.asarray(savgol_filter(values, CUBIC_SAMPLES, 3))
 
 
 def _start_pressure(measured_pa: Array) -> float:

@@ -11,8 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
-from pamctl.monitor.judge_window import WindowMisfit
+from pamctl.monitor.judge_window import MECHANICS, PRESSURE, WindowMisfit
 
 ALLOWANCE = 0.75
 """A window must be this many deviations over its limit to count."""

@@ -9,7 +9,6 @@ was found so far.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -80,7 +79,6 @@ def decide_on_rig(
     rig: SteeredRig,
     investigation: Investigation,
     *,
-    executor: Executor | None = None,
     progress: Progress = lambda line: None,
 ) -> None:
     """Run rounds on the rig until the investigation is decided, or says why it stopped.
@@ -90,46 +88,42 @@ def decide_on_rig(
     """
     plan = investigation.plan
     if plan.first is None:
-        _conclude(investigation, None, 0.0, executor, progress)
+        _conclude(investigation, None, 0.0, progress)
     else:
         first = NextProgram(plan.first, plan.first_name, "the first program", plan.first_s)
-        _run_round(rig, investigation, first, executor, progress)
+        _run_round(rig, investigation, first, progress)
     while True:
         following = _choose_next(investigation)
         if isinstance(following, str):
             investigation.stopped = following
             return
         rig.sleep(REST_S)
-        _run_round(rig, investigation, following, executor, progress)
+        _run_round(rig, investigation, following, progress)
 
 
 def _run_round(
     rig: SteeredRig,
     investigation: Investigation,
     program: NextProgram,
-    executor: Executor | None,
     progress: Progress,
 ) -> None:
     number = investigation.programs + 1
     progress(f"round {number}: {program.name}, {program.lasts_s:.1f} s; {program.why}")
     run = rig.run(program.experiment, name=program.name)
     investigation.records.append(run.to_record())
-    _conclude(investigation, program, run.duration_s + REST_S, executor, progress)
+    _conclude(investigation, program, run.duration_s + REST_S, progress)
 
 
 def _conclude(
     investigation: Investigation,
     program: NextProgram | None,
     rig_time_s: float,
-    executor: Executor | None,
     progress: Progress,
 ) -> None:
-    """Diagnose all records; each is fitted on, chosen by and confirmed by, in stretches."""
+    """Diagnose all records; each of their blocks is left out in turn."""
     records = investigation.records
     with translate_errors():
-        found = diagnose(
-            records, [], investigation.plan.start, cut=True, executor=executor, progress=progress
-        )
+        found = diagnose(records, [], investigation.plan.start, progress=progress)
     found = replace(found, is_of_daemon=True)
     investigation.diagnosis = found
     investigation.rounds.append(

@@ -12,10 +12,10 @@ import numpy as np
 from pamctl.control.excitation import HeldCommand
 from pamctl.control.experiment import Experiment, plan_experiment
 from pamctl.diagnose.deciding.drawn_programs import sample_levels
-from pamctl.diagnose.deciding.rig_limits import RigLimits, read_rig_limits
+from pamctl.diagnose.deciding.rig_limits import ProgramRun, RigLimits, read_rig_limits
 from pamctl.exit_codes import ExitCode
 from pamctl.log.run_meta import file_safe_name
-from pamctl.plant.drive import CoupledResponse, drive_coupled
+from pamctl.plant.drive import drive_coupled
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.session.pamctl_error import PamctlError
 from pamctl.settings.config_files import find_config_file
@@ -53,7 +53,7 @@ class RigPlan:
     """Keys of the first program; None where logs take its place."""
     first_name: str
     first_s: float
-    demand: CoupledResponse | None
+    demand: ProgramRun | None
     """The start model under the first program."""
     period_s: float = 1e-3
 
@@ -154,7 +154,7 @@ def _require_time(experiment: str, lasts_s: float, budget: Budget) -> None:
         )
 
 
-def require_inside(experiment: str, data: Experiment, plan: RigPlan) -> CoupledResponse | None:
+def require_inside(experiment: str, data: Experiment, plan: RigPlan) -> ProgramRun | None:
     """Return the start model under an experiment; raise `PamctlError` beyond the rig's limits.
 
     None for motions in closed loop, and for waves: the daemon checks those against the envelope.
@@ -165,7 +165,8 @@ def require_inside(experiment: str, data: Experiment, plan: RigPlan) -> CoupledR
     levels = [HeldCommand(s.valve_v, s.duration_s) for s in segments]
     commands_v = sample_levels(levels, plan.period_s)
     steps_s = np.full(len(commands_v) - 1, plan.period_s)
-    run = drive_coupled(plant_parameters(plan.start), commands_v, steps_s)
+    driven = drive_coupled(plant_parameters(plan.start), commands_v, steps_s)
+    run = ProgramRun(driven.pressure_pa, driven.position_m)
     if not limits.allows(run):
         raise PamctlError(
             f"the experiment {experiment} needs, by the start model, up to "

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from pamctl.diagnose.deciding.drawn_programs import REST_S, STROKES, STROKES_HZ
 from pamctl.diagnose.diagnosis import Diagnosis
-from pamctl.diagnose.fitting.block_fit import rms
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.report.verdict_words import sentence
 
@@ -74,20 +73,23 @@ def compare_repeated_part(
     first: Record, again: Record, diagnosis: Diagnosis
 ) -> tuple[RepeatDifference, ...]:
     """Return by how much the shared beginning of two records differs; empty if not shared."""
-    if first is again or diagnosis.model is None:
+    if first is again or diagnosis.evidence is None:
         return ()
     one, other = _match_ticks(first, again)
     same = np.abs(first["valve_v"][one] - again["valve_v"][other]) <= SAME_V
     if len(one) < FEWEST_SHARE * REPEATED_S / first.period_s or same.mean() < FEWEST_SHARE:
         return ()
-    noises = diagnosis.model.evidence.noises
+    differences = {
+        channel: again[channel][other][same] - first[channel][one][same]
+        for channel in ("pressure_pa", "position_m")
+    }
     return tuple(
         RepeatDifference(
             channel,
-            rms(again[channel][other][same] - first[channel][one][same]),
-            sqrt(2.0) * noises[channel].total,
+            float(np.sqrt(np.mean(off**2))),
+            sqrt(2.0) * diagnosis.evidence.noise_rms[channel],
         )
-        for channel in ("pressure_pa", "position_m")
+        for channel, off in differences.items()
     )
 
 

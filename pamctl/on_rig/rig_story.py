@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from pamctl.diagnose.report.diagnosis_folder import write_diagnosis
-from pamctl.diagnose.report.phrases import spell_names
+from pamctl.diagnose.report.finding_words import spell_names
 from pamctl.on_rig.decide_on_rig import Investigation, list_logs
 from pamctl.on_rig.rig_round import RigRound
 from pamctl.report.html_page import Page
@@ -56,7 +56,7 @@ def _tell_round(each: RigRound) -> str:
             came = "was not fitted again" if forecast.found is None else f"{forecast.found:.2f}"
             parts.append(
                 f"Expected: {spell_names(forecast.refuted)} leaves {forecast.expected:.2f} times "
-                f"the floor of the {forecast.block} block; found: {came}."
+                f"the sensor's noise in the {forecast.block}; found: {came}."
             )
     for repeated in each.repeated:
         unit, factor = ("Pa", 1.0) if repeated.channel == "pressure_pa" else ("µm", 1e6)

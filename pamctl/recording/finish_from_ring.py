@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from io import BufferedWriter
 from itertools import count
 from pathlib import Path
@@ -103,16 +104,10 @@ def _finish(ring: Ring) -> Recovery:
         rows.last_tick, rows.last_row = copy.last_tick, copy.last_row
         rest = ring.drain(ring.rows)
         rows.write(rest)
-        recovery = Recovery(
-            source=f"{target if has_part else 'no file'} and {ring.path}",
-            destination=str(target),
-            messages=dict(copy.saved + rows.written),
-            damage=tuple(copy.damage),
-            # If the file was cut short, the ring holds the rest.
-            lossless=not copy.lost,
-            bytes_lost=copy.bytes_lost,
-            unverified=copy.unverified,
-        )
+        copy.saved += rows.written
+        source = f"{target if has_part else 'no file'} and {ring.path}"
+        # If the file was cut short, the ring holds the rest.
+        recovery = replace(copy.describe(source, target), lossless=not copy.lost)
         sign_recovery(writer, recovery)
     ring.commit(rest.end_row)
     ring.raise_flag(RecorderFlag.FINISHED)

@@ -35,7 +35,8 @@ def read_replay_source(log: Log) -> ReplaySource:
     _require_columns(log)
     if not log.grid.is_rising:
         raise NotReplayable(
-            f"the ticks of {log.path} are not in order; see `pamctl log check {log.path}`"
+            f"the ticks of {log.path} are not in order, by number or by time; "
+            f"`pamctl log check {log.path}` lists all that is wrong"
         )
     _require_law(log)
     settings = _read_settings(log)

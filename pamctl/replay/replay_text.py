@@ -170,7 +170,7 @@ def _format_value(name: str, value: float) -> str:
     if name == "verdicts":
         return "; ".join(explain_verdicts(int(value))) or "no verdict"
     if name == "phase" and value >= 0:
-        return Phase(int(value)).name.lower()
+        return _name_phase(int(value))
     if name in _FLAGS:
         return "yes" if value else "no"
     return f"{value!r} {_unit(name)}".rstrip()
@@ -242,4 +242,8 @@ def _tick(found: Replay, index: int) -> int:
 
 
 def _phase(found: Replay, index: int) -> str:
-    return Phase(int(found.recording.log["phase"][index])).name.lower()
+    return _name_phase(int(found.recording.log["phase"][index]))
+
+
+def _name_phase(number: int) -> str:
+    return Phase(number).name.lower() if number in [*Phase] else f"phase {number}, which is none"

@@ -29,12 +29,12 @@ def find_missing_effects(
     holdout: Sequence[Run] = (),
     plant: AskedPlant = "paper",
     *,
-    progress: Callable[[str], None] | None = None,
+    progress: Callable[[str], None] = lambda line: None,
 ) -> Diagnosis:
     """Say what the model `plant` lacks to explain these runs, as `pamctl diagnose` does.
 
-    The model is fitted to `runs`; `holdout` chooses and confirms the result [default: parts of
-    the runs]. `progress` gets a line at each step. The result's `plant` is the extended model;
+    The model is fitted to `runs`, with each block of samples left out in turn; `holdout` judges
+    it too. `progress` gets a line at each step. The result's `plant` is the extended model;
     `pamctl.diagnose.sentence` says the result in words. Raises `PamctlError`.
     """
     from pamctl.diagnose import diagnose

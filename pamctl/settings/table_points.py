@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from pamctl.control.references.forms import MOST_ROWS
 from pamctl.log.importing.file_formats import read_table
-from pamctl.log.importing.measured_table import ImportRefused, MeasuredTable
-from pamctl.log.importing.quantities import TIME, UNITS, ColumnReading, parse_column_name
+from pamctl.log.importing.measured_table import ImportRefused, MeasuredTable, TableColumn
+from pamctl.log.importing.quantities import TIME, UNITS, parse_column_name
 from pamctl.regular_file import describe_irregular_file
 
 Floats = NDArray[np.float64]
@@ -38,8 +38,8 @@ def _put_points(table: dict[str, Any], path: Path) -> None:
     )
     every = table.get("every", 1)
     step = every if isinstance(every, int) and every > 0 else 1
-    t_s = time.to_si(_read_numbers(columns, time))
-    values = value.to_si(_read_numbers(columns, value)) / UNITS[quantity][unit]
+    t_s = _read_numbers(time[0]) * UNITS[TIME][time[1]]
+    values = _read_numbers(value[0]) * (UNITS[quantity][value[1]] / UNITS[quantity][unit])
     if len(t_s) != len(values):
         raise ValueError(f"{path}: {len(t_s)} times, but {len(values)} values")
     _require_points(path, t_s, values, columns.rows)
@@ -72,33 +72,32 @@ def _read_columns(path: Path) -> MeasuredTable:
 
 def _choose_column(
     columns: MeasuredTable, quantity: str, wanted: str | None, unit: str | None, key: str
-) -> ColumnReading:
-    """Return how to read the column of a quantity; raise ValueError where it is not clear."""
+) -> tuple[TableColumn, str]:
+    """Return the column of a quantity and its unit; raise ValueError where it is not clear."""
     units = UNITS[quantity]
     if unit is not None and unit not in units:
         raise ValueError(f"the unit {unit!r} is none of {', '.join(units)}")
     if wanted is not None:
-        _ = columns.find(wanted)
+        column = columns.find(wanted)
         named = parse_column_name(wanted)
         if unit is None and named is not None and named.quantity == quantity:
-            return named
+            return column, named.unit
         if unit is None and quantity != TIME:
             raise ValueError(f"the name of {wanted!r} states no unit; give unit")
-        return ColumnReading(quantity, wanted, unit or "s")
+        return column, unit or "s"
     named_so = [
-        parse_column_name(one.name) or parse_column_name(one.name, one.called)
+        (one, parse_column_name(one.name) or parse_column_name(one.called))
         for one in columns.columns
     ]
-    found = [reading for reading in named_so if reading and reading.quantity == quantity]
+    found = [(one, said.unit) for one, said in named_so if said and said.quantity == quantity]
     if len(found) != 1:
         listed = ", ".join(one.name for one in columns.columns)
         how_many = "no column's name states" if not found else "more than one column's name states"
         raise ValueError(f"{how_many} this quantity with its unit: {listed}; give {key}")
-    return found[0] if unit is None else ColumnReading(quantity, found[0].column, unit)
+    return found[0] if unit is None else (found[0][0], unit)
 
 
-def _read_numbers(columns: MeasuredTable, reading: ColumnReading) -> Floats:
-    column = columns.find(reading.column)
+def _read_numbers(column: TableColumn) -> Floats:
     if column.bad_cell or column.is_text:
         raise ValueError(f"{column.bad_cell or column.name + ' holds words'}, but must be a number")
     return column.values

@@ -67,7 +67,7 @@ def test_an_unknown_option_is_one_document(
 @pytest.mark.parametrize(
     "arguments",
     [("--nope",), ("lgo",), ("log", "cut"), ("log", "cut", "a.mcap", "--out", "b.mcap"),
-     ("run", "--jobs"), ("diagnose", "a.mcap", "--out", "b", "--jobs", "none"),
+     ("run", "--jobs"), ("diagnose", "a.mcap", "--out", "b", "--minutes", "none"),
      ("watch", "--web", "--port", "1", "--every", "nan"), ("replay", "a.mcap", "--from", "-1")],
     ids=" ".join,
 )  # fmt: skip

@@ -11,13 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.made_records import all_but, pair
 
 from pamctl.cluster import dask_cluster as cluster
 from pamctl.cluster.dask_cluster import ClusterError, connect_to_cluster, describe_versions
-from pamctl.diagnose import diagnose
-from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
-from pamctl.plant.model import PlantSettings
 from pamctl.settings.resolve import resolve
 from pamctl.tune import GainsSearch, Jury, make_fixed_members
 
@@ -61,21 +57,6 @@ def test_a_search_is_the_same_to_the_bit_though_a_worker_is_killed_in_its_middle
     assert shared.best == alone.best
     assert np.array_equal(shared._costs, alone._costs)
     assert np.array_equal(shared._population, alone._population)
-
-
-@pytest.mark.long
-def test_a_diagnosis_on_workers_gives_the_same_document_and_its_progress(address: str) -> None:
-    records = pair(valve_asymmetry__exhaust_gain=0.9)
-    few = all_but("valve_asymmetry", "valve_leak")
-    lines: list[str] = []
-    with connect_to_cluster(address) as executor:
-        shared = diagnose(
-            *records, PlantSettings(), without=few, executor=executor, progress=lines.append
-        )
-    alone = diagnose(*records, PlantSettings(), without=few)
-    assert build_diagnosis_document(shared) == build_diagnosis_document(alone)
-    assert [s.effect.name for s in shared.standings] == ["valve_asymmetry"]
-    assert any(line.startswith("recalibrated") for line in lines)
 
 
 def test_a_worker_with_other_versions_is_refused(

@@ -16,14 +16,14 @@ PAGE = Path(__file__).parents[2] / "pamctl" / "manual" / "how_to" / "diagnose-a-
 
 
 @pytest.mark.long
-def test_the_example_with_an_executor_runs_unchanged(tmp_path: Path) -> None:
+def test_the_example_runs_unchanged(tmp_path: Path) -> None:
     for seed, name in (("1", "a.mcap"), ("2", "b.mcap")):
         run = ["run", "--fast", "--quiet", "--experiment", "diagnosis", "--duration", "3.5"]
         run += ["--seed", seed, "--set", f"experiment.seed={seed}", "--log", str(tmp_path / name)]
         result = CliRunner().invoke(app, run)
         assert result.exit_code == 0, result.output
     (example,) = re.findall(
-        r"```python\n(from concurrent\.futures.*?)```", PAGE.read_text(), re.DOTALL
+        r"```python\n(from pamctl\.diagnose.*?)```", PAGE.read_text(), re.DOTALL
     )
     script = tmp_path / "example.py"
     script.write_text(example)

@@ -1,4 +1,4 @@
-"""A document of `pamctl diagnose` (schema 1) in the words that every core is scored by."""
+"""A document of `pamctl diagnose` (schema 1 or 2) in the words that every core is scored by."""
 
 from __future__ import annotations
 
@@ -13,14 +13,21 @@ TERM_PLACES = {
     "command": "valve", "filling": "valve", "exhausting": "valve", "opening": "valve",
     "supply": "supply", "flow": "chamber", "volume": "chamber", "damping": "friction",
     "braid_friction": "friction", "dry_friction": "friction", "pressure_sensor": "pressure_sensor",
-    "encoder": "encoder",
+    "encoder": "encoder", "position_m": "encoder", "pressure_pa": "pressure_sensor",
+    "valve_v": "valve",
 }  # fmt: skip
-"""All others are forces."""
+"""All others are forces. A law of a sensor or of the command is called after its column."""
 TERM_KINDS = {"lag": "lag", "slew": "lag", "play": "memory", "hysteresis": "memory"}
+PLACES = {"air": "chamber", "pull": "force"}
+"""Of schema 2, where the words differ."""
+NUMBERS = {
+    "valve": "valve_v", "supply": "supply", "chamber": "volume", "friction": "friction",
+    "force": "stiffness", "pressure_sensor": "pressure_pa", "encoder": "position_m",
+}  # fmt: skip
 
 
 def read_document(document: Mapping[str, Any]) -> Said:
-    """Return what a document of schema 1 says."""
+    """Return what a document says."""
     if document["verdict"] == "bad_data":
         return Said(refusal=str(document.get("reason") or document["sentence"]))
     groups = [frozenset(_label(str(n)) for n in group) for group in document["ambiguous"]]
@@ -29,14 +36,18 @@ def read_document(document: Mapping[str, Any]) -> Said:
     for f in findings:
         equals = [_label(str(n)) for n in f.get("cannot_be_told_from") or ()]
         groups += [frozenset({_call(f), *equals})] if equals else []
-    sets = tuple(group for group in groups if len(group) > 1)
+    sets = tuple(dict.fromkeys(group for group in groups if len(group) > 1))
     names = {e["name"] for e in document["effects"]}
     names |= {_call(f) for f in findings}
     places = set()
     for term in document["terms"] or ():
-        place = TERM_PLACES.get(term["location"], "force")
-        kind = TERM_KINDS.get(term["operator"], "time" if term["driver"] == "time" else "curve")
-        places.add((place, kind))
+        places.add(_where_of_term(term["location"], term["operator"], term["driver"]))
+    for known in document.get("places") or ():  # schema 2
+        kind = known["kind"] or ""
+        in_time = "time" in kind or kind == "onset"
+        kind = kind and TERM_KINDS.get(kind, kind if kind in ("lag", "memory") else "")
+        kind = kind or ("time" if in_time else "curve" if known["kind"] else "")
+        places.add((PLACES.get(known["place"], known["place"]), kind))
     return Said(
         frozenset(names - frozenset().union(*sets)), sets, frozenset(places), numbers,
         noise=frozenset(_faults_of(document.get("noise") or {})),
@@ -61,9 +72,24 @@ def _call(finding: Mapping[str, Any]) -> str:
     return f"{kind}.{'command' if of_command else finding['number']}"
 
 
+def _where_of_term(location: str, operator: str, driver: str) -> tuple[str, str]:
+    in_time = driver == "time"
+    kind = TERM_KINDS.get(operator, "time" if in_time else "curve")
+    return TERM_PLACES.get(location, "force"), kind
+
+
 def _label(words: str) -> str:
+    """Return the word for a member of a set: an effect, a fault, or a law at its place."""
+    if law := re.fullmatch(r"(\w+) of (\w+) over (\w+)", words):
+        operator, location, driver = law.groups()
+        place, kind = _where_of_term(location, operator, driver)
+        found = {"lag": "skew", "time": "drift"}.get(kind, "curve")
+        return f"{found}.{NUMBERS[place]}"
     kind, of, number = words.partition(" of ")
-    return f"{kind.replace(' ', '_')}.{number}" if of else words
+    if not of:
+        return words.split(":")[0]
+    fault = {"clock": "clock_rate", "filter": "filtered"}.get(kind, kind.replace(" ", "_"))
+    return f"{fault}.{number}"
 
 
 def _numbers_of(document: Mapping[str, Any]) -> Iterator[tuple[str, tuple[float, float, float]]]:

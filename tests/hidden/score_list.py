@@ -144,7 +144,17 @@ def _nulls(seed: int) -> Iterator[ScoredCase]:
 
 def _misread(kind: str, seed: int) -> ScoredCase:
     case = NullCase(kind, seed)
-    return ScoredCase(f"misread/{case.key}", "null", partial(_with_paper, case.records), list)
+    return ScoredCase(f"misread/{case.key}", "null", partial(_with_paper, case.records),
+                      partial(_misreadings, kind))  # fmt: skip
+
+
+def _misreadings(kind: str) -> list[Cause]:
+    """Of a zero that wanders, a filter, a clock: that it is said is true, and not asked."""
+    lab, there = NULLS[kind], set[Where]()
+    there |= {("pressure_sensor", "time"), ("pressure_sensor", "curve")} if lab.wander_pa else set()
+    there |= {("pressure_sensor", "lag")} if lab.filter_hz else set()
+    names = frozenset({"clock_rate.t_s"} if lab.time_rate else ())
+    return [Cause(kind, frozenset(there), "none", names)] if there or names else []
 
 
 def _with_paper(record: Callable[[], Handed]) -> Made:

@@ -161,7 +161,7 @@ UNCATALOGUED = (
     Uncatalogued("null_creeps", "pressure", (("command", "time"),),
                  run=_with_valve(lambda v: v + 0.025e-3 * np.arange(len(v)))),
     Uncatalogued("slew_limit", "pressure", (("command", "command"),),
-                 run=_with_valve(lambda v: _limit_rate(v, 1.3))),
+                 run=_with_valve(lambda v: _limit_rate(v, 1.3)), called="valve_slew"),
     Uncatalogued("off_centre_encoder", "mechanics", (("encoder", "position"),), run=OFF_CENTRE),
     Uncatalogued("slipping_encoder", "mechanics", (("encoder", "time"),),
                  run=_on_position(lambda x, t: x + 70e-6 * (t >= 1.43))),

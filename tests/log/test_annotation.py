@@ -26,7 +26,8 @@ from pamctl.log.annotation import (
 )
 from pamctl.log.check import check_log
 from pamctl.log.cut import cut_log
-from pamctl.log.framing import map_log_file, walk_records
+from pamctl.log.framing import map_log_file
+from pamctl.log.reading.record_walk import walk_records
 from pamctl.log.recover import recover_file
 from pamctl.plain_text import clean_text
 

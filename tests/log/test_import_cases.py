@@ -10,18 +10,17 @@ import datetime as dt
 import gzip
 import lzma
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import openpyxl
-import pyarrow as pa
 import pytest
 import zstandard
 from nptdms import ChannelObject, TdmsWriter
-from pyarrow import parquet
 from scipy.io import savemat
+from test_import_dialects import CLOCKS, WRITERS
 from test_log_import import ATMOSPHERE_PA, Outcome
 
 from pamctl.log.importing.pipeline import import_log
@@ -94,32 +93,10 @@ def clock_rows(spell: Callable[[dt.datetime], str], start: dt.datetime = START) 
     return [spell(start + dt.timedelta(milliseconds=50 * k)) for k in range(60)]
 
 
-def milli(time: dt.datetime) -> str:
-    return f"{time.microsecond // 1000:03d}"
-
-
-CLOCKS: dict[str, Callable[[dt.datetime], str]] = {
-    "iso": lambda t: t.strftime("%Y-%m-%dT%H:%M:%S.") + milli(t),
-    "offset that changes": lambda t: (
-        t.astimezone(dt.timezone(dt.timedelta(hours=1 if t.hour < 1 else 2)))
-    ).isoformat(timespec="milliseconds"),
-    "Z": lambda t: t.strftime("%Y-%m-%d %H:%M:%S.") + milli(t) + "Z",
-    "am pm": lambda t: t.strftime("%m/%d/%Y %I:%M:%S.") + milli(t) + t.strftime(" %p"),
-    "elapsed": lambda t: t.strftime("%M:%S.") + milli(t),
-    "colons": lambda t: t.strftime("%H:%M:%S:") + milli(t),
-    "dots": lambda t: t.strftime("%d.%m.%Y %H:%M:%S.") + milli(t),
-    "matlab": lambda t: t.strftime("%d-%b-%Y %H:%M:%S.") + milli(t),
-    "compact": lambda t: t.strftime("%Y%m%dT%H%M%S.") + milli(t),
-    "over a day": lambda t: f"{24 + t.hour}" + t.strftime(":%M:%S.") + milli(t),
-    "timedelta": lambda t: "1 day, " + t.strftime("%H:%M:%S.") + milli(t),
-}
-
-
-@pytest.mark.parametrize("form", CLOCKS)
+@pytest.mark.parametrize("form", sorted(set(CLOCKS) - {"elapsed"}))
 def test_a_clock_of_any_common_form_is_read(tmp_path, form):
     head = ("Time", *HEAD[1:])
-    start = START if form != "elapsed" else START.replace(minute=0)
-    times = clock_rows(CLOCKS[form], start)
+    times = clock_rows(CLOCKS[form])
     require_good(Outcome(write(tmp_path, table(head, (times, *GOOD[1:]), ";"))))
 
 
@@ -127,7 +104,10 @@ def test_a_clock_of_any_common_form_is_read(tmp_path, form):
     ("times", "told"),
     [
         (clock_rows(lambda t: f"week 13, {t:%H.%M}"), "words, no numbers"),
-        ([*clock_rows(CLOCKS["iso"])[:59], "12:00:00"], ":61: Time is '12:00:00', but must be"),
+        (
+            [*clock_rows(CLOCKS["plain iso"])[:59], "12:00:00"],
+            ":61: Time is '12:00:00', but",
+        ),
         (clock_rows(lambda t: f"{t:%H:%M}"), "may be hours and minutes, or minutes and seconds"),
         (["3/4/2026 12:00:00"] * 30 + ["5/7/2026 12:00:00"] * 30, "does not tell day from month"),
     ],
@@ -391,32 +371,12 @@ def test_a_matrix_with_a_signal_a_row_is_imported_by_its_rows(tmp_path):
 PLAIN = {"t_s": T_S, "valve_v": VALVE_V, "pressure_gauge_bar": BAR, "position_mm": MM}
 
 
-def write_npz(path: Path) -> None:
-    np.savez_compressed(path, **PLAIN)
-
-
-def write_npy(path: Path) -> None:
-    rows = np.zeros(60, [(name, float) for name in PLAIN])
-    for name, values in PLAIN.items():
-        rows[name] = values
-    np.save(path, rows)
-
-
-def write_parquet(path: Path) -> None:
-    parquet.write_table(pa.table(PLAIN), path)
-
-
-def write_hdf5(path: Path) -> None:
-    with h5py.File(path, "w") as file:
-        for name, values in PLAIN.items():
-            file[f"run/{name}"] = values
+def write_plain(name: str, path: Path) -> None:
+    WRITERS[name](path, PLAIN)
 
 
 FORMATS: dict[str, Callable[[Path], Any]] = {
-    "a.npz": write_npz,
-    "a.npy": write_npy,
-    "a.parquet": write_parquet,
-    "a.h5": write_hdf5,
+    **{name: partial(write_plain, name) for name in ("a.npz", "a.npy", "a.parquet", "a.h5")},
     "a.csv.gz": lambda path: path.write_bytes(gzip.compress(table().encode())),
     "a.csv.bz2": lambda path: path.write_bytes(bz2.compress(table().encode())),
     "a.csv.xz": lambda path: path.write_bytes(lzma.compress(table().encode())),
@@ -492,10 +452,13 @@ def test_the_map_for_the_drivers_voltage_is_shown_whole(tmp_path):
     np.testing.assert_allclose(done.signals.valve_v, VALVE_V, atol=1e-12)
 
 
-@pytest.mark.parametrize("levels", [(0.0, 5.0), (0.0, 10.0), (0.0, 24.0)])
-def test_a_valve_that_switches_gets_no_advice_which_way_round_it_is(tmp_path, levels):
-    columns = (T_S, np.where(VALVE_V > 0, *levels[::-1]), BAR, MM)
-    done = Outcome(write(tmp_path, table(columns=columns)))
+@pytest.mark.parametrize("levels", [(0, 3.3), (0, 5), (5, 0), (0, 10), (10, 0), (24, 0), (5, 5)])
+@pytest.mark.parametrize("noise_v", [0.0, 0.01])
+def test_a_valve_that_switches_gets_no_advice_which_way_round_it_is(tmp_path, levels, noise_v):
+    volts = np.where(VALVE_V > 0, *levels[::-1]) + noise_v * np.sin(1e3 * T_S)
+    if levels == (5, 5) and noise_v:
+        volts = np.select([VALVE_V > 0.5, VALVE_V > -0.5], [10.0, 5.0], 0.0)  # fill, hold, exhaust
+    done = Outcome(write(tmp_path, table(columns=(T_S, volts, BAR, MM))))
     assert "does not say which level fills" in done.said["error", "unit"]
     assert "offset" not in done.report["map_text"]
 
@@ -527,7 +490,7 @@ def test_a_plain_name_goes_before_words_that_mean_the_same(tmp_path):
     head = "t_s,reference_valve_v,command_v,valve_v,pressure_pa,position_m"
     table.write_text("\n".join([head, *rows]))
     summary = import_log(table, tmp_path / "exported.mcap", accept_units=True)
-    assert {reading.quantity: reading.column for reading in summary.readings} == {
+    assert {quantity: part.column for quantity, part in summary.map.parts().items()} == {
         name: name for name in ("t_s", "valve_v", "pressure_pa", "position_m")
     }
     left_out = {column.name: column.left_out for column in summary.columns if column.left_out}

@@ -8,6 +8,7 @@ import zlib
 from pathlib import Path
 
 import lz4.frame
+import numpy as np
 import pytest
 import zstandard
 from mcap.opcode import Opcode
@@ -17,15 +18,14 @@ from support.small_log import CHUNK_TICKS, CHUNKS, write_small
 
 from pamctl.log import LogError, info, read
 from pamctl.log.check import check_log
-from pamctl.log.framing import (
-    FRAME,
-    MOST_CHUNK_BYTES,
-    encode_record,
-    map_log_file,
-    read_chunk_content,
-    walk_records,
-)
+from pamctl.log.framing import FRAME, encode_record, map_log_file
+from pamctl.log.reading.record_walk import MOST_CHUNK_BYTES, read_chunk_content, walk_records
 from pamctl.log.recover import recover_file
+from pamctl.log.schema import TICK_MESSAGE, TICK_TOPIC, tick_descriptor
+from pamctl.log.wire import make_message_records
+from pamctl.log.writer import LogWriter
+from pamctl.new_file import create_new_file
+from pamctl.signals import Field
 
 HIDDEN_BYTES = 1 << 29
 COSTS_MB = 200
@@ -117,6 +117,58 @@ def test_a_small_file_of_many_large_chunks_is_refused_with_its_sizes(tmp_path):
         with pytest.raises(LogError, match=r"has 0.\d+ MB and unpacks to more than 5\d\d MB"):
             use(tmp_path / "many.mcap")
     assert not (tmp_path / "saved.mcap").exists()
+
+
+def _make_message(channel: int, body: bytes) -> bytes:
+    head = channel.to_bytes(2, "little") + bytes(20)
+    return FRAME.pack(Opcode.MESSAGE, len(head) + len(body)) + head + body
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        FRAME.pack(128, 0) * 200_000,
+        (_make_message(2, b"{}") + _make_message(2, b"{ }")) * 100_000,
+    ],
+)
+def test_countless_tiny_records_in_a_small_file_are_refused(content, tmp_path):
+    _write_chunks(tmp_path / "a.mcap", content, 1)
+    for use in (read, info, check_log, lambda path: recover_file(path, tmp_path / "saved.mcap")):
+        with pytest.raises(LogError, match="more than 131072 records that differ"):
+            use(tmp_path / "a.mcap")
+
+
+def test_what_does_not_belong_into_a_chunk_costs_none_of_its_messages(tmp_path):
+    content = FRAME.pack(Opcode.METADATA, 2) + b"\xff\xff" + _make_message(2, b'{"event":"x"}')
+    _write_chunks(tmp_path / "a.mcap", content, 1)
+    recovery = recover_file(tmp_path / "a.mcap", tmp_path / "b.mcap")
+    again = recover_file(tmp_path / "b.mcap", tmp_path / "c.mcap")
+    assert recovery.messages["/pam/event"] == again.messages["/pam/event"] == CHUNKS + 1
+
+
+def test_ticks_of_many_columns_and_few_bytes_are_refused_before_they_fill_the_memory(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr("pamctl.log.reading.scan.MOST_SILENT_BYTES", 1 << 20)
+    fields = [Field(f"a{number}", float, "measurement") for number in range(400)]
+    with create_new_file(tmp_path / "a.mcap") as stream:
+        writer = LogWriter(stream)
+        schema = (TICK_MESSAGE, "protobuf", tick_descriptor(fields))
+        channel = writer.channel(TICK_TOPIC, "protobuf", schema)
+        ticks = np.zeros(5000, "V2")
+        ticks.view("u1").reshape(-1, 2)[:] = 0x78, 1  # an unknown field, and nothing else
+        writer.add(channel, make_message_records(ticks, np.arange(5000), np.arange(5000)))
+        writer.finish()
+    with pytest.raises(LogError, match="more than twice their bytes in the file"):
+        read(tmp_path / "a.mcap")
+    assert "MB of memory; `pamctl log cut` makes shorter logs" in capsys.readouterr().err
+
+
+def test_messages_of_channels_that_take_turns_take_no_longer_than_others(tmp_path):
+    # 40 000 runs of one message: each looked at all that followed, 800 000 000 messages.
+    content = (_make_message(2, b"{}") + _make_message(2, b"{ }")) * 20_000
+    _write_chunks(tmp_path / "a.mcap", content, 1)
+    assert len(read(tmp_path / "a.mcap").events) == CHUNKS + 40_000
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,9 @@ from typer.testing import CliRunner
 from pamctl.cli.app import app
 from pamctl.log import LogError, read
 from pamctl.log.check import LogCheckReport, Severity, check_log
-from pamctl.log.framing import FileRecord, map_log_file, walk_records
+from pamctl.log.framing import FileRecord, map_log_file
+from pamctl.log.measured_signals import judge_ticks
+from pamctl.log.reading.record_walk import walk_records
 from pamctl.log.recover import recover_file
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import TICK_MESSAGE, TICK_TOPIC, tick_descriptor
@@ -115,7 +117,7 @@ STEPS = np.arange(50)
         ({"t_s": with_one(STEPS * 1e-3, 30, 0.01)}, "clock"),
         ({"t_s": np.where(STEPS < 30, STEPS * 1e-3, STEPS * 1e-3 + 0.5)}, "clock"),
         ({"dt_s": with_one(STEPS * 0 + 1e-3, 30, 2e-3)}, "clock"),
-        ({"t_s": with_one(STEPS * 1e-3, 30, np.nan)}, "clock"),
+        ({"t_s": with_one(STEPS * 1e-3, 30, np.nan)}, "missing"),
         ({"time_ns": np.where(STEPS < 30, STEPS, STEPS + 9) * 1_000_000}, "clock"),
         ({"tick": STEPS + 2**62}, "tick-order"),
         ({"t_s": np.where(STEPS < 30, STEPS * 1e-3, np.inf)}, "missing"),
@@ -135,6 +137,7 @@ def test_numbers_times_and_values_that_cannot_be_are_named(tmp_path, changes, ki
         ({"t_s": STEPS[::-1] * 1e-3}, "t_s runs backwards"),
         ({"t_s": STEPS % 25 * 1e-3}, "the record is there twice"),
         ({"t_s": np.where(STEPS < 30, STEPS * 1e-3, np.inf)}, "rows 30 to 49"),
+        ({"t_s": STEPS * np.nan}, "t_s is missing or not finite"),
         ({"phase": np.where(STEPS < 30, 2, 99)}, "from row 30 on, the phase is 99"),
     ],
 )
@@ -147,6 +150,27 @@ def test_no_verb_computes_from_ticks_that_cannot_be(tmp_path, changes, words, ve
     assert words in done.stderr
     assert f"pamctl log check {path}" in done.stderr
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    "t_s", [STEPS[::-1] * 1e-3, STEPS % 25 * 1e-3, np.where(STEPS < 30, STEPS, np.inf)]
+)
+def test_no_replay_begins_where_times_do_not_rise(tmp_path, t_s):
+    done = pamctl("replay", write_ticks(tmp_path / "a.mcap", {"t_s": t_s}))
+    assert done.exit_code == 65
+    assert "are not in order, by number or by time; `pamctl log check" in done.stderr
+
+
+@pytest.mark.parametrize("verb", ["report", "diagnose", "compare", "replay"])
+def test_a_wrong_version_and_a_wrong_first_number_are_said_by_every_verb(
+    tmp_path, verb, monkeypatch
+):
+    monkeypatch.setattr("pamctl.log.writer.SCHEMA_VERSION", "0")
+    path = write_ticks(tmp_path / "a.mcap", {"tick": STEPS + 2**62})
+    # The notes of a diagnosis are those of `judge_ticks`.
+    said = "; ".join(judge_ticks(read(path))) if verb == "diagnose" else pamctl(verb, path).stderr
+    assert "the schema version of /pam/tick is '0'; versions begin with 1" in said
+    assert f"has the number {2**62} at 0 s: by its time it is tick 0" in said
 
 
 def test_what_is_doubtful_is_said_with_its_rows_and_stands_on_the_page(tmp_path):
@@ -241,7 +265,8 @@ def test_an_index_that_is_wrong_is_found_though_every_checksum_is_right(tmp_path
 
 
 def records_of(path: Path) -> list[FileRecord]:
-    from pamctl.log.framing import map_log_file, walk_records
+    from pamctl.log.framing import map_log_file
+    from pamctl.log.reading.record_walk import walk_records
 
     return list(walk_records(map_log_file(path)))
 

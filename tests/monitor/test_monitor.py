@@ -14,11 +14,10 @@ import pytest
 from support.patience import PATIENCE_S
 from support.processes.daemons import TRACKING, daemon
 
-from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
 from pamctl.log import read
 from pamctl.log.measured_signals import Signals
 from pamctl.monitor.explain_alarm import hold_constants
-from pamctl.monitor.judge_window import WindowMisfit
+from pamctl.monitor.judge_window import MECHANICS, PRESSURE, WindowMisfit
 from pamctl.monitor.misfit_sums import ALARM, ALLOWANCE, MOST_OF_ONE, MisfitSums
 from pamctl.monitor.monitor_words import format_alarm, format_monitor
 from pamctl.monitor.watch_run import LEARN_S, RunWatch

@@ -18,10 +18,9 @@ kind: program
 parts:
   - {wave: hold, valve_v: -5, duration_s: 1}
   - {wave: square, frequency_hz: 1, amplitude_v: 5, cycles: 2}
-  - {wave: square, frequency_hz: 2, amplitude_v: 5, cycles: 6}
   - {wave: hold, valve_v: -5, duration_s: 1.2}
 """
-"""Full strokes alone do not tell a delay from a spool."""
+"""Two full strokes alone do not tell a delay from a limited slew."""
 
 
 @pytest.fixture(scope="package")

@@ -138,7 +138,7 @@ print(json.dumps({
     "position_m": {k: v.position_m.tolist() for k, v in driven.items()},
     "twins_agree": np.array_equal(np.array(plain), np.array(driven["on"])),
     "verdict": found.verdict.value,
-    "named": {s.effect.name: [r.name for r in s.rivals] for s in found.standings},
+    "named": {f.name: [j.hypothesis.name for j in f.judged] for f in found.findings},
     "fitted": {n.name: n.value for n in found.numbers},
     "plant": found.plant.model_dump()["effects"]["friction_slope"],
 }))

@@ -130,6 +130,15 @@ def sleeper() -> Iterator[subprocess.Popen[bytes]]:
         process.wait()
 
 
+@contextmanager
+def frozen_loop() -> Iterator[subprocess.Popen[bytes]]:
+    """Yield a stopped process: on no machine, however busy, does it wait for a CPU."""
+    with sleeper() as process:
+        process.send_signal(signal.SIGSTOP)
+        os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WNOWAIT)
+        yield process
+
+
 @pytest.fixture
 def ring(tmp_path: Path) -> Iterator[Ring]:
     with Ring.create(tmp_path / "test.ring", meta(tmp_path / "run.mcap"), 256) as made:
@@ -157,7 +166,7 @@ def test_a_death_is_noticed_at_once_and_a_busy_output_tried_again(ring: Ring) ->
 def test_a_silent_loop_is_killed(ring: Ring) -> None:
     rig = StubRig()
     ring.loop_stage = LoopStage.TICKING
-    with sleeper() as loop:
+    with frozen_loop() as loop:
         takeover = guard_stub(ring, loop.pid, rig)
         assert loop.wait(PATIENCE_S) == -signal.SIGKILL
     assert takeover is not None
@@ -214,7 +223,7 @@ def kill_silent_loop(ring: Ring, rig: StubRig, told: Ending) -> Ending:
     """Let the front kill a silent loop whose guardian is frozen; return its judgement."""
     front = Guardianship(ring, ["sh", "-c", "read line", "guardian"], rig, LoopSettings())  # type: ignore[arg-type]
     ring.loop_stage = LoopStage.TICKING
-    with sleeper() as loop:
+    with frozen_loop() as loop:
         deadline_s = time.monotonic() + PATIENCE_S
         while loop.poll() is None:
             assert time.monotonic() < deadline_s

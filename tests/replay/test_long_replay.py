@@ -121,7 +121,7 @@ def test_the_grid_finds_every_tick(steps: list[tuple[int, int]], piece: int, beg
     missed = np.array([missed for _, missed in steps])
     grid = GridRows()
     for at in range(0, len(tick), piece):
-        grid.take(tick[at : at + piece], missed[at : at + piece])
+        grid.take(*(column[at : at + piece] for column in (tick, missed, 1e-3 * tick)))
     assert grid.is_rising
     assert grid.count == len(tick)
     assert grid.losses == set((np.flatnonzero(np.diff(tick) - 1 != missed[1:]) + 1).tolist())

@@ -370,7 +370,8 @@ def chunks_of(log: Path) -> Iterator[tuple[int, int]]:
     """Return where the chunks of a log begin and end."""
     from mcap.opcode import Opcode
 
-    from pamctl.log.framing import map_log_file, walk_records
+    from pamctl.log.framing import map_log_file
+    from pamctl.log.reading.record_walk import walk_records
 
     for record in walk_records(map_log_file(log)):
         if record.opcode == Opcode.CHUNK:

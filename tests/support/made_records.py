@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import Any
+
 import numpy as np
 
 from pamctl.control.excitation import ProgramSettings, generate_commands
-from pamctl.diagnose import Record
-from pamctl.diagnose.fitting.candidates import Candidate, list_candidates
-from pamctl.diagnose.fitting.evidence import Evidence
+from pamctl.diagnose import Diagnosis, Record
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.drive import drive_coupled
 from pamctl.plant.flat import parameters_of
@@ -79,6 +80,18 @@ def all_but(*names: str) -> set[str]:
     return {*CATALOGUE} - {*names}
 
 
-def find_candidate(name: str, evidence: Evidence) -> Candidate:
-    """Return the first form of an effect as a candidate."""
-    return next(c for c in list_candidates(evidence) if c.name == name)
+def names_of(found: Diagnosis) -> list[str]:
+    """Return what a diagnosis says by name."""
+    return [f.name for f in found.findings if f.level == "name"]
+
+
+def numbers_of(found: Diagnosis) -> dict[str, float]:
+    """Return the extended model's numbers by flat name."""
+    assert found.evidence is not None
+    return found.evidence.values
+
+
+def to_records(parts: Iterable[Iterable[Any]]) -> tuple[list[Record], list[Record]]:
+    """Return the records of a hidden rig as the diagnosis takes them."""
+    train, held = ([Record(name=r.name, **r.columns()) for r in part] for part in parts)
+    return train, held

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
-from contextlib import AbstractContextManager, nullcontext
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated
@@ -12,13 +10,11 @@ from typing import Annotated
 import typer
 
 from pamctl.cli.options import (
-    ClusterOption,
     InteractiveOption,
     JsonOption,
     PlantOption,
     SocketOption,
     require_linux,
-    require_one_place,
 )
 from pamctl.cli.output import print_result
 from pamctl.exit_codes import ExitCode
@@ -52,8 +48,9 @@ def diagnose(
         typer.Option(
             "--holdout",
             metavar="LOG",
-            help="Log that is not fitted, but chooses and confirms the result; can be repeated",
-            show_default="parts of the logs",
+            help="Log that is not fitted: it judges what is said, and shows the gap; can be "
+            "repeated",
+            show_default="none",
         ),
     ] = None,
     plant: PlantOption = None,
@@ -62,7 +59,7 @@ def diagnose(
         typer.Option(
             "--without",
             metavar="EFFECT",
-            help="Effect to leave out of the catalogue; can be repeated",
+            help="Effect not to ask; can be repeated",
             show_default="none",
         ),
     ] = None,
@@ -89,10 +86,9 @@ def diagnose(
     jobs: Annotated[
         int | None,
         typer.Option(
-            "--jobs", metavar="N", min=1, help="Number of worker processes", show_default="1"
+            "--jobs", metavar="N", min=1, help="Number of threads", show_default="all cores"
         ),
     ] = None,
-    cluster: ClusterOption = None,
     interactive: InteractiveOption = False,
     on_rig: Annotated[
         bool,
@@ -122,14 +118,13 @@ def diagnose(
     socket: SocketOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Find where model and measurement disagree, name the missing effect, add it to the model.
+    """Find what the model lacks to explain the logs, say what is sure of it, and add it.
 
     DIR gets diagnosis.json, report.html and plant.yaml, and next-experiment.yaml where a program
     would decide between explanations. plant.yaml is for --plant of run, tune, compare and a next
     diagnose. The exit code is 0 for every verdict, and 65 if the data cannot be used.
     """
     logs = logs or []
-    require_one_place(cluster, jobs)
     _require_one_kind(context, logs, on_rig=on_rig)
     if out is not None:
         require_empty_folder(out)
@@ -152,13 +147,11 @@ def diagnose(
             dry_run=dry_run,
             yes=yes,
         )
-        with _start_workers(jobs, cluster) as executor:
-            diagnose_on_rig(task, executor, as_json=as_json)
+        diagnose_on_rig(task, as_json=as_json)
         return
     assert out is not None  # only --dry-run, which is for --on-rig, goes without
     from pamctl.diagnose import diagnose as find_missing_effects
     from pamctl.diagnose import summary
-    from pamctl.diagnose.deciding.forecast import read_forecast
     from pamctl.diagnose.measured.from_log import record_of, require_held_out
     from pamctl.diagnose.measured.refuse import read_acceptances
     from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
@@ -173,21 +166,17 @@ def diagnose(
         for note in record.notes:
             typer.echo(f"warning: {record.name}: {note}", err=True)
     if not held:
-        how = "the runs are split" if len(train) > 1 else "long stretches of it are held out"
-        if len(train) > 1 and any(map(read_forecast, train)):
-            how = "long stretches of each run are held out"
-        typer.echo(f"no --holdout: {how}", err=True)
-    with _start_workers(jobs, cluster) as executor:
-        diagnosis = find_missing_effects(
-            train,
-            held,
-            start,
-            without=without or (),
-            accept=accepted,
-            noise=stated,
-            executor=executor,
-            progress=lambda line: typer.echo(line, err=True),
-        )
+        typer.echo("no --holdout: two stretches of each log are held out", err=True)
+    diagnosis = find_missing_effects(
+        train,
+        held,
+        start,
+        without=without or (),
+        accept=accepted,
+        noise=stated,
+        jobs=jobs,
+        progress=lambda line: typer.echo(line, err=True),
+    )
     names = [path.name for path in (*logs, *(holdout or []))]
     failure, end = None, ""
     try:
@@ -201,7 +190,7 @@ def diagnose(
 
 
 _FOR_RIG = ("experiment", "runs", "minutes", "dry_run", "yes", "socket")
-_FOR_LOGS = ("holdout", "without", "accept", "noise", "interactive")
+_FOR_LOGS = ("holdout", "without", "accept", "noise", "jobs", "interactive")
 
 
 def _require_one_kind(context: typer.Context, logs: Sequence[Path], *, on_rig: bool) -> None:
@@ -239,13 +228,3 @@ def _parse_noise(texts: Sequence[str]) -> dict[str, float]:
         return parse_noise(texts)
     except ValueError as error:
         raise typer.BadParameter(str(error), param_hint="--noise") from error
-
-
-def _start_workers(
-    jobs: int | None, cluster: str | None
-) -> AbstractContextManager[Executor | None]:
-    if cluster is None and (jobs or 1) == 1:
-        return nullcontext()
-    from pamctl.cluster.worker_processes import start_workers
-
-    return start_workers(jobs, cluster)

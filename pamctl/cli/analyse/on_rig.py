@@ -5,7 +5,6 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,7 +34,7 @@ class OnRigTask:
     yes: bool
 
 
-def diagnose_on_rig(task: OnRigTask, executor: Executor | None, *, as_json: bool) -> None:
+def diagnose_on_rig(task: OnRigTask, *, as_json: bool) -> None:
     """Run the rounds on the daemon's rig; write and print what was found, however they end."""
     from pamctl.commissioning.terminal_operator import Terminal
     from pamctl.diagnose.measured.from_log import record_of
@@ -61,7 +60,7 @@ def diagnose_on_rig(task: OnRigTask, executor: Executor | None, *, as_json: bool
         investigation = Investigation(plan, records)
         assert task.out is not None
         try:
-            code, reason = _run_rounds(rig, investigation, task, executor)
+            code, reason = _run_rounds(rig, investigation)
         except Exception as error:  # a fault of the program: the document holds what was found
             investigation.stopped = f"the program failed: {type(error).__name__}: {error}"
             write_investigation(investigation, task.out)
@@ -69,9 +68,7 @@ def diagnose_on_rig(task: OnRigTask, executor: Executor | None, *, as_json: bool
     _finish(investigation, task, code, reason, as_json=as_json)
 
 
-def _run_rounds(
-    rig: Any, investigation: Any, task: OnRigTask, executor: Executor | None
-) -> tuple[ExitCode, str]:
+def _run_rounds(rig: Any, investigation: Any) -> tuple[ExitCode, str]:
     """Return how the rounds ended; the rig is left, stopped and safe, when this returns."""
     from pamctl.on_rig.decide_on_rig import decide_on_rig
     from pamctl.session.pamctl_error import PamctlError
@@ -84,7 +81,7 @@ def _run_rounds(
             end_on_signals(),
             rig,
         ):  # a daemon that cannot be left well ends the rounds, and loses none of them
-            decide_on_rig(rig, investigation, executor=executor, progress=progress)
+            decide_on_rig(rig, investigation, progress=progress)
     except KeyboardInterrupt as interrupt:
         investigation.stopped = "it was interrupted"
         code = ExitCode.SIGTERM if isinstance(interrupt, _Terminated) else ExitCode.SIGINT

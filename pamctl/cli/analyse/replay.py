@@ -12,6 +12,7 @@ from pamctl.cli.options import NO_CHANGES, ControllerFromOption, JsonOption
 from pamctl.cli.output import print_json, print_result
 from pamctl.exit_codes import ExitCode
 from pamctl.new_file import NewFileError, require_place
+from pamctl.plain_text import escape_name
 
 if TYPE_CHECKING:
     from pamctl.log import Log
@@ -91,12 +92,15 @@ def replay(
         require_place(csv)
     if from_s is not None and not 0.0 <= from_s < math.inf:
         raise typer.BadParameter("must be seconds, 0 or more", param_hint="--from")
+    from pamctl.log.measured_signals import judge_description
     from pamctl.log.reader import read_paged
     from pamctl.settings.resolve import use_law_file
 
     if controller_from is not None:
         use_law_file(controller_from)
     log = read_paged(path)
+    for doubt in judge_description(log):
+        typer.echo(f"warning: {escape_name(str(path))}: {doubt}", err=True)
     if is_what_if:
         code = _run_what_if(log, controller, overrides or [], from_s, csv, as_json=as_json)
     else:

@@ -24,12 +24,11 @@ from pamctl.diagnose.deciding.drawn_programs import (
 )
 from pamctl.diagnose.deciding.explanations import Explanation
 from pamctl.diagnose.deciding.rig_limits import RigLimits, find_rig_limits
-from pamctl.diagnose.deciding.separation import ProgramTrial, Separation, find_pairs
-from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
+from pamctl.diagnose.deciding.separation import ProgramTrial, Separation
 from pamctl.diagnose.measured.record import Record
 
-PROGRAMS = 200
-FINALISTS = 12
+PROGRAMS = 100
+FINALISTS = 6
 """Programs of each rough order whose separation is computed, with a refit by one step."""
 BEST = 6
 """The best of them; their blocks are mixed anew."""
@@ -37,7 +36,7 @@ MIXED = 24
 MOST_SURE = 5.0
 """A pair that is surer counts no more: the others need the time."""
 FORECAST = 3
-"""At most this many programs are forecast, by whole fits of the wrong explanations."""
+"""This many programs are forecast, by some steps of the wrong explanations."""
 STROKES = (1.0, 0.6, 0.4, 0.2, 0.1)
 """Sizes of the strokes that all programs begin with, as shares of the largest command; the largest
 that stays within the limits counts."""
@@ -75,27 +74,37 @@ class DecidingProgram:
 
     @property
     def nearest(self) -> Separation:
-        """The pair that is separated least."""
-        return min(self.separations, key=lambda s: s.residual_over_floor)
+        """The pair that is separated least, of those with a forecast if there are any."""
+        sure = [s for s in self.separations if s.is_forecast] or self.separations
+        return min(sure, key=lambda s: s.residual_over_floor)
 
-    def to_experiment(self) -> dict[str, Any]:
-        """Return the keys of the experiment file, with the forecast in it."""
-        forecast = {
-            "pairs": [
-                {
-                    "true": s.true,
-                    "refuted": s.refuted,
-                    "block": s.block,
-                    "residual_over_floor": float(f"{s.residual_over_floor:.4g}"),
-                }
-                for s in self.separations
-            ],
+    @property
+    def forecast(self) -> dict[str, Any]:
+        """What a later diagnosis judges: pairs whose figure holds, and what the rig is asked for.
+
+        The key `residual_over_floor` holds RMS over the sensor's noise.
+        """
+        pairs = [
+            {
+                "true": s.true,
+                "refuted": s.refuted,
+                "block": s.block,
+                "residual_over_floor": float(f"{s.residual_over_floor:.4g}"),
+            }
+            for s in self.separations
+            if s.is_forecast
+        ]
+        return {
+            "pairs": pairs,
             "pressure_kpa": round(1e-3 * self.pressure_pa, 1),
             "low_mm": round(1e3 * self.low_m, 2),
             "high_mm": round(1e3 * self.high_m, 2),
         }
+
+    def to_experiment(self) -> dict[str, Any]:
+        """Return the keys of the experiment file, with the forecast in it if there is one."""
         keys = self.program.model_dump(mode="json", exclude_none=True)
-        return {**keys, "forecast": forecast}
+        return {**keys, "forecast": self.forecast} if self.forecast["pairs"] else keys
 
 
 def choose_deciding_program(
@@ -128,7 +137,7 @@ def choose_deciding_program(
     admitted = [trial for trial, _ in best if _is_admitted(trial, limits)]
     if not admitted:
         return None
-    chosen = _choose_by_forecast(admitted[:FORECAST])
+    chosen = max(admitted[:FORECAST], key=lambda t: _weigh(t.forecasts))
     return _describe(chosen, programs + MIXED, len(inside) + len(mixed), limits.source)
 
 
@@ -145,19 +154,14 @@ def _keep_best(tried: Sequence[_Tried], count: int) -> list[_Tried]:
     return sorted(tried, key=lambda t: _weigh(t[0].separations), reverse=True)[:count]
 
 
-def _choose_by_forecast(best: Sequence[ProgramTrial]) -> ProgramTrial:
-    """Return the best by its forecast; none is made where a program promises no further pair."""
-    chosen = best[0]
-    for trial in best[1:]:
-        if _weigh(trial.separations)[0] > _weigh(chosen.forecasts)[0]:
-            chosen = max(chosen, trial, key=lambda t: _weigh(t.forecasts))
-    return chosen
-
-
 def _weigh(separations: Sequence[Separation]) -> tuple[int, float]:
-    """Return how many pairs are decided, then how surely the mean one is."""
-    pairs = find_pairs(separations).values()
-    return sum(sure > 1.0 for sure in pairs), sum(min(sure, MOST_SURE) for sure in pairs)
+    """Return how many pairs are decided, whichever is true; then how surely the mean one is."""
+    pairs: dict[frozenset[str], float] = {}
+    for s in separations:
+        key = frozenset({s.true, s.refuted})
+        pairs[key] = min(s.sureness, pairs.get(key, np.inf))
+    sures = pairs.values()
+    return sum(sure > 1.0 for sure in sures), sum(min(sure, MOST_SURE) for sure in sures)
 
 
 def choose_repeated_part(
@@ -174,9 +178,10 @@ def choose_repeated_part(
 
 
 def _are_of_muscle(explanations: Sequence[Explanation]) -> bool:
-    """Tell whether both blocks were driven, by a valve: then a program can be simulated whole."""
-    evidence = explanations[0].model.evidence
-    return evidence.nominal.actuator == "muscle" and {*evidence.blocks} == {PRESSURE, MECHANICS}
+    """Tell whether a valve drove both blocks: then a program can be simulated whole."""
+    e = explanations[0]
+    channels = {*e.weigher.train.channels}
+    return e.nominal.actuator == "muscle" and channels == {"pressure_pa", "position_m"}
 
 
 def _is_admitted(trial: ProgramTrial, limits: RigLimits) -> bool:

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
+
+from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
+from pamctl.diagnose.evidence.ladder import Finding
+from pamctl.diagnose.evidence.name_search import NameSearch
+from pamctl.diagnose.evidence.weigh import EvidenceVerdict
 from pamctl.diagnose.extend import assemble_plant
-from pamctl.diagnose.fitting.fitted_model import Model
-from pamctl.diagnose.fitting.model_fit import recalibrate
-from pamctl.diagnose.fitting.numbers import with_values
-from pamctl.diagnose.naming.rivals import Standing
-from pamctl.diagnose.naming.verdict import Verdict
-from pamctl.diagnose.setup.setup_finding import SetupFinding
-from pamctl.diagnose.terms.describe import Description
 from pamctl.plant.model import PlantSettings
 
 MOST_EXPLANATIONS = 4
 """The nearest ones; each pair of them is a question to the program."""
-NEAR = 2.0
-"""A rival of a partial explanation counts if it leaves at most this multiple of what that one
-leaves."""
+MOST_RIVALS = 3
+"""Rivals of one finding that are fitted."""
 
 
 @dataclass(frozen=True)
@@ -28,69 +26,69 @@ class Explanation:
     """One explanation: its name, and the model that was fitted with it."""
 
     name: str
-    model: Model
+    model: WeighedModel
+    weigher: Weigher
+    nominal: PlantSettings
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The model's numbers by flat name, those of the measuring chain included."""
+        return {**self.weigher.base, **self.model.values}
 
     @cached_property
     def plant(self) -> PlantSettings:
         """The whole plant under this explanation."""
-        return assemble_plant(self.model)
+        return assemble_plant(self.nominal, self.model.values)
 
 
-def name_explanation(model: Model) -> str:
-    """Return the effects of a model in one line; without any, its numbers are the explanation."""
+def name_explanation(model: WeighedModel) -> str:
+    """Return what a model says is missing, in one line."""
     return " and ".join(sorted(model.names)) or "recalibration alone"
 
 
-def list_explanations(
-    verdict: Verdict,
-    model: Model,
-    standings: Sequence[Standing],
-    described: Description | None = None,
-    setup: Sequence[SetupFinding] = (),
-) -> tuple[Explanation, ...]:
+def list_explanations(found: EvidenceVerdict, nominal: PlantSettings) -> tuple[Explanation, ...]:
     """Return what the data leave open: the chosen model first, then its rivals, the nearest first.
 
-    A number of the plant file that explains the data as well is a rival too. Fewer than two
-    explanations leave nothing to decide.
+    Fewer than two explanations leave nothing to decide.
     """
-    term = described.term if described else None
-    if verdict is Verdict.DESCRIBED and term is not None:
-        found = {term.text: model, **term.equal_models}
-    else:
-        found = {name_explanation(model): model}
-        for standing in standings:
-            found |= _list_rivals(verdict, model, standing)
-        if verdict is Verdict.AMBIGUOUS:
-            found |= _list_numbers(model, setup)
-    return tuple(Explanation(*pair) for pair in [*found.items()][:MOST_EXPLANATIONS])
+    if not found.findings:
+        return ()
+    search, weigher = NameSearch(found.weigher, found.pool), found.weigher
+    named, floor2 = {name_explanation(found.model): replace(found.model)}, weigher.like.least2
+    for finding in found.findings:
+        if finding.level in ("name", "rest"):  # a name's freer terms can always mimic it
+            continue
+        for m in _fit_rivals(search, found.model, finding):
+            named.setdefault(name_explanation(m), m)
+        floor2 = np.maximum(floor2, weigher.floor2)
+    # As the ladder weighs them: under the resolution of the model without the finding.
+    weigher.floor2 = floor2
+    return tuple(
+        Explanation(name, weigher.leave_out(m), weigher, nominal)
+        for name, m in [*named.items()][:MOST_EXPLANATIONS]
+    )
 
 
-def _list_rivals(verdict: Verdict, model: Model, standing: Standing) -> dict[str, Model]:
-    """Return the rivals of one effect that the data do not refute."""
-    here = max(model.ratio(b) for b in standing.effect.blocks)
-    kept = {*model.names} - {standing.effect.name}
-    models = {name: m for m in standing.rival_models for name in {*m.names} - kept}
-    return {
-        name_explanation(models[r.name]): models[r.name]
-        for r in standing.rivals
-        if r.name in models
-        and (r.is_equal or (verdict is Verdict.PARTIAL and r.residual_over_floor <= NEAR * here))
-    }
+def _fit_rivals(search: NameSearch, m: WeighedModel, finding: Finding) -> Iterator[WeighedModel]:
+    """Yield the model with a finding exchanged for each of what is not beaten, names first."""
+    for rival in sorted(finding.rivals, key=lambda r: r.is_term)[:MOST_RIVALS]:
+        fitted = exchange_name(search, m, finding.name, rival.name)
+        if fitted is not None:
+            yield fitted
 
 
-def _list_numbers(model: Model, setup: Sequence[SetupFinding]) -> dict[str, Model]:
-    """Return the model without effects, recalibrated at each number that an effect may imitate."""
-    open_ones = [
-        f
-        for f in setup
-        if f.kind == "plant_constant"
-        and not f.is_corrected
-        and {*f.cannot_be_told_from} & {*model.names}
-    ]
-    nominal = model.evidence.nominal
-    return {
-        f.number: recalibrate(
-            replace(model.evidence, nominal=with_values(nominal, {f.number: f.value}), together={})
-        )
-        for f in open_ones
-    }
+def exchange_name(search: NameSearch, m: WeighedModel, gone: str, new: str) -> WeighedModel | None:
+    """Return a model with one name instead of another, fitted; None where the new does nothing.
+
+    An empty name stands for none. The floor is that of the model without either.
+    """
+    without = search.drop(m, gone) if gone else m
+    if not new:
+        return without
+    score, weigher = next(iter(search.score(without, [new])), None), search.weigher
+    if score is None:
+        return None
+    floor2 = weigher.floor2
+    fitted = weigher.settle(search.refit(without, [score], 1)[0])
+    weigher.floor2 = floor2
+    return weigher.leave_out(fitted)

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
 from pydantic import ValidationError
 
 from pamctl.control.excitation import ForecastSettings
-from pamctl.diagnose.deciding.explanations import name_explanation
-from pamctl.diagnose.fitting.block_fit import rms
-from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.deciding.explanations import exchange_name, name_explanation
+from pamctl.diagnose.deciding.separation import BLOCKS
+from pamctl.diagnose.evidence.constants import COARSE_STEP_S
+from pamctl.diagnose.evidence.fit import WeighedModel
+from pamctl.diagnose.evidence.name_search import NameSearch
+from pamctl.diagnose.evidence.run_pieces import Runs
+from pamctl.diagnose.evidence.weigh import EvidenceVerdict
 from pamctl.diagnose.measured.record import Record
-from pamctl.diagnose.naming.rivals import Standing
 
-GOOD = 1.5
+GOOD = 2.0
 """A forecast within this factor of what was found was good."""
 
 
@@ -29,7 +33,7 @@ class JudgedForecast:
     refuted: str
     block: str
     expected: float
-    """Residual over floor that the refuted one should leave of this record."""
+    """Residual over the sensor's noise that the refuted one should leave of this record."""
     found: float | None
     """What it leaves; None where it was not fitted again."""
 
@@ -58,37 +62,52 @@ def read_forecast(record: Record) -> ForecastSettings | None:
 
 
 def judge_forecasts(
-    model: Model, standings: Sequence[Standing], records: Sequence[Record]
+    found: EvidenceVerdict, records: Sequence[Record]
 ) -> tuple[JudgedForecast, ...]:
     """Compare what was expected of each record with what its refuted explanations leave.
 
     A forecast is judged where the explanation that it took for true is the one that was found.
     """
-    rivals = {name_explanation(m): m for s in standings for m in s.rival_models}
-    return tuple(_judge(model, rivals, records))
-
-
-def _judge(
-    model: Model, rivals: Mapping[str, Model], records: Sequence[Record]
-) -> Iterator[JudgedForecast]:
-    here = name_explanation(model)
+    here, judged = name_explanation(found.model), []
+    fitted: dict[str, WeighedModel | None] = {}
     for record in records:
         forecast = read_forecast(record)
         for pair in forecast.pairs if forecast else ():
-            if pair.true != here or pair.block not in model.evidence.blocks:
+            if pair.true != here:
                 continue
-            rival = rivals.get(pair.refuted)
-            found = None if rival is None else _measure(rival, pair.block, record.name)
-            yield JudgedForecast(
-                record.name, here, pair.refuted, pair.block, pair.residual_over_floor, found
+            if pair.refuted not in fitted:
+                fitted[pair.refuted] = _fit_again(found, pair.refuted)
+            m = fitted[pair.refuted]
+            left = None if m is None else _measure(found, m, pair.block, record)
+            judged.append(
+                JudgedForecast(
+                    record.name, here, pair.refuted, pair.block, pair.residual_over_floor, left
+                )
             )
+    return tuple(judged)
 
 
-def _measure(rival: Model, block: str, record: str) -> float | None:
-    """Return what a model leaves of all samples of one record, over the block's floor."""
-    evidence = rival.evidence
-    for drive in (*evidence.train[block], *evidence.holdout[block]):
-        if drive.name == record:
-            residual = replace(drive, part=None).residual(rival.fit_of(block).settings)
-            return rms(residual) / rival.floors[block].mean
-    return None
+def _fit_again(found: EvidenceVerdict, explanation: str) -> WeighedModel | None:
+    """Return the model of an explanation, fitted to all records; None if it differs by far."""
+    names = {*explanation.split(" and ")} - {"recalibration alone"}
+    gone, new = {*found.model.names} - names, names - {*found.model.names}
+    if len(gone) > 1 or len(new) > 1 or not new <= {*found.pool}:
+        return None
+    search = NameSearch(found.weigher, found.pool)
+    return exchange_name(search, found.model, "".join(gone), "".join(new))
+
+
+def _measure(found: EvidenceVerdict, m: WeighedModel, block: str, record: Record) -> float | None:
+    """Return the RMS that a model leaves of one record, over the sensor's noise."""
+    weigher = found.weigher
+    channel = next((c for c, name in BLOCKS.items() if name == block), "")
+    if channel not in weigher.train.channels:
+        return None
+    row = weigher.train.channels.index(channel)
+    try:
+        runs = Runs([record], weigher.base, weigher.train)
+    except ValueError:  # shorter than a block
+        return None
+    off = runs.shown - runs.simulate({**weigher.base, **m.values}, COARSE_STEP_S)
+    rms = float(np.sqrt((runs.fill_masked(off)[row] ** 2).mean()))
+    return rms / float(np.sqrt(weigher.find_noise2(found.model)[row]))

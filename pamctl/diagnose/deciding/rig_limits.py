@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from hal.calibration import Calibration, CalibrationSettings, Zero, calibration,
 from hal.rig import RawSample
 from pamctl.control.course import make_valve_reference
 from pamctl.diagnose.measured.record import Array, Record
-from pamctl.plant.drive import CoupledResponse
 from pamctl.safety import INITIAL_SAFETY_STATE, Limits, admit
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.problems import ConfigError
@@ -23,6 +22,15 @@ from pamctl.signals import Command, Estimate, Measurement, Phase, Timing
 
 SPARE_SHARE = 0.03
 """A program keeps this share of what a limit allows to itself: a model is not the rig."""
+
+
+class ProgramRun(NamedTuple):
+    """What a plant would do under a program, without the faults of the measuring chain."""
+
+    pressure_pa: Array
+    position_m: Array
+
+
 DATA_SHEETS = calibration(CalibrationSettings())
 MOST_V = 5.0
 """The largest command of an experiment file."""
@@ -44,7 +52,7 @@ class RigLimits:
     spare_share: float = SPARE_SHARE
     source: str = "the rig's limits"
 
-    def allows(self, run: CoupledResponse) -> bool:
+    def allows(self, run: ProgramRun) -> bool:
         """Tell whether a run's highest pressure and its stroke stay inside, quickly."""
         spare_pa = self.spare_share * (self.pressure_pa - self.calibration.atmospheric_pressure_pa)
         spare_m = self.spare_share * (self.high_m - self.low_m)
@@ -56,7 +64,7 @@ class RigLimits:
             and run.position_m.min() >= min(self.low_m + spare_m, 0.0)
         )
 
-    def admits(self, commands_v: Array, run: CoupledResponse, period_s: float) -> bool:
+    def admits(self, commands_v: Array, run: ProgramRun, period_s: float) -> bool:
         """Tell whether the rig's safety, tick by tick, would let a whole run pass."""
         if self.safety is None:
             return True

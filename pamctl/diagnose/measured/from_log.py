@@ -69,6 +69,8 @@ def record_of(path: str | Path) -> Record:
     reference_m = None if column is None or not np.isfinite(column).any() else column[whole]
     first_s = float(log["t_s"][whole][0])
     experiment = str(log.metadata.get("run", {}).get("experiment") or "")
+    story = log.metadata.get("import", {})
+    atmosphere = story.get("atmospheric_pressure_pa")
     return Record(
         Path(path).stem,
         part.t_s - part.t_s[0],
@@ -79,7 +81,8 @@ def record_of(path: str | Path) -> Record:
         notes=tuple(doubts),
         experiment=experiment,
         is_imported=log.is_imported,
-        stated_noise=json.loads(log.metadata.get("import", {}).get("noise") or "{}"),
+        stated_noise=json.loads(story.get("noise") or "{}"),
+        atmosphere_pa=None if atmosphere is None else float(atmosphere),
         moments=tuple(Moment(at_s - first_s, text) for at_s, text in list_moments(log)),
         settings=log.config,
     )

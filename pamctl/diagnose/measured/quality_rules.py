@@ -17,6 +17,7 @@ from pamctl.diagnose.measured.column_shift import check_time_shifts
 from pamctl.diagnose.measured.noise.mend import SensorFault
 from pamctl.diagnose.measured.noise.sensor_noise import Noise
 from pamctl.diagnose.measured.record import CHANNELS, Array, Record
+from pamctl.log.importing.plausibility import is_switched
 from pamctl.log.record_problems import find_sensor_step
 from pamctl.plant.effects.description import USED_SIGNALS, describe_unused
 from pamctl.plant.model import PlantSettings
@@ -136,14 +137,17 @@ def _doubt_command_unit(record: Record) -> Iterator[Doubt]:
     values = record["valve_v"]
     low, high = float(values.min()), float(values.max())
     runs = f"{record.name}: valve_v runs from {low:.3g} to {high:.3g}"
-    if len(np.unique(values)) == 2 and (high > 10.5 or low >= 0.0):
-        if high > 10.5 or _falls_at(record, low):
+    if is_switched(values):
+        middle = 0.5 * (low + high)
+        falls = [level for level, there in ((low, values < middle), (high, values > middle))
+                 if _falls_while(record, there)]  # fmt: skip
+        if falls or high > 5.5:
+            shown = "".join(f" the muscle loses its air while it is {x:.3g};" for x in falls)
             yield Doubt(
                 "command_unit",
-                f"{record.name}: valve_v is either {low:.3g} or {high:.3g}: a valve that "
-                "switches. The model reads 5 V as filling, -5 V as exhausting, 0 V as closed: "
-                f"map the two levels to these (import map: gain {10.0 / (high - low):.4g}, "
-                f"offset {-5.0 - low * 10.0 / (high - low):.4g} for filling and exhausting)",
+                f"{runs}: a valve that switches;{shown} the model reads 5 V as filling, -5 V as "
+                "exhausting, 0 V as closed: map each level to what it does on your rig (gain and "
+                "offset of the valve in the import map)",
             )
     elif high > 10.5 or low < -10.5:
         yield Doubt(
@@ -152,19 +156,21 @@ def _doubt_command_unit(record: Record) -> Iterator[Doubt]:
     elif low > -0.2 and high > 5.5:
         yield Doubt(
             "command_unit",
-            f"{runs}: the output voltage, not the command; subtract the driver's offset (5 V)",
+            f"{runs}: the output voltage, not the command? The command is 0 V where the valve "
+            "closes, and rises as it fills: subtract the driver's offset (5 V where 0 to 10 V "
+            "drive the valve), and turn the sign if more volts exhaust",
         )
 
 
-def _falls_at(record: Record, level: float) -> bool:
-    """Tell whether the pressure loses half of its span while a command holds this level."""
-    if record.pressure_pa is None:
+def _falls_while(record: Record, there: Flags) -> bool:
+    """Tell whether half of the pressure's span, or of the position's, is lost in these samples."""
+    column = record.pressure_pa if record.pressure_pa is not None else record.position_m
+    if column is None:
         return False
-    there = (record["valve_v"] == level)[:-1]
-    lost = -np.minimum(np.diff(median_filter(record.pressure_pa, 5, mode="nearest")), 0.0)
-    gained_and_lost = float(lost[there].sum())
-    return gained_and_lost > 0.5 * float(np.ptp(record.pressure_pa)) and bool(
-        lost[there].mean() > 2.0 * lost[~there].mean()
+    lost = -np.minimum(np.diff(median_filter(column, 5, mode="nearest")), 0.0)
+    inside, outside = lost[there[:-1]], lost[~there[:-1]]
+    return float(inside.sum()) > 0.5 * float(np.ptp(column)) and bool(
+        inside.mean() > 2.0 * outside.mean()
     )
 
 

@@ -72,6 +72,8 @@ class Record:
     """False where a sample is an outlier or a dropout, shape (n,); None if all samples count."""
     stated_noise: Mapping[str, float] = field(default_factory=dict)
     """Standard deviation of a reading by channel, in SI, where the user states it."""
+    atmosphere_pa: float | None = field(default=None, compare=False)
+    """From which an imported gauge pressure counts; None where no import map says it."""
     moments: tuple[Moment, ...] = field(default=(), compare=False)
     """Marks, changes of gains and the trip, which plots show; in the time of `t_s`."""
     settings: Mapping[str, Any] = field(default_factory=dict, compare=False)
@@ -150,6 +152,7 @@ class Record:
             is_imported=self.is_imported,
             counts=None if self.counts is None else self.counts[start:stop],
             stated_noise=self.stated_noise,
+            atmosphere_pa=self.atmosphere_pa,
             moments=self.moments,
             settings=self.settings,
         )

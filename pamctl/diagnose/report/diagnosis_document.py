@@ -1,128 +1,128 @@
-"""`diagnosis.json`, schema 1: the diagnosis for programs. Keys are added, never changed."""
+"""`diagnosis.json`, schema 2: the diagnosis for programs. Keys are added, never changed."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from pamctl.diagnose.diagnosis import Diagnosis, find_largest_remainder
-from pamctl.diagnose.fitting.floor import doubt_floor
-from pamctl.diagnose.fitting.integrator import SMALL
-from pamctl.diagnose.naming.rivals import Standing
-from pamctl.diagnose.naming.unseen import list_unseen
-from pamctl.diagnose.naming.verdict import Verdict
-from pamctl.diagnose.report.next_experiment import (
-    choose_next_experiment,
-    list_blind_spots,
+from pamctl.diagnose.diagnosis import Diagnosis, Verdict
+from pamctl.diagnose.evidence.ladder import Finding, JudgedRival
+from pamctl.diagnose.evidence.run_pieces import HELD_OUT, TWELFTHS, Runs
+from pamctl.diagnose.report.finding_words import (
+    find_form,
+    label_hypothesis,
+    list_numbers,
+    spell_finding,
 )
-from pamctl.diagnose.report.phrases import list_equal_sets, numbers_of
-from pamctl.diagnose.report.term_phrases import list_lead_entries, list_term_entries
+from pamctl.diagnose.report.next_experiment import choose_next_experiment, list_blind_spots
+from pamctl.diagnose.report.open_findings import (
+    list_ambiguous,
+    list_effects,
+    list_faults,
+    list_places,
+    list_terms,
+)
+from pamctl.diagnose.report.phrases import relative_shift
 from pamctl.diagnose.report.verdict_words import sentence
-from pamctl.diagnose.setup.symmetries import list_equal_numbers
 from pamctl.plant.catalogue import CATALOGUE
 
-SCHEMA = 1
+SCHEMA = 2
 
 
 def build_diagnosis_document(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return the document as plain values."""
-    if diagnosis.verdict is Verdict.BAD_DATA:
-        return {
-            "schema": SCHEMA,
-            "verdict": diagnosis.verdict.value,
-            "reason": diagnosis.reason,
-            "sentence": sentence(diagnosis),
-            "setup": [finding.as_dict() for finding in diagnosis.setup],
-            "effects": [],
-            "terms": [],
-            "ambiguous": [],
-            "recalibrated": {},
-            "blind_spots": [],
-            "next_experiment": None,
-            "forecasts": [],
-            "gap": {},
-            "unexplained": None,
-            "accepted": [],
-            "noise": {},
-        }
-    block, ratio, regimes = find_largest_remainder(diagnosis)
+    bad = diagnosis.verdict is Verdict.BAD_DATA
     return {
         "schema": SCHEMA,
         "verdict": diagnosis.verdict.value,
         "sentence": sentence(diagnosis),
-        "setup": [finding.as_dict() for finding in diagnosis.setup],
-        "equal_numbers": [
-            [*names]
-            for names in list_equal_numbers(diagnosis.nominal)
-            if {*names} & {n.name for n in diagnosis.recalibrated}
-        ],
-        "effects": [_effect_entry(diagnosis, s) for s in diagnosis.standings],
-        "terms": list_term_entries(diagnosis),
-        "leads": list_lead_entries(diagnosis),
-        "ambiguous": list_equal_sets(diagnosis),
-        "recalibrated": {n.name: n.as_dict() for n in diagnosis.recalibrated},
+        **({"reason": diagnosis.reason} if bad else {}),
+        "setup": [fault.as_dict() for fault in list_faults(diagnosis)],
+        "effects": [_describe_effect(diagnosis, f) for f in list_effects(diagnosis)],
+        "terms": list_terms(diagnosis),
+        "places": list_places(diagnosis),
+        "ambiguous": list_ambiguous(diagnosis),
+        "findings": [_describe_finding(diagnosis, f) for f in diagnosis.findings],
+        "recalibrated": {
+            n.name: {
+                **n.as_dict(),
+                "start": diagnosis.start_value(n.name),
+                "off_by": relative_shift(diagnosis, n),
+            }
+            for n in diagnosis.recalibrated
+        },
+        "at_bound": [*diagnosis.at_bound],
+        "gap": {name: gap._asdict() for name, gap in diagnosis.gap.items()},
+        "explained": diagnosis.explained,
+        "unexplained": dict(diagnosis.evidence.left_over_noise) if diagnosis.evidence else {},
+        "confirmed_on": None if bad else _describe_confirmation(diagnosis),
+        "masked": find_masked_shares(diagnosis),
         "blind_spots": list_blind_spots(diagnosis),
         "next_experiment": choose_next_experiment(diagnosis),
         "forecasts": [judged.as_dict() for judged in diagnosis.forecasts],
-        "gap": {name: gap.as_dict() for name, gap in (diagnosis.gap or {}).items()},
-        "explained": diagnosis.explained,
-        "explained_by_block": dict(diagnosis.explained_by_block),
-        "confirmed_on": diagnosis.confirmed_on.as_dict() if diagnosis.confirmed_on else None,
-        "residual_signs": [sign.as_dict() for sign in diagnosis.signs],
-        "at_bound": [*diagnosis.at_bound],
-        "not_shown": [*list_unseen(diagnosis.model)] if diagnosis.model else [],
-        "unexplained": {"block": block, "residual_over_floor": ratio, "where": regimes},
-        "limits": _list_limits(diagnosis),
-        "judge": _list_judges(diagnosis),
         "accepted": [doubt.as_dict() for doubt in diagnosis.accepted],
         "noise": {name: about.as_dict(name) for name, about in diagnosis.noise.items()},
-        "integrator": {
-            block: {"change_over_floor": change, "is_small": change <= SMALL}
-            for block, change in diagnosis.substep_changes.items()
-        },
-        "correction": diagnosis.remainder.as_dict() if diagnosis.remainder else None,
-        "regimes": [
-            {
-                "block": c.block,
-                "regime": c.regime,
-                "share": c.share,
-                "residual_over_floor": c.residual_over_floor,
-                "p_value": c.p_value,
-                "stands_out": c.stands_out,
-            }
-            for c in diagnosis.misfits
-        ],
     }
 
 
-def _list_limits(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
-    """Return the limit of each block, what sets it, and whether it may be wrong."""
-    floors = diagnosis.model.floors if diagnosis.model else {}
-    return {
-        block: {
-            "limit_over_floor": f.limit / f.mean,
-            "decided_by": f.decided_by,
-            "is_estimate": f.is_estimate,
-            "doubt": doubt_floor(block, diagnosis.model.ratio(block) if diagnosis.model else 0.0),
-        }
-        for block, f in floors.items()
-    }
-
-
-def _list_judges(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
-    """Return how each block was judged: free run, windows or equation, with the horizon."""
-    judges = diagnosis.model.evidence.judge if diagnosis.model else {}
-    return {block: judge.as_dict() for block, judge in judges.items()}
-
-
-def _effect_entry(diagnosis: Diagnosis, standing: Standing) -> dict[str, Any]:
-    name = standing.effect.name
+def _describe_effect(diagnosis: Diagnosis, finding: Finding) -> dict[str, Any]:
+    name = finding.hypothesis.family
+    others = [j for j in finding.judged if not j.is_freer]
     return {
         "name": name,
         "block": CATALOGUE[name].block,
-        "form": standing.effect.form,
-        "parameters": {n.name.split(".")[1]: n.as_dict() for n in numbers_of(diagnosis, name)},
-        "rivals": [
-            {"name": r.name, "residual_over_floor": r.residual_over_floor} for r in standing.rivals
-        ],
-        "confidence": standing.confidence,
+        "form": find_form(diagnosis, finding),
+        "parameters": {n.name.split(".")[1]: n.as_dict() for n in list_numbers(finding)},
+        "rivals": [_describe_rival(j) for j in finding.judged],
+        "confidence": min((j.loses for j in others), default=1.0),
     }
+
+
+def _describe_rival(judged: JudgedRival) -> dict[str, Any]:
+    return {
+        "name": label_hypothesis(judged.hypothesis),
+        "behind_nats": judged.behind_nats,
+        "interval_nats": [*judged.interval_nats],
+        "is_beaten": judged.is_beaten,
+        "is_freer": judged.is_freer,
+    }
+
+
+def _describe_finding(diagnosis: Diagnosis, finding: Finding) -> dict[str, Any]:
+    its = finding.hypothesis
+    return {
+        "name": label_hypothesis(its),
+        "place": its.place,
+        "kind": its.kind,
+        "level": finding.level,
+        "text": spell_finding(diagnosis, finding),
+        "gain_nats": finding.gain_nats,
+        "interval_nats": [*finding.interval_nats],
+        "share": finding.share,
+        "numbers": {n.name: n.as_dict() for n in list_numbers(finding)},
+        "at_range": [*finding.at_range],
+        "rivals": [_describe_rival(j) for j in finding.judged if not j.is_beaten],
+    }
+
+
+def _describe_confirmation(diagnosis: Diagnosis) -> dict[str, Any]:
+    records, share = diagnosis.holdout or diagnosis.train, 1.0
+    how = "records that were not fitted" if diagnosis.holdout else "the fitted records"
+    if diagnosis.is_held_out and not diagnosis.holdout:
+        how = "two stretches of each record that were not fitted"
+        share = len(HELD_OUT) / TWELFTHS
+    return {
+        "records": [r.name for r in records],
+        "duration_s": share * sum(r.duration_s for r in records),
+        "how": how,
+    }
+
+
+def find_masked_shares(diagnosis: Diagnosis) -> dict[str, float]:
+    """Return the share of each channel's samples that do not count."""
+    if diagnosis.evidence is None:
+        return {}
+    weigher = diagnosis.evidence.weigher
+    runs: list[Runs] = [r for r in (weigher.train, weigher.held_out) if r is not None]
+    masked = sum(r.masked.sum(axis=(1, 2)) for r in runs)
+    samples = sum(r.masked[0].size for r in runs)
+    return {c: float(m / samples) for c, m in zip(runs[0].channels, masked, strict=True)}

@@ -6,6 +6,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from pamctl.diagnose.diagnosis import Diagnosis
+from pamctl.diagnose.report.finding_words import list_numbers
+from pamctl.diagnose.report.open_findings import list_faults
 from pamctl.diagnose.report.verdict_words import sentence
 from pamctl.settings.yaml12 import dump_yaml
 
@@ -21,9 +23,10 @@ def format_plant_file(diagnosis: Diagnosis, logs: Sequence[str]) -> str:
 def _head_lines(diagnosis: Diagnosis, logs: Sequence[str]) -> Iterator[str]:
     yield f"Written by `pamctl diagnose` from {', '.join(logs)}."
     yield f"Verdict: {diagnosis.verdict.value}. {sentence(diagnosis)}"
-    for finding in diagnosis.setup:
-        yield f"Set-up: {finding.text}. To mend it: {finding.how_to_mend}."
-    if diagnosis.numbers:
+    for fault in list_faults(diagnosis):
+        yield f"Set-up: {fault.text}. To mend it: {fault.how_to_mend}."
+    numbers = [*diagnosis.recalibrated, *(n for f in diagnosis.findings for n in list_numbers(f))]
+    if numbers:
         yield "Fitted, with 90 % intervals:"
-    for n in diagnosis.numbers:
+    for n in numbers:
         yield f"  {n.name} {n.value:.6g}, {n.low:.6g} to {n.high:.6g} {n.unit}".rstrip()

@@ -7,11 +7,12 @@ from typing import Any
 
 from pamctl.diagnose.deciding.deciding_program import DecidingProgram
 from pamctl.diagnose.deciding.separation import Separation
-from pamctl.diagnose.diagnosis import Diagnosis
+from pamctl.diagnose.diagnosis import Diagnosis, Verdict
 from pamctl.diagnose.experiments import find_separating_experiment, find_showing_experiment
-from pamctl.diagnose.naming.verdict import Verdict
-from pamctl.diagnose.report.phrases import spell_names
+from pamctl.diagnose.report.finding_words import spell_names
+from pamctl.diagnose.report.open_findings import list_ambiguous
 from pamctl.diagnose.report.rig_at_hand import advise_experiment, runs_here
+from pamctl.plant.catalogue import CATALOGUE
 from pamctl.settings.yaml12 import dump_yaml
 
 NEXT_EXPERIMENT = "next-experiment"
@@ -41,14 +42,16 @@ def choose_next_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
 
 
 def _choose_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
-    sets = [[s.effect.name, *s.equal_rivals] for s in diagnosis.standings if s.equal_rivals]
-    if sets:
-        return find_separating_experiment(sets[0])
-    if diagnosis.verdict in (Verdict.PARTIAL, Verdict.NONE_KNOWN):
+    for members in list_ambiguous(diagnosis):
+        effects = [name for name in members if name in CATALOGUE]
+        if len(effects) > 1:
+            return find_separating_experiment(effects)
+    said = {f.level for f in diagnosis.findings}
+    if diagnosis.verdict is Verdict.NONE_KNOWN or said & {"kind", "place", "set"}:
         return {
             "name": "diagnosis",
             "separates": [],
-            "why": "a full program shows in which regime the remainder lies",
+            "why": "a full program asks every law at every speed and pressure",
         }
     spots = [s for s in diagnosis.audit.blind_spots if s.experiment] if diagnosis.audit else []
     hidden = max(spots, key=lambda s: s.sizes, default=None)
@@ -57,8 +60,8 @@ def _choose_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
 
 def _describe_program(chosen: DecidingProgram) -> dict[str, Any]:
     """Return the entry of a program that was chosen by simulation."""
-    experiment = chosen.to_experiment()
-    forecast = experiment.pop("forecast")
+    forecast, experiment = chosen.forecast, chosen.to_experiment()
+    experiment.pop("forecast", None)
     return {
         "name": NEXT_EXPERIMENT,
         "separates": [*chosen.explanations],

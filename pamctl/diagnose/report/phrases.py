@@ -1,60 +1,66 @@
-"""Phrases that terminal, document, plant file and page share."""
+"""Phrases with numbers that terminal, document, plant file and page share.
+
+A figure in a sentence is a figure of the document, in the unit of a reader.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
-from pamctl.diagnose.diagnosis import Diagnosis, find_largest_remainder
-from pamctl.diagnose.fitting.fitted_model import Model
-from pamctl.diagnose.fitting.floor import doubt_floor
-from pamctl.diagnose.fitting.integrator import SMALL
-from pamctl.diagnose.fitting.intervals import FittedNumber
-from pamctl.diagnose.fitting.numbers import look_up_parameter
-from pamctl.diagnose.locate import EVENLY
-from pamctl.diagnose.naming.doubt import is_strained
-from pamctl.diagnose.naming.remainder import Remainder
-from pamctl.diagnose.naming.unseen import list_unseen
-from pamctl.diagnose.naming.verdict import Verdict
-from pamctl.plant.catalogue import CATALOGUE
+from pamctl.diagnose.diagnosis import LEFT_TIMES, Diagnosis
+from pamctl.diagnose.evidence.ladder import Finding
+from pamctl.diagnose.evidence.pool import CHAIN
+from pamctl.diagnose.plant_numbers import FittedNumber
+from pamctl.diagnose.report.finding_words import list_numbers, spell_finding, spell_names
 
 LEAST_SHIFT = 2e-3
 """A number that is off by a smaller share is not mentioned in a sentence."""
+LARGE_GAP = 1e4
+"""A gap of more of its units is shown in the unit of the signal: 20 mm, not 2e+04 µm."""
 
 
-def spell_names(*names: str) -> str:
-    """Return names of effects as a text has them: `valve_leak` is a valve leak."""
-    return " and ".join(name.replace("_", " ") for name in names)
+class SignalDisplay(NamedTuple):
+    """How a signal is shown: users think in mm, µm and kPa."""
+
+    title: str
+    unit: str
+    factor: float
+    gap_unit: str
+    gap_factor: float
+
+    @property
+    def short(self) -> str:
+        """The title without its detail, in a sentence."""
+        return self.title.split(",")[0].lower()
+
+    def choose_unit(self, size: float) -> tuple[float, str]:
+        """Return factor and unit for a gap of this size in SI: a large one is shown as a signal."""
+        if size * self.gap_factor < LARGE_GAP:
+            return self.gap_factor, self.gap_unit
+        return self.factor, self.unit
+
+    def spell_gap(self, size: float) -> str:
+        """Return a gap with its unit."""
+        factor, unit = self.choose_unit(size)
+        return f"{spell_figure(factor * size)} {unit}"
 
 
-def spell_effects(diagnosis: Diagnosis) -> str:
-    """Return the named effects as a text has them."""
-    return spell_names(*(standing.effect.name for standing in diagnosis.standings))
+def spell_figure(value: float) -> str:
+    """Return a figure with three digits, and a large one without a power of ten."""
+    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
 
 
-def numbers_of(diagnosis: Diagnosis, effect: str) -> list[FittedNumber]:
-    """Return the fitted numbers of an effect."""
-    return [number for number in diagnosis.numbers if number.name.startswith(f"{effect}.")]
+SIGNAL_DISPLAYS: Mapping[str, SignalDisplay] = {
+    "position_m": SignalDisplay("Displacement", "mm", 1e3, "µm", 1e6),
+    "pressure_pa": SignalDisplay("Pressure, absolute", "kPa", 1e-3, "kPa", 1e-3),
+    "force_n": SignalDisplay("Force", "N", 1.0, "N", 1.0),
+}
 
 
-def mark_bound(diagnosis: Diagnosis, name: str) -> str:
-    """Mark a fitted number that ended at an end of the range in which it was searched."""
-    return "at an end" if name in diagnosis.at_bound else ""
-
-
-def describe_effects(diagnosis: Diagnosis) -> str:
-    """Return the named effects as plant files call them, each with its numbers and equation."""
-    parts = []
-    for standing in diagnosis.standings:
-        name = standing.effect.name
-        numbers = ", ".join(map(_format_number, numbers_of(diagnosis, name)))
-        parts.append(f"{name} ({numbers}; {CATALOGUE[name].equation})")
-    return " and ".join(parts)
-
-
-def _format_number(number: FittedNumber) -> str:
-    name = number.name.split(".")[1]
-    half = 0.5 * (number.high - number.low)
-    return f"{name} {number.value:.4g} +- {half:.2g} {number.unit}".rstrip()
+def join_words(parts: list[str]) -> str:
+    """Return `a, b and c`."""
+    return " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)
 
 
 def format_interval(low: float, high: float) -> str:
@@ -66,74 +72,87 @@ def format_interval(low: float, high: float) -> str:
     return f"{low:.4g} to {high:.4g}"
 
 
-def list_sizes(diagnosis: Diagnosis) -> str:
-    """Return the numbers of the named effects by their meaning, with 90 % intervals."""
-    return ", ".join(
-        f"{look_up_parameter(n.name).meaning}: {n.value:.4g} {n.unit}".rstrip()
-        + f" (90 %: {format_interval(n.low, n.high)})"
-        for standing in diagnosis.standings
-        for n in numbers_of(diagnosis, standing.effect.name)
+def spell_number(number: FittedNumber) -> str:
+    """Return a fitted number in one line: `fill_width_v 0.25 V (90 %: 0.249 to 0.251)`."""
+    name = number.name.removeprefix(CHAIN).split(".")[-1]
+    size = f"{number.value:.4g} {number.unit}".rstrip()
+    return f"{name} {size} (90 %: {format_interval(number.low, number.high)})"
+
+
+def list_said(diagnosis: Diagnosis) -> list[Finding]:
+    """Return the findings that are said; what only mends the model is not."""
+    return [f for f in diagnosis.findings if f.level != "rest"]
+
+
+def spell_findings(diagnosis: Diagnosis, *levels: str) -> str:
+    """Return the findings of these levels as a list of nouns."""
+    return join_words(
+        [
+            spell_finding(diagnosis, f)
+            for f in list_said(diagnosis)
+            if f.level in levels and (f.level != "name" or f.hypothesis.setup is None)
+        ]
+        or [""]
     )
 
 
-def list_sets(diagnosis: Diagnosis) -> str:
-    """Return the sets of effects and set-up numbers that the data do not tell apart."""
-    return "; and ".join(
-        " or ".join(map(spell_names, names)) for names in list_equal_sets(diagnosis)
-    )
-
-
-def spell_settled_effects(diagnosis: Diagnosis) -> str:
-    """Return the named effects that are in no set."""
-    open_ones = {names[0] for names in list_equal_sets(diagnosis)}
-    names = (s.effect.name for s in diagnosis.standings)
-    return spell_names(*(name for name in names if name not in open_ones))
-
-
-def describe_closed_shares(diagnosis: Diagnosis) -> str:
-    """Say how much of what each block leaves the effects close."""
+def describe_sizes(diagnosis: Diagnosis) -> str:
+    """Return the numbers of the named effects; empty where none is named."""
     parts = [
-        f"{spell_share(share)} % of the {block} block's gap"
-        for block, share in diagnosis.explained_by_block.items()
+        f"{spell_names(f.hypothesis.family)}: {', '.join(map(spell_number, list_numbers(f)))}"
+        for f in list_said(diagnosis)
+        if f.level == "name" and f.hypothesis.setup is None
     ]
-    return f"closes {' and '.join(parts)}" if parts else "makes the blocks agree"
-
-
-def spell_share(share: float) -> str:
-    """Return a share in per cent; 100 only where nothing is left."""
-    percent = 100.0 * max(share, 0.0)
-    return f"{percent:.0f}" if percent >= 100.0 or percent < 99.5 else f"{min(percent, 99.9):.1f}"
+    return f"{'; '.join(parts)}." if parts else ""
 
 
 def describe_bounds(diagnosis: Diagnosis) -> str:
-    """Name the fitted numbers that ended at an end of their range, and those not shown at all."""
-    ended = ", ".join(diagnosis.at_bound)
-    words = f" At an end of its range: {ended}." if ended else ""
-    unseen = list_unseen(diagnosis.model) if diagnosis.model else ()
-    if unseen:
-        words += (
-            f" These records do not show {' and '.join(unseen)}: the plant file's "
-            f"{'number stays' if len(unseen) == 1 else 'numbers stay'}."
-        )
-    return words
+    """Name the fitted numbers that ended at an end of their range; empty where none did."""
+    ended = [name.removeprefix(CHAIN) for name in diagnosis.at_bound]
+    if not ended:
+        return ""
+    return f", with {join_words(ended)} at an end of {'its range' if len(ended) == 1 else 'ranges'}"
 
 
-def describe_signs(diagnosis: Diagnosis) -> str:
-    """Say what in the residuals speaks against noise."""
-    parts = [f"in the {sign.block} block {sign.words}" for sign in diagnosis.signs]
-    return f"The residual is at its limit, but it does not look like noise: {'; '.join(parts)}."
+def describe_gap(diagnosis: Diagnosis) -> str:
+    """Say what each model leaves of each channel, in plain units, and whether that is noise."""
+    parts = []
+    for channel, gap in diagnosis.gap.items():
+        display = SIGNAL_DISPLAYS[channel]
+        start, recalibrated, extended = map(display.spell_gap, gap[:3])
+        steps = [f"{start} by the start model", f"{recalibrated} recalibrated"]
+        if diagnosis.findings:
+            steps.append(f"{extended} with what was found")
+        noise = display.spell_gap(gap.floor)
+        parts.append(f"{display.short} {', '.join(steps)} (noise of its sensor {noise})")
+    where = "On held-out seconds" if diagnosis.is_held_out else "On the fitted records"
+    said = f"{where} the RMS that is left is: {'; '.join(parts)}."
+    return f"{said} {describe_left(diagnosis)}".rstrip()
 
 
-def list_equal_sets(diagnosis: Diagnosis) -> list[list[str]]:
-    """Return the sets of names that the data do not tell apart, of effects and of the set-up."""
-    sets = []
-    imitates = diagnosis.model is not None and is_strained(diagnosis.model)
-    for s in diagnosis.standings:
-        name = s.effect.name
-        setup = [f.label for f in diagnosis.setup if name in f.cannot_be_told_from]
-        if s.equal_rivals or ((setup or imitates) and diagnosis.verdict is Verdict.AMBIGUOUS):
-            sets.append([name, *s.equal_rivals, *setup])
-    return sets
+def describe_left(diagnosis: Diagnosis) -> str:
+    """Say of which channels more is left than noise; empty where nothing is."""
+    left = diagnosis.evidence.left_over_noise if diagnosis.evidence else {}
+    high = [
+        f"{spell_figure(times)} times the noise of its sensor in the {SIGNAL_DISPLAYS[c].short}"
+        for c, times in left.items()
+        if times > LEFT_TIMES
+    ]
+    if not high:
+        return ""
+    return (
+        f"That is still {join_words(high)}: more is missing, or the rig does not repeat itself "
+        "any better."
+    )
+
+
+def describe_rest(diagnosis: Diagnosis) -> str:
+    """Say that small findings mend the model and are not said; empty where there are none."""
+    rest = sum(f.level == "rest" for f in diagnosis.findings)
+    if not rest:
+        return ""
+    more = "One more law mends" if rest == 1 else "Further laws mend"
+    return f"{more} what is left a little; too small to be a finding beside the first."
 
 
 def relative_shift(diagnosis: Diagnosis, number: FittedNumber) -> float | None:
@@ -152,102 +171,6 @@ def list_shifts(diagnosis: Diagnosis) -> str:
     return listed or f"no number by more than {100.0 * LEAST_SHIFT:.1f} %"
 
 
-def describe_largest_remainder(diagnosis: Diagnosis) -> str:
-    """Say which block has the most left, how much, and in which regimes."""
-    block, ratio, regimes = find_largest_remainder(diagnosis)
-    regimes = spell_regimes(diagnosis, regimes)
-    where = f", {regimes}" if regimes == EVENLY else f"; worst: {regimes}"
-    rms = _spell_rms(diagnosis, block, ratio)
-    return f"The {block} block is left at {ratio:.1f} times its floor{rms}{where}."
-
-
-def spell_regimes(diagnosis: Diagnosis, regimes: str) -> str:
-    """Return regimes in the words of the rig: only a muscle contracts."""
-    if diagnosis.nominal.actuator == "muscle":
-        return regimes
-    forward = regimes.replace("contracting", "moving to larger x")
-    return forward.replace("lengthening", "moving to smaller x")
-
-
-def _spell_rms(diagnosis: Diagnosis, block: str, ratio: float) -> str:
-    """Return the RMS of a residual that is this multiple of the block's floor, in brackets."""
-    model = diagnosis.model
-    if model is None:
-        return ""
-    drive = model.evidence.holdout[block][0]
-    factor, label = gap_units(drive.channel)
-    rms = ratio * model.floors[block].mean * drive.deviation * factor
-    unit = label.split(", ")[1]
-    if unit == "um" and rms >= 1e4:
-        return f" (RMS {rms / 1e3:.3g} mm)"
-    return f" (RMS {rms:.3g} {unit})"
-
-
-LIMIT_WORDS = {
-    "repeatability": "the rig does not repeat itself any better",
-    "quiet stretches": "an estimate from the quietest stretches, since the noise is unknown",
-    "self-simulation": "by self-simulation",
-}
-
-
-def describe_noise(diagnosis: Diagnosis) -> str:
-    """Say which channels have faults or unknown noise, and which floors cannot be right."""
-    lines = [
-        line for channel, about in diagnosis.noise.items() for line in about.list_faults(channel)
-    ]
-    if diagnosis.model is not None:
-        model = diagnosis.model
-        lines += [d for b in model.evidence.blocks if (d := doubt_floor(b, model.ratio(b)))]
-    return "\n".join(lines)
-
-
-def describe_limits(model: Model) -> str:
-    """Say above which limits a misfit counts as a discrepancy."""
-    limits = []
-    for block, floor in model.floors.items():
-        by = LIMIT_WORDS[floor.decided_by]
-        limits.append(f"{block} {floor.limit / floor.mean:.2f} times the floor ({by})")
-    text = f"A misfit above these limits is a discrepancy: {', '.join(limits)}."
-    if any(floor.repeatability for floor in model.floors.values()):
-        return text
-    return (
-        f"{text} No record repeats another's commands or reference, so the rig's own repeatability "
-        "is not known. To include it, run the same experiment twice."
-    )
-
-
-def describe_remainder(remainder: Remainder, actuator: str) -> str:
-    """Say what shape the residual has, and that this is no cause."""
-    if not remainder.terms:
-        return f"Unnamed correction of the {remainder.block}: no simple shape fits what is left."
-    terms = " ".join(f"{value:+.3g} {term}" for term, value in remainder.terms)
-    if actuator == "direct":  # a force drives it, where a muscle has its pressure
-        terms = terms.replace("P", "F")
-    return (
-        f"Unnamed correction, not a cause: the remainder of the {remainder.block} looks like "
-        f"{terms} {remainder.unit}. This covers {100.0 * remainder.explained:.0f} % of its square; "
-        "each signal is scaled to its largest magnitude."
-    )
-
-
-def describe_substeps(changes: Mapping[str, float]) -> str:
-    """Say which blocks half the integrator's sub-step changes; empty where no change matters."""
-    large = [
-        f"{block} by {change:.2f} x floor" for block, change in changes.items() if change > SMALL
-    ]
-    if not large:
-        return ""
-    return (
-        f"Half the integrator's sub-step changes {' and '.join(large)}. That much of the fit comes "
-        "from the simulation, not from the rig. The intervals include it. The numbers are those "
-        "with which this simulation fits best."
-    )
-
-
-def gap_units(channel: str) -> tuple[float, str]:
-    """Return the factor from SI to the unit of a terminal, and the label with that unit."""
-    return {
-        "position_m": (1e6, "position, um"),
-        "pressure_pa": (1e-3, "pressure, kPa"),
-        "force_n": (1.0, "force, N"),
-    }[channel]
+def describe_noise(diagnosis: Diagnosis) -> list[str]:
+    """Say which channels have faults or unknown noise, a line each."""
+    return [line for c, about in diagnosis.noise.items() for line in about.list_faults(c)]

@@ -1,4 +1,8 @@
-"""What every verdict says: title, finding, explanation and advice, one function a verdict."""
+"""What every verdict says: title, finding, explanation and advice, one function a verdict.
+
+What is sure of each finding stands in the title: its name, or its kind and place, or its place,
+or the set of what it may be. A number at an end of its range stands there too.
+"""
 
 from __future__ import annotations
 
@@ -6,37 +10,30 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from pamctl.diagnose.diagnosis import Diagnosis
-from pamctl.diagnose.naming.verdict import Verdict
+from pamctl.diagnose.diagnosis import Diagnosis, Verdict
+from pamctl.diagnose.report.finding_words import spell_names, spell_set
 from pamctl.diagnose.report.next_experiment import choose_next_experiment
+from pamctl.diagnose.report.open_findings import list_ambiguous, list_faults
 from pamctl.diagnose.report.phrases import (
     describe_bounds,
-    describe_closed_shares,
-    describe_effects,
-    describe_largest_remainder,
-    describe_signs,
-    format_interval,
-    list_sets,
+    describe_gap,
+    describe_rest,
+    describe_sizes,
     list_shifts,
-    list_sizes,
-    spell_effects,
-    spell_names,
-    spell_settled_effects,
+    spell_findings,
 )
 from pamctl.diagnose.report.rig_at_hand import runs_here, words_of_rig
-from pamctl.diagnose.report.setup_part import describe_setup
-from pamctl.diagnose.report.term_phrases import (
-    describe_equals,
-    describe_kin,
-    describe_leads,
-    find_term,
-)
 
 _ON_RIG = (
     "`pamctl diagnose --on-rig --out decided` runs such programs, one after the other, on the rig "
     "of a running daemon."
 )
 _RECORD = "pamctl run --experiment diagnosis --set experiment.seed=3 --log next.mcap"
+_BY_BLOCKS = (
+    "What counts is what an explanation gains on stretches of the records that it was not fitted "
+    "to, against all others that could stand in its place."
+)
+_AGAIN = "`pamctl diagnose next.mcap --plant plant.yaml --out next`"
 
 
 @dataclass(frozen=True)
@@ -45,7 +42,7 @@ class VerdictWords:
 
     title: str
     finding: str
-    """One or two sentences that complete the title on a terminal."""
+    """A few sentences that complete the title on a terminal."""
     explanation: str
     """A few sentences for a reader who was not there."""
     advice: tuple[str, ...]
@@ -60,15 +57,24 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
 
 
 def sentence(diagnosis: Diagnosis) -> str:
-    """Say what was found, in two or three sentences."""
+    """Say what was found, in a few sentences."""
     words = choose_words(diagnosis)
-    setup = describe_setup(diagnosis)
-    return f"{setup}{words.title}. {words.finding}"
+    return " ".join(p for p in (f"{words.title}.", _say_setup(diagnosis), words.finding) if p)
+
+
+def _say_setup(diagnosis: Diagnosis) -> str:
+    parts = []
+    for fault in list_faults(diagnosis):
+        others = spell_set(fault.cannot_be_told_from)
+        apart = f" These data cannot tell it from {others}." if others else ""
+        parts.append(f"Set-up: {fault.text}.{apart}")
+    return " ".join(parts)
 
 
 def advise_next_steps(diagnosis: Diagnosis) -> Iterator[str]:
     """Say what to do next, the first thing first."""
     yield from choose_words(diagnosis).advice
+    yield from (f"Set-up: {fault.how_to_mend}." for fault in list_faults(diagnosis))
     experiment = choose_next_experiment(diagnosis)
     if experiment:
         yield _describe_experiment(experiment, is_command=runs_here(diagnosis))
@@ -86,6 +92,10 @@ def _describe_experiment(experiment: Mapping[str, Any], *, is_command: bool) -> 
     return f"Next experiment: {do}{apart}. Why: {experiment['why']}."
 
 
+def _join(*sentences: str) -> str:
+    return " ".join(s for s in sentences if s)
+
+
 def _word_bad_data(diagnosis: Diagnosis) -> VerdictWords:
     return VerdictWords(
         "These data cannot be diagnosed",
@@ -101,149 +111,122 @@ def _word_bad_data(diagnosis: Diagnosis) -> VerdictWords:
 
 
 def _word_no_discrepancy(diagnosis: Diagnosis) -> VerdictWords:
+    gap = describe_gap(diagnosis)
     return VerdictWords(
-        "The model explains the measurement",
-        "What is left is sensor noise; nothing is missing.",
-        "The start model leaves no more than it leaves on data that it generated itself: sensor "
-        "noise. Nothing is missing that these data could show.",
+        f"The model explains the measurement{describe_bounds(diagnosis)}",
+        f"Nothing is missing that these data could show. {gap}",
+        f"No explanation that was asked gains anything that counts. {_BY_BLOCKS} {gap}",
         ("Go on with the model that you have.",),
         "good",
     )
 
 
 def _word_miscalibrated(diagnosis: Diagnosis) -> VerdictWords:
-    shifts = list_shifts(diagnosis)
+    faults = len(list_faults(diagnosis))
+    what = "the set-up is not as it is said to be" if faults else "its numbers are off"
+    shifts, gap = list_shifts(diagnosis), describe_gap(diagnosis)
     return VerdictWords(
-        "Nothing is missing from the model, but its numbers are off",
-        f"Changed: {shifts}.",
-        "With other numbers the model leaves no more than sensor noise. It needs no further "
-        f"effect. Changed: {shifts}.",
+        f"Nothing is missing from the model, but {what}{describe_bounds(diagnosis)}",
+        f"Changed: {shifts}. {gap}",
+        "With other numbers the model explains the measurement. It needs no further effect. "
+        f"Changed: {shifts}. {gap}",
         ("Go on with plant.yaml: the same model with the new numbers.",),
         "good",
     )
 
 
 def _word_named(diagnosis: Diagnosis) -> VerdictWords:
-    names = spell_effects(diagnosis)
+    names = spell_findings(diagnosis, "name")
+    body = _join(describe_sizes(diagnosis), describe_gap(diagnosis), describe_rest(diagnosis))
     return VerdictWords(
-        f"Missing from the model: {names}",
-        f"With {describe_effects(diagnosis)} the residual is at the noise floor.",
+        f"Missing from the model: {names}{describe_bounds(diagnosis)}",
+        body,
         "The model does not explain the measurement, not even with those values of its own numbers "
-        f"that fit best. With {names} it explains the measurement down to the sensor noise. "
-        f"Size: {list_sizes(diagnosis)}.",
-        (_advise_after_naming(diagnosis),),
+        f"that fit best. With {names} it does, and nothing else that was asked does as well. "
+        f"{_BY_BLOCKS} {body}",
+        (*_advise_calibration(diagnosis), _advise_after_naming(diagnosis)),
         "good",
     )
 
 
+def _advise_calibration(diagnosis: Diagnosis) -> Iterator[str]:
+    if runs_here(diagnosis) and any(f.name == "null_offset" for f in diagnosis.findings):
+        yield "The null of the valve is measured by `pamctl calibrate valve --out rig.yaml`."
+
+
 def _advise_after_naming(diagnosis: Diagnosis) -> str:
     if diagnosis.nominal.actuator != "muscle":
-        return (
-            "Go on with plant.yaml, which has the effect: "
-            "`pamctl diagnose next.mcap --plant plant.yaml --out next` asks whether it holds."
-        )
+        return f"Go on with plant.yaml, which has what was found: {_AGAIN} asks whether it holds."
     return (
-        "Go on with plant.yaml, which has the effect. In the folder of this page: "
+        "Go on with plant.yaml, which has what was found. In the folder of this page: "
         "`pamctl tune --law qsmc --plant plant.yaml --out gains.yaml`, then "
         "`pamctl run --controller gains.yaml --plant plant.yaml`."
     )
 
 
-def _word_ambiguous(diagnosis: Diagnosis) -> VerdictWords:
-    sets = f"{list_sets(diagnosis)}, or something that the catalogue does not have"
-    settled = spell_settled_effects(diagnosis)
-    beside = f" beside {settled}" if settled else ""
-    return VerdictWords(
-        f"Something is missing{beside}, and these data do not tell what: {sets}",
-        f"Best so far: {describe_effects(diagnosis)}.{describe_bounds(diagnosis)}",
-        "The model does not explain the measurement with the best values of its own numbers. More "
-        f"than one effect explains it as well: {sets}. plant.yaml has the best fit, "
-        f"{spell_effects(diagnosis)} ({list_sizes(diagnosis)}). It predicts what was measured. The "
-        "cause stays open until the experiment below has been run.",
-        ("Do not repair the rig on this evidence. Run the experiment that separates them.",),
-    )
-
-
-def _word_partial(diagnosis: Diagnosis) -> VerdictWords:
-    names = spell_effects(diagnosis)
-    closes = describe_closed_shares(diagnosis)
-    left = describe_signs(diagnosis) if diagnosis.signs else describe_largest_remainder(diagnosis)
-    bounds = describe_bounds(diagnosis)
-    return VerdictWords(
-        f"Explained in part: at least {names}; something else is left",
-        f"{describe_effects(diagnosis)} {closes}. {left}{bounds} Take the name as a lead.",
-        f"{names[:1].upper()}{names[1:]} {closes} ({list_sizes(diagnosis)}), and no other effect "
-        f"of the catalogue does as well. Something else is missing too. {left}{bounds} Take the "
-        "name as a lead, not as a finding: what is left may change the numbers, and the name.",
-        (
-            "plant.yaml predicts better than the start model. Use it where that is enough. The "
-            "next diagnosis may start from it: "
-            "`pamctl diagnose next.mcap --plant plant.yaml --out next`.",
-        ),
-    )
-
-
 def _word_described(diagnosis: Diagnosis) -> VerdictWords:
-    term = find_term(diagnosis)
-    if term is None:
-        return _word_none_known(diagnosis)
-    closes = describe_closed_shares(diagnosis)
-    names = spell_effects(diagnosis)
-    beside = f" Beside it, the catalogue explains a part: {names}." if names else ""
-    left = (
-        ""
-        if diagnosis.model and diagnosis.model.is_complete
-        else (f" {describe_largest_remainder(diagnosis)}")
-    )
-    equals = describe_equals(term)
-    numbers = ", ".join(
-        f"{n.name.split('.')[1]} {n.value:.4g} (90 %: {format_interval(n.low, n.high)})"
-        for n in term.numbers
-    )
+    what = spell_findings(diagnosis, "kind", "place")
+    body = _join(describe_gap(diagnosis), describe_rest(diagnosis))
     return VerdictWords(
-        f"Missing from the model, and in no catalogue: {term.text}{describe_kin(term)}",
-        f"It {closes}.{equals}{beside}{left}",
-        f"No effect of the catalogue explains what is left. {term.text[:1].upper()}"
-        f"{term.text[1:]} does: it {closes}, also on records that did not choose it. Its equation: "
-        f"{term.equation}; {numbers}.{equals}{beside}{left} This says where and how something "
-        "acts. What it is, the rig must show.",
+        f"Missing from the model, and without a name: {what}{describe_bounds(diagnosis)}",
+        body,
+        f"What is sure is this much: {what}. No name is: either several laws of that place do as "
+        f"well, or a law without a name does better than every effect of the catalogue. {body} "
+        "This says where and how something acts. What it is, the rig must show.",
         (
-            "Look at the rig at that place. plant.yaml has the term, under `terms:`: it predicts "
+            "Look at the rig at that place. plant.yaml has the law that fits best: it predicts "
             "what was measured, and `pamctl run`, `tune`, `compare` and a next `diagnose` take it.",
         ),
         "good",
     )
 
 
-def _word_none_known(diagnosis: Diagnosis) -> VerdictWords:
-    if diagnosis.signs:
-        return _word_signs(diagnosis)
-    left = f"{describe_largest_remainder(diagnosis)} {describe_leads(diagnosis)}".rstrip()
-    advice = (
-        f"Look where the maps below are bright, and at the rig: {words_of_rig(diagnosis).suspects}."
-        " plant.yaml has the recalibrated numbers, and no effect."
-    )
+def _word_ambiguous(diagnosis: Diagnosis) -> VerdictWords:
+    sets = "; and ".join(map(spell_set, list_ambiguous(diagnosis)))
+    settled = spell_findings(diagnosis, "name", "kind", "place")
+    beside = f" beside {settled}" if settled else ""
+    body = _join(describe_sizes(diagnosis), describe_gap(diagnosis), describe_rest(diagnosis))
     return VerdictWords(
-        "Something is missing, and it is none of the known effects",
-        left,
-        "After recalibration, no effect of the catalogue, alone or with others, explains what is "
-        f"left. {left} It has a shape, drawn below, but no name.",
-        (advice,),
-        "bad",
+        f"Something is missing{beside}, and these data do not tell which it is: {sets}"
+        f"{describe_bounds(diagnosis)}",
+        body,
+        "The model does not explain the measurement with the best values of its own numbers. More "
+        f"than one explanation does, at more than one place: {sets}. plant.yaml has the first of "
+        f"them. It predicts what was measured. The cause stays open. {body}",
+        ("Do not repair the rig on this evidence. Run the experiment that separates them.",),
     )
 
 
-def _word_signs(diagnosis: Diagnosis) -> VerdictWords:
-    """Return the words where the residual is at its limit, and the limit is in doubt."""
-    seen = describe_signs(diagnosis)
+def _word_partial(diagnosis: Diagnosis) -> VerdictWords:
+    names = spell_findings(diagnosis, "name")
+    others = spell_findings(diagnosis, "kind", "place")
+    has_names = f"{names}; and" if names else "at least"
+    body = _join(describe_sizes(diagnosis), describe_gap(diagnosis), describe_rest(diagnosis))
     return VerdictWords(
-        "The noise is in doubt, so nothing can be said of the model",
-        seen,
-        f"{seen} So the estimate of the noise is too large, or the data that confirm differ from "
-        "those that chose. No effect is named on this ground.",
+        f"Missing from the model: {has_names}, without a name, {others}"
+        f"{describe_bounds(diagnosis)}",
+        body,
+        f"Sure by name: {names or 'what is said of the set-up'}. Sure by its place only, or by "
+        f"place and kind: {others}. {body} The numbers of what is named rest on the law that "
+        "stands for the rest.",
         (
-            "Record at least 2 s at rest, or state the sensor's noise, and record the same "
-            "experiment twice. Then diagnose again.",
+            f"Look at the rig there. plant.yaml has all of it. The next diagnosis may start from "
+            f"it: {_AGAIN}.",
+        ),
+    )
+
+
+def _word_none_known(diagnosis: Diagnosis) -> VerdictWords:
+    gap = describe_gap(diagnosis)
+    return VerdictWords(
+        f"Something is missing, and nothing that was asked explains it{describe_bounds(diagnosis)}",
+        gap,
+        "After recalibration, no effect, no fault of the set-up and no law without a name explains "
+        f"what is left on stretches that it was not fitted to. {gap}",
+        (
+            "Look at the residual below, and at the rig: "
+            f"{words_of_rig(diagnosis).suspects}. Record the same experiment twice: it shows how "
+            "far the rig repeats itself. plant.yaml has the recalibrated numbers.",
         ),
         "bad",
     )

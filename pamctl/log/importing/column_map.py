@@ -11,35 +11,23 @@ file does not: encoding, decimal mark, words for a missing value, the lines to i
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
 from hal.configured import Configured
-from pamctl.log.importing.quantities import (
-    ATMOSPHERIC_PRESSURE_PA,
-    TIME,
-    UNITS,
-    ColumnReading,
-    TextHints,
-)
+from pamctl.json_text import to_json
+from pamctl.log.importing.quantities import ATMOSPHERIC_PRESSURE_PA, TIME, UNITS
+
+if TYPE_CHECKING:  # settings import the map, and the loop process must not load numpy
+    from pamctl.log.importing.measured_table import Floats
 
 Column = Annotated[
     Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=1)],
     Field(
         description="name in the file, or number from 1; for a column or a row of a matrix: "
         "yout(:,2) or yout(2,:)",
-    ),
-]
-Gain = Annotated[float, Field(description="multiplies the column")]
-Offset = Annotated[float, Field(description="added to column x gain, in the unit given here")]
-Shift = Annotated[
-    float,
-    Field(
-        ge=-10,
-        le=10,
-        description="added to the times of this column: negative where it was logged too late",
     ),
 ]
 SensorNoise = Annotated[
@@ -51,6 +39,7 @@ SensorNoise = Annotated[
 class TimeMap(Configured):
     """The time of a row."""
 
+    quantity: ClassVar[str] = TIME
     column: Column | None = None
     unit: Literal["s", "ms", "us", "ns", "min"] = "s"
     rate_hz: Annotated[
@@ -64,14 +53,28 @@ class TimeMap(Configured):
         return self
 
 
-class ValveMap(Configured):
+class _MeasuredMap(Configured):
+    quantity: ClassVar[str]
+    column: Column
+    gain: Annotated[float, Field(description="multiplies the column")] = 1.0
+    offset: Annotated[
+        float, Field(description="added to column x gain, in the unit given here")
+    ] = 0.0
+    shift_s: Annotated[
+        float,
+        Field(
+            ge=-10,
+            le=10,
+            description="added to the times of this column: negative where it was logged too late",
+        ),
+    ] = 0.0
+
+
+class ValveMap(_MeasuredMap):
     """The valve command as really applied, -5..5 V, positive fills."""
 
-    column: Column
+    quantity: ClassVar[str] = "valve_v"
     unit: Literal["V", "mV"] = "V"
-    gain: Gain = 1.0
-    offset: Offset = 0.0
-    shift_s: Shift = 0.0
     acts_after_s: Annotated[
         float,
         Field(
@@ -83,40 +86,44 @@ class ValveMap(Configured):
     ] = 0.0
 
 
-class PressureMap(Configured):
+class PressureMap(_MeasuredMap):
     """The pressure in the muscle."""
 
-    column: Column
+    quantity: ClassVar[str] = "pressure_pa"
     unit: Literal[
         "Pa", "kPa", "MPa", "hPa", "bar", "mbar", "psi", "atm", "Torr", "mmHg", "inHg", "kgf/cm2"
     ]
     gauge: Annotated[bool, Field(description="relative to the atmosphere; else absolute")]
-    gain: Gain = 1.0
-    offset: Offset = 0.0
-    shift_s: Shift = 0.0
     noise: SensorNoise = None
 
 
-class PositionMap(Configured):
+class PositionMap(_MeasuredMap):
     """The displacement, positive in contraction."""
 
-    column: Column
+    quantity: ClassVar[str] = "position_m"
     unit: Literal["m", "mm", "cm", "um", "in"]
-    gain: Gain = 1.0
-    offset: Offset = 0.0
-    shift_s: Shift = 0.0
     noise: SensorNoise = None
 
 
-class ForceMap(Configured):
+class ForceMap(_MeasuredMap):
     """The pulling force at the muscle's end."""
 
-    column: Column
+    quantity: ClassVar[str] = "force_n"
     unit: Literal["N", "kN", "lbf", "kgf"] = "N"
-    gain: Gain = 1.0
-    offset: Offset = 0.0
-    shift_s: Shift = 0.0
     noise: SensorNoise = None
+
+
+ColumnMap = TimeMap | ValveMap | PressureMap | PositionMap | ForceMap
+MAPS: Mapping[str, type[ColumnMap]] = {
+    "time": TimeMap,
+    "valve": ValveMap,
+    "pressure": PressureMap,
+    "position": PositionMap,
+    "force": ForceMap,
+}
+"""By the key of the map."""
+KEYS = {part.quantity: key for key, part in MAPS.items()}
+"""The key of the map by quantity."""
 
 
 class LinesMap(Configured):
@@ -126,7 +133,22 @@ class LinesMap(Configured):
     last: Annotated[int | None, Field(ge=1)] = None
 
 
-class ImportMap(Configured):
+class TextHints(Configured):
+    """What the user says of a file of text; nothing said is found in the file."""
+
+    encoding: Annotated[str | None, Field(description="of a text, such as cp1252 or shift_jis")] = (
+        None
+    )
+    decimal: Annotated[Literal[".", ","] | None, Field(description="the mark of fractions")] = None
+    date_order: Annotated[
+        Literal["d/m/y", "m/d/y"] | None, Field(description="of dates such as 5/4/2026")
+    ] = None
+    missing: Annotated[
+        tuple[str, ...], Field(description="cells that mean a missing value, beside the usual ones")
+    ] = ()
+
+
+class ImportMap(TextHints):
     """The columns of a measured file; quantities that were not measured are left out."""
 
     time: TimeMap
@@ -140,53 +162,64 @@ class ImportMap(Configured):
             gt=5e4, lt=1.2e5, description="pressure of the atmosphere, the zero of a gauge pressure"
         ),
     ] = ATMOSPHERIC_PRESSURE_PA
-    encoding: Annotated[str | None, Field(description="of a text, such as cp1252 or shift_jis")] = (
-        None
-    )
-    decimal: Annotated[Literal[".", ","] | None, Field(description="the mark of fractions")] = None
-    date_order: Annotated[
-        Literal["d/m/y", "m/d/y"] | None, Field(description="of dates such as 5/4/2026")
-    ] = None
-    missing: Annotated[
-        tuple[str, ...], Field(description="cells that mean a missing value, beside the usual ones")
-    ] = ()
     lines: Annotated[
         LinesMap | None, Field(description="the part of the file to import; else all of it")
     ] = None
 
-    def hints(self) -> TextHints:
-        """Return what the map says of a text's form."""
-        return TextHints(
-            self.encoding or "", self.decimal or "", self.missing, self.date_order or ""
-        )
+    def parts(self) -> dict[str, ColumnMap]:
+        """Return how each column is read, by quantity; time comes first if it has a column."""
+        named = {quantity: getattr(self, key) for quantity, key in KEYS.items()}
+        return {q: part for q, part in named.items() if part is not None and part.column}
 
-    def readings(self) -> list[ColumnReading]:
-        """Return how to read each column; time comes first if there is a time column."""
-        found = []
-        if self.time.column is not None:
-            found.append(ColumnReading(TIME, self.time.column, self.time.unit))
-        parts = {
-            "valve_v": self.valve,
-            "pressure_pa": self.pressure,
-            "position_m": self.position,
-            "force_n": self.force,
-        }
-        for quantity, part in parts.items():
-            if part is not None:
-                reading = ColumnReading(
-                    quantity, part.column, part.unit, part.gain, part.offset, shift_s=part.shift_s
-                )
-                if isinstance(part, PressureMap):
-                    air_pa = self.atmospheric_pressure_pa
-                    reading = replace(reading, gauge=part.gauge, atmospheric_pressure_pa=air_pa)
-                found.append(reading)
-        return found
+    def to_si(self, quantity: str, raw: Floats) -> Floats:
+        """Return a quantity in SI, pressure absolute, for its column of shape (n,)."""
+        part = getattr(self, KEYS[quantity])
+        scale = UNITS[quantity][part.unit]
+        if quantity == TIME:
+            return scale * raw
+        value: Floats = scale * (part.gain * raw + part.offset)
+        is_gauge = quantity == "pressure_pa" and part.gauge
+        return value + self.atmospheric_pressure_pa if is_gauge else value
 
     def stated_noise(self) -> dict[str, float]:
         """Return the noise that is stated, as standard deviations in SI by quantity."""
-        parts = {"pressure_pa": self.pressure, "position_m": self.position, "force_n": self.force}
         return {
             quantity: part.noise * UNITS[quantity][part.unit]
-            for quantity, part in parts.items()
-            if part is not None and part.noise is not None
+            for quantity, part in self.parts().items()
+            if isinstance(part, (PressureMap, PositionMap, ForceMap)) and part.noise is not None
         }
+
+    def as_keys(self) -> dict[str, Any]:
+        """Return the keys of the map, without those that say nothing new."""
+        said = self.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
+        said |= {KEYS[quantity]: describe_part(part) for quantity, part in self.parts().items()}
+        return {key: said[key] for key in (*MAPS, *said) if key in said}
+
+
+def describe_part(part: ColumnMap) -> dict[str, Any]:
+    """Return the keys of a column: its name and unit first, then what differs from the rule."""
+    said = part.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
+    return {"column": part.column, "unit": part.unit, **said}
+
+
+def write_map(keys: Mapping[str, Any], remarks: Mapping[str, str]) -> str:
+    """Return keys as the text of a map, one a line, with remarks by key."""
+    return "\n".join(write_key(key, value, remarks.get(key, "")) for key, value in keys.items())
+
+
+def write_key(key: str, value: object, remark: str = "") -> str:
+    """Return a line of a map."""
+    return f"{key}: {_write_value(key, value)}" + (remark and f"  # {remark}")
+
+
+def _write_value(key: str, value: object) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{k}: {_write_value(k, v)}" for k, v in value.items()) + "}"
+    if isinstance(value, str) and value.isprintable():
+        return value if key in ("unit", "date_order") else quote(value)
+    return to_json(value).decode()
+
+
+def quote(text: str) -> str:
+    """Return a text as YAML has it within quotes."""
+    return "'" + text.replace("'", "''") + "'"

@@ -21,13 +21,13 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, cast
 
 from hal.child import child_command
+from pamctl.log.importing.column_map import TextHints
 from pamctl.log.importing.measured_table import (
     BOMB_BYTES,
     BOMB_RATIO,
     ImportRefused,
     MeasuredTable,
 )
-from pamctl.log.importing.quantities import TextHints
 from pamctl.regular_file import describe_irregular_file
 
 MEMORY_BYTES = 6 << 30

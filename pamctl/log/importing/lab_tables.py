@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from pamctl.log.importing.column_map import TextHints
 from pamctl.log.importing.measured_table import (
     MOST_NUMBERS,
     TIME_S,
@@ -30,7 +31,6 @@ from pamctl.log.importing.measured_table import (
     make_columns,
     refuse_bomb,
 )
-from pamctl.log.importing.quantities import TextHints
 
 
 def number_rows(columns: list[TableColumn], form: str, notes: list[str]) -> MeasuredTable:
@@ -79,10 +79,12 @@ def parse_tdms(path: Path, hints: TextHints) -> MeasuredTable:
             name = channel.name if names[channel.name] == 1 else full
             changes = history.get(channel.path, [])
             _refuse_changed_scale(path, name, changes)
-            column = _read_channel(name, channel)
-            columns.append(column)
-            if "wf_increment" in channel.properties and len(column.values) and column.unit != "s":
-                times.append((name, _follow_time(changes, len(column.values))))
+            said = channel.properties
+            unit = said.get("unit_string") or said.get("NI_UnitDescription") or ""
+            columns += _make_typed(name, channel[:], str(unit).strip())
+            length = len(columns[-1].values)
+            if "wf_increment" in said and length and columns[-1].unit != "s":
+                times.append((name, _follow_time(changes, length)))
     notes = [f"the file is damaged: {text}" for text in complaints.texts[:3]]
     columns = _add_times(columns, times, notes)
     if not any(len(column.values) for column in columns):
@@ -126,18 +128,6 @@ def _refuse_changed_scale(path: Path, name: str, changes: list[tuple[int, dict[s
                     f"{begin + 1}; export the parts before and after it as files of their own"
                 )
             before[key] = value
-
-
-def _read_channel(name: str, channel: Any) -> TableColumn:
-    values = channel[:]
-    if values.dtype.kind == "M":
-        seconds = (values - values[:1]).astype("timedelta64[ns]").astype(np.float64) * 1e-9
-        return TableColumn(name, seconds, "s", says="times of day, in seconds")
-    if values.dtype.kind not in "fiub":
-        return TableColumn(name, np.zeros(0), is_text=True)
-    properties = channel.properties
-    unit = str(properties.get("unit_string") or properties.get("NI_UnitDescription") or "").strip()
-    return TableColumn(name, values.astype(np.float64), unit)
 
 
 def _follow_time(changes: list[tuple[int, dict[str, Any]]], length: int) -> Floats:
@@ -289,7 +279,6 @@ def parse_excel(path: Path, hints: TextHints) -> MeasuredTable:
         )
     sheet, layout = found[0]
     builder = TableBuilder(path, layout, hints)
-    builder.look_for_mark(islice(_read_sheet(sheet), layout.first, layout.first + HEAD_ROWS))
     rows = islice(_read_sheet(sheet), layout.first, None)
     while block := list(islice(rows, 10_000)):
         builder.take_rows(block)
@@ -359,7 +348,8 @@ def parse_parquet(path: Path, hints: TextHints) -> MeasuredTable:
     return number_rows(columns, "Parquet", [])
 
 
-def _make_typed(name: str, values: Any) -> list[TableColumn]:
+def _make_typed(name: str, values: Any, unit: str = "") -> list[TableColumn]:
+    """Return the columns of an array of any type; times become seconds since the first one."""
     kind = values.dtype.kind
     if kind in "mM" and len(values):
         zero = values[:1] if kind == "M" else np.timedelta64(0, "ns")
@@ -368,4 +358,4 @@ def _make_typed(name: str, values: Any) -> list[TableColumn]:
         return [TableColumn(name, seconds, "s", says="times, in seconds")]
     if kind not in "fiub":
         return [TableColumn(name, np.zeros(0), is_text=True)]
-    return make_columns([(name, values)])
+    return make_columns([(name, values)], {name: unit})

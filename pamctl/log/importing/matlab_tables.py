@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from pamctl.log.importing.column_map import TextHints
 from pamctl.log.importing.lab_tables import number_rows
 from pamctl.log.importing.measured_table import (
     TIME_S,
@@ -27,7 +28,6 @@ from pamctl.log.importing.measured_table import (
     make_columns,
     refuse_bomb,
 )
-from pamctl.log.importing.quantities import TextHints
 
 MOST_BYTES = 2 << 30
 """Of one array."""

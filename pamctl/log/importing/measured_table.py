@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,8 +43,8 @@ class TableColumn:
     """What a reader of the report must know, such as which cells are missing."""
     bad_cell: str = ""
     """The first cell that is no number, with its line; such a column cannot be used."""
-    mend: str = ""
-    """The line of a map that may mend that."""
+    mend: Mapping[str, Any] = field(default_factory=dict)
+    """The keys of a map that may mend that."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +62,8 @@ class MeasuredTable:
     """What may be wrong with it, but most often is not."""
     doubt: str = ""
     """What is not clear of the whole file; such a table cannot be used."""
-    mend: str = ""
-    """The line of a map that may mend that."""
+    mend: Mapping[str, Any] = field(default_factory=dict)
+    """The keys of a map that may mend that."""
 
     def find(self, wanted: str | int) -> TableColumn:
         """Return a column by its name, its number from 1, or `name(2,:)` for a row of a matrix.
@@ -86,6 +87,13 @@ class MeasuredTable:
         hint = suggest_nearest(text, names)
         listed = ", ".join(names[:20]) or "none"
         raise ImportRefused(f"there is no column {wanted!r}{hint}; there are {listed}")
+
+    def name_of(self, column: TableColumn) -> str | int:
+        """Return how a map names a column: by its number where its name does not tell."""
+        number = next(n for n, one in enumerate(self.columns, 1) if one is column)
+        is_one = sum(one.name == column.name for one in self.columns) == 1
+        is_clear = column.name == column.name.strip() and column.name.isprintable()
+        return column.name if is_one and is_clear and column.name else number
 
 
 def _are_same(one: TableColumn, other: TableColumn) -> bool:

@@ -4,27 +4,28 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from pamctl.json_text import to_json
 from pamctl.log.check import LogFinding, LogFindings, Severity
-from pamctl.log.importing.column_map import ImportMap
+from pamctl.log.importing.column_map import ColumnMap, ImportMap, write_map
 from pamctl.log.importing.column_roles import (
     ChosenColumns,
     choose_by_header,
+    choose_by_map,
+    describe_reading,
     show_map,
-    understand_column,
-    write_map_line,
 )
 from pamctl.log.importing.file_formats import read_table
+from pamctl.log.importing.header_words import understand_column
 from pamctl.log.importing.import_page import ImportedColumn, describe_column
 from pamctl.log.importing.imported_log import write_imported
 from pamctl.log.importing.measured_table import Floats, ImportRefused, Ints, MeasuredTable
 from pamctl.log.importing.plausibility import judge_clock, judge_record, judge_units
-from pamctl.log.importing.quantities import ATMOSPHERIC_PRESSURE_PA, TIME, ColumnReading, TextHints
+from pamctl.log.importing.quantities import ATMOSPHERIC_PRESSURE_PA, TIME, UNITS
 from pamctl.log.record_problems import GAP_PERIODS, nominal_period_s
 from pamctl.new_file import require_place
 from pamctl.plain_text import escape_name
@@ -50,10 +51,11 @@ class ImportSummary:
     """How the file was read."""
     columns: tuple[ImportedColumn, ...]
     """Every column of the file, in its order."""
-    readings: tuple[ColumnReading, ...]
+    map: ImportMap
+    """How its columns are read."""
     findings: tuple[LogFinding, ...]
     map_text: str
-    """The readings as a map, with what would mend them, where nothing was written."""
+    """The map as a text, with what would mend it, where nothing was written."""
 
 
 def import_log(
@@ -72,48 +74,46 @@ def import_log(
     """
     source, destination = Path(source), Path(destination)
     require_place(destination)
-    table = read_table(source, import_map.hints() if import_map else TextHints())
+    table = read_table(source, import_map)
     findings = LogFindings()
     for note in table.notes:
         findings.warning("file", note)
     for remark in table.remarks:
         findings.note("last-line", remark)
-    chosen = _choose_by_map(table, import_map) if import_map else choose_by_header(table)
+    chosen = choose_by_map(table, import_map) if import_map else choose_by_header(table)
+    import_map = chosen.map
     for warning in chosen.warnings:
         findings.warning("gauge", warning)
-    doubts = [(table.doubt, table.mend), *((c.bad_cell, c.mend) for c in chosen.columns)]
-    if doubts := [(doubt, mend) for doubt, mend in doubts if doubt]:
-        shown = _write_map(table, chosen.readings, import_map)
-        shown = "\n".join([shown, *dict.fromkeys(mend for _, mend in doubts if mend)])
-        text = "; ".join(doubt for doubt, _ in doubts)
-        raise ImportRefused(show_map(f"{text}; with --map FILE, such as:", shown))
-    _note_atmosphere(chosen.readings, findings)
+    _refuse_doubts(table, chosen)
+    _note_atmosphere(import_map, findings)
     kept = _select_lines(table, import_map)
     rows = table.rows[kept]
     t_s, quantities = _convert_to_si(chosen, rows, kept)
     if t_s is None:
-        t_s = _make_even_time(quantities, import_map)
+        t_s = _make_even_time(quantities, import_map.time.rate_hz)
         _judge_own_time(table, kept, rows, findings)
-    time_name = _name_of(chosen, TIME) or "rate_hz"
+    time_name = chosen.columns[TIME].name if TIME in chosen.columns else "rate_hz"
     judge_record(t_s, quantities, rows, findings, time_name)
-    better = list(chosen.readings)
+    better = import_map
     if not findings.any(Severity.ERROR):
         judge_clock(t_s, findings, time_name)
-        better = judge_units(chosen.readings, quantities, findings)
+        better = judge_units(import_map, quantities, findings)
         _judge_whole(quantities, findings)
     if accept_units:
         findings.soften("unit")
     stopped = findings.any(Severity.ERROR)
     columns = _describe_columns(table, chosen)
     if not stopped:
-        t_s, quantities = _shift_columns(chosen.readings, t_s, quantities, findings)
+        t_s, quantities = _shift_columns(import_map.parts(), t_s, quantities, findings)
         if resample_hz is not None:
             _note_resampling(t_s, resample_hz, findings)
             t_s, quantities = _resample_to_grid(t_s, quantities, resample_hz)
         story = _tell_story(source, len(rows), chosen, columns, findings, t_s, resample_hz)
-        if import_map and import_map.valve and import_map.valve.acts_after_s:
+        if import_map.valve and import_map.valve.acts_after_s:
             story["acts_after_s"] = repr(import_map.valve.acts_after_s)
-        if import_map and (noise := import_map.stated_noise()):
+        if import_map.pressure and import_map.pressure.gauge:
+            story["atmospheric_pressure_pa"] = repr(import_map.atmospheric_pressure_pa)
+        if noise := import_map.stated_noise():
             story["noise"] = to_json(noise).decode()
         write_imported(destination, t_s - t_s[0], quantities, story)
     return ImportSummary(
@@ -125,32 +125,28 @@ def import_log(
         lasts_s=None if stopped else float(t_s[-1] - t_s[0]),
         form=table.form,
         columns=columns,
-        readings=tuple(chosen.readings),
+        map=import_map,
         findings=tuple(findings.summarise()),
-        map_text=_write_map(table, better, import_map) if stopped else "",
+        map_text=write_map(better.as_keys(), {}) if stopped else "",
     )
 
 
-def _choose_by_map(table: MeasuredTable, import_map: ImportMap) -> ChosenColumns:
-    """Return the columns that a map names."""
-    readings, columns = [], []
-    for reading in import_map.readings():
-        column = table.find(reading.column)
-        if column.is_text:
-            raise ImportRefused(f"{column.name} holds {column.says or 'words'}, no numbers")
-        readings.append(replace(reading, column=column.name))
-        columns.append(column)
-    used = [id(column) for column in columns]
-    left_out = {
-        number: "the map does not name it"
-        for number, column in enumerate(table.columns, 1)
-        if id(column) not in used
-    }
-    return ChosenColumns(readings, columns, left_out, [])
+def _refuse_doubts(table: MeasuredTable, chosen: ChosenColumns) -> None:
+    """Raise ImportRefused, with a whole map, where the file or a column has no one reading."""
+    doubts = [(table.doubt, table.mend), *((c.bad_cell, c.mend) for c in chosen.columns.values())]
+    text = "; ".join(doubt for doubt, _ in doubts if doubt)
+    if not text:
+        return
+    keys = chosen.map.as_keys()
+    for _, mend in doubts:
+        for key, value in mend.items():
+            keys[key] = [*keys.get(key, []), *value] if key == "missing" else value
+    lines = write_map(keys, {"decimal": "or ','", "date_order": "or m/d/y"}).splitlines()
+    raise ImportRefused(show_map(f"{text}; with --map FILE, such as:", lines))
 
 
-def _select_lines(table: MeasuredTable, import_map: ImportMap | None) -> slice:
-    part = import_map.lines if import_map else None
+def _select_lines(table: MeasuredTable, import_map: ImportMap) -> slice:
+    part = import_map.lines
     if part is None:
         return slice(None)
     last = table.rows[-1] if part.last is None and len(table.rows) else part.last or 0
@@ -162,25 +158,25 @@ def _convert_to_si(
     chosen: ChosenColumns, rows: Ints, kept: slice
 ) -> tuple[Floats | None, dict[str, Floats]]:
     """Return the time and the quantities in SI; all have the same length."""
-    lengths = {column.name: len(column.values) for column in chosen.columns}
+    lengths = {column.name: len(column.values) for column in chosen.columns.values()}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
         raise ImportRefused(f"the columns differ in length: {listed}")
     found: dict[str, Floats] = {}
-    for reading, column in zip(chosen.readings, chosen.columns, strict=True):
+    for quantity, column in chosen.columns.items():
         raw = column.values[kept]
         with np.errstate(over="ignore", invalid="ignore"):
-            values = reading.to_si(raw)
+            values = chosen.map.to_si(quantity, raw)
         lost = np.flatnonzero(np.isfinite(raw) & ~np.isfinite(values))
         if len(lost):
-            detail = f"{column.name} is {raw[lost[0]]:g} {reading.unit} at row {rows[lost[0]]}"
+            unit = chosen.map.parts()[quantity].unit
+            detail = f"{column.name} is {raw[lost[0]]:g} {unit} at row {rows[lost[0]]}"
             raise ImportRefused(f"{detail}: too large for a number in SI")
-        found[reading.quantity] = values
+        found[quantity] = values
     return found.pop(TIME, None), found
 
 
-def _make_even_time(quantities: Mapping[str, Floats], import_map: ImportMap | None) -> Floats:
-    rate_hz = import_map.time.rate_hz if import_map else None
+def _make_even_time(quantities: Mapping[str, Floats], rate_hz: float | None) -> Floats:
     if rate_hz is None or not quantities:
         raise ImportRefused("no column of a measured quantity is named; there is nothing to import")
     return np.arange(len(next(iter(quantities.values())))) / rate_hz
@@ -193,7 +189,7 @@ def _judge_own_time(table: MeasuredTable, kept: slice, rows: Ints, findings: Log
         if meaning is None or meaning.quantity != TIME or not meaning.unit or column.is_text:
             continue
         own = LogFindings()
-        values = ColumnReading(TIME, column.name, meaning.unit).to_si(column.values[kept])
+        values = UNITS[TIME][meaning.unit] * column.values[kept]
         judge_record(values, {}, rows, own, column.name)
         for finding in own.all:
             if finding.kind != "jitter":
@@ -201,21 +197,16 @@ def _judge_own_time(table: MeasuredTable, kept: slice, rows: Ints, findings: Log
         return
 
 
-def _note_atmosphere(readings: Sequence[ColumnReading], findings: LogFindings) -> None:
+def _note_atmosphere(import_map: ImportMap, findings: LogFindings) -> None:
     """Say that the map's atmosphere is not that of a rig or a plant that states none."""
-    for reading in readings:
-        air_pa = reading.atmospheric_pressure_pa
-        if reading.gauge and air_pa != ATMOSPHERIC_PRESSURE_PA:
-            findings.warning(
-                "atmosphere",
-                f"{reading.quantity} counts from {air_pa:.6g} Pa, as the map says; the shipped "
-                f"plant has {ATMOSPHERIC_PRESSURE_PA:.6g} Pa: give the plant file "
-                f"atmospheric_pressure_pa: {air_pa:.6g}",
-            )
-
-
-def _name_of(chosen: ChosenColumns, quantity: str) -> str:
-    return next((str(r.column) for r in chosen.readings if r.quantity == quantity), "")
+    air_pa, pressure = import_map.atmospheric_pressure_pa, import_map.pressure
+    if pressure and pressure.gauge and air_pa != ATMOSPHERIC_PRESSURE_PA:
+        findings.warning(
+            "atmosphere",
+            f"pressure_pa counts from {air_pa:.6g} Pa, as the map says; the shipped "
+            f"plant has {ATMOSPHERIC_PRESSURE_PA:.6g} Pa: give the plant file "
+            f"atmospheric_pressure_pa: {air_pa:.6g}",
+        )
 
 
 def _judge_whole(quantities: Mapping[str, Floats], findings: LogFindings) -> None:
@@ -227,10 +218,8 @@ def _judge_whole(quantities: Mapping[str, Floats], findings: LogFindings) -> Non
 
 
 def _describe_columns(table: MeasuredTable, chosen: ChosenColumns) -> tuple[ImportedColumn, ...]:
-    roles = {
-        id(column): describe_reading(reading)
-        for reading, column in zip(chosen.readings, chosen.columns, strict=True)
-    }
+    parts = chosen.map.parts()
+    roles = {id(column): describe_reading(parts[q]) for q, column in chosen.columns.items()}
     found = []
     for number, column in enumerate(table.columns, 1):
         read_as = roles.get(id(column), "")
@@ -243,48 +232,17 @@ def _describe_columns(table: MeasuredTable, chosen: ChosenColumns) -> tuple[Impo
     return tuple(found)
 
 
-def describe_reading(reading: ColumnReading) -> str:
-    """Return a quantity, the unit of its column, and what is done to it."""
-    scaled = f" x {reading.gain:g}" if reading.gain != 1.0 else ""
-    moved = f" {reading.offset:+g}" if reading.offset else ""
-    gauge = " gauge" if reading.gauge else " absolute" if reading.quantity == "pressure_pa" else ""
-    shift = f", shifted {reading.shift_s:+g} s" if reading.shift_s else ""
-    return f"{reading.quantity}{scaled}{moved}, {reading.unit}{gauge}{shift}"
-
-
-def _write_map(
-    table: MeasuredTable, readings: Sequence[ColumnReading], import_map: ImportMap | None
-) -> str:
-    """Return a whole map: the readings, and what else the given map says."""
-    lines = [write_map_line(table, reading) for reading in readings]
-    if import_map:
-        given = import_map.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
-        if import_map.time.rate_hz:
-            lines.insert(0, f"time: {{rate_hz: {import_map.time.rate_hz!r}}}")
-        for key in (
-            "atmospheric_pressure_pa",
-            "encoding",
-            "decimal",
-            "date_order",
-            "missing",
-            "lines",
-        ):
-            if key in given:
-                lines.append(f"{key}: {to_json(given[key]).decode()}")
-    return "\n".join(lines)
-
-
 # Shifts and resampling.
 
 
 def _shift_columns(
-    readings: Sequence[ColumnReading],
+    parts: Mapping[str, ColumnMap],
     t_s: Floats,
     quantities: Mapping[str, Floats],
     findings: LogFindings,
 ) -> tuple[Floats, dict[str, Floats]]:
     """Return the record with columns moved in time, without its ends where one of them is gone."""
-    shifts = {r.quantity: r.shift_s for r in readings if r.shift_s and r.quantity in quantities}
+    shifts = {q: s for q in quantities if (s := getattr(parts[q], "shift_s", 0.0))}
     if not shifts:
         return t_s, dict(quantities)
     first = t_s[0] + max(0.0, *shifts.values())
@@ -375,7 +333,7 @@ def _tell_story(
         "sha256": _hash_file(source),
         "rows": str(rows),
         "first_t_s": repr(float(t_s[0])),
-        "map": to_json([asdict(reading) for reading in chosen.readings]).decode(),
+        "map": write_map(chosen.map.as_keys(), {}),
         "left_out": to_json(left_out).decode(),
         "resampled_hz": "" if resample_hz is None else repr(resample_hz),
         "report": to_json([finding._asdict() for finding in findings.summarise()]).decode(),

@@ -6,14 +6,16 @@ overrule. No advice says which way round a rig works: that is asked.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
 from pamctl.log.check import LogFindings
+from pamctl.log.importing.column_map import KEYS, ColumnMap, ImportMap, ValveMap
+from pamctl.log.importing.column_roles import NEVER_ABSOLUTE_PA
 from pamctl.log.importing.measured_table import Floats, Ints
-from pamctl.log.importing.quantities import UNITS, ColumnReading
+from pamctl.log.importing.quantities import UNITS
 from pamctl.log.record_problems import RecordColumn, find_record_problems, nominal_period_s
 
 LONGEST_S = 2.0**62 * 1e-9
@@ -72,23 +74,19 @@ def judge_clock(t_s: Floats, findings: LogFindings, time_name: str) -> None:
 
 
 def judge_units(
-    readings: Sequence[ColumnReading], quantities: Mapping[str, Floats], findings: LogFindings
-) -> list[ColumnReading]:
-    """Report values that no rig has; return the readings as a map might say them better."""
-    better = []
-    for reading in readings:
-        doubt = None
-        values = quantities.get(reading.quantity, np.zeros(0))
-        values = values[np.isfinite(values)]
-        if len(values):
-            doubt = next(_doubt(reading, values), None)
-        if doubt is not None:
-            text, reading = doubt
+    import_map: ImportMap, quantities: Mapping[str, Floats], findings: LogFindings
+) -> ImportMap:
+    """Report values that no rig has; return the map as it might be better."""
+    for quantity, column in quantities.items():
+        values = column[np.isfinite(column)]
+        part = import_map.parts()[quantity]
+        for text, change in _doubt(part, values) if len(values) else ():
             span = f"{values.min():.6g} to {values.max():.6g}"
-            findings.error("unit", f"{reading.quantity} is {span}: {text}")
-        better.append(reading)
+            findings.error("unit", f"{quantity} is {span}: {text}")
+            better = part.model_copy(update=change)
+            import_map = import_map.model_copy(update={KEYS[quantity]: better})
     judge_sign(quantities, findings)
-    return better
+    return import_map
 
 
 def judge_sign(quantities: Mapping[str, Floats], findings: LogFindings) -> None:
@@ -109,54 +107,61 @@ def judge_sign(quantities: Mapping[str, Floats], findings: LogFindings) -> None:
         )
 
 
-def _doubt(reading: ColumnReading, values: Floats) -> Iterator[tuple[str, ColumnReading]]:
-    """Yield what is doubtful of values in SI, and the reading that would mend it."""
+_Doubt = tuple[str, dict[str, Any]]
+"""What is doubtful, and the keys of the column that would mend it."""
+
+
+def _doubt(part: ColumnMap, values: Floats) -> Iterator[_Doubt]:
+    """Yield what is doubtful of values in SI, at most once."""
     low, high = float(values.min()), float(values.max())
-    if reading.quantity == "valve_v":
-        yield from _doubt_valve(reading, values, low, high)
-    elif reading.quantity == "position_m" and max(-low, high) > 0.5:
+    if isinstance(part, ValveMap):
+        yield from _doubt_valve(part, values, low, high)
+    elif part.quantity == "position_m" and max(-low, high) > 0.5:
         unit = "mm" if max(-low, high) < 1e3 else "um"
-        yield f"is this {unit}? Then call it position_{unit}", replace(reading, unit=unit)
-    elif reading.quantity == "pressure_pa":
-        if low >= NEVER_BELOW_PA:
-            if high > 2e6:
-                yield "above 20 bar; is the unit right?", reading
-        elif low > 0.0 and high < 20.0:
-            yield (
-                "is this bar? Then call it pressure_bar, or pressure_gauge_bar",
-                replace(reading, unit="bar"),
-            )
-        elif high < 2e3:
-            yield (
-                "is this kPa? Then call it pressure_kpa, or pressure_gauge_kpa",
-                replace(reading, unit="kPa"),
-            )
-        else:
-            yield (
-                "below the atmosphere's; is this gauge pressure? Then call it pressure_gauge_...",
-                replace(reading, gauge=True),
-            )
+        yield f"is this {unit}? Then call it position_{unit}", {"unit": unit}
+    elif part.quantity == "pressure_pa":
+        yield from _doubt_pressure(low, high)
 
 
-NEVER_BELOW_PA = 80e3
+def _doubt_pressure(low: float, high: float) -> Iterator[_Doubt]:
+    if low >= NEVER_ABSOLUTE_PA:
+        if high > 2e6:
+            yield "above 20 bar; is the unit right?", {}
+    elif low > 0.0 and high < 20.0:
+        yield "is this bar? Then call it pressure_bar, or pressure_gauge_bar", {"unit": "bar"}
+    elif high < 2e3:
+        yield "is this kPa? Then call it pressure_kpa, or pressure_gauge_kpa", {"unit": "kPa"}
+    else:
+        yield (
+            "below the atmosphere's; is this gauge pressure? Then call it pressure_gauge_...",
+            {"gauge": True},
+        )
 
 
-def _doubt_valve(
-    reading: ColumnReading, values: Floats, low: float, high: float
-) -> Iterator[tuple[str, ColumnReading]]:
-    levels = values[:1] if low == high else np.unique(values[:: max(len(values) // 10_000, 1)])
-    if len(levels) == 2 and abs(low) < 0.05 * high and high > 4.0:
+def _doubt_valve(part: ValveMap, values: Floats, low: float, high: float) -> Iterator[_Doubt]:
+    if is_switched(values) or (low == high and high > 4.0):
         yield (
             "a valve that switches? The file does not say which level fills. In the map, gain and "
             "offset must turn the level that fills into 5 V, the one that exhausts into -5 V, and "
             "one that closes into 0 V",
-            reading,
+            {},
         )
     elif low >= -0.05 and (high > 5.05 or 4.0 < np.median(values) < 6.0):
         yield (
             "are these the driver's 0..10 V, where 5 V closes and more fills? The command is "
             "-5..5 V; map it with offset: -5.0",
-            replace(reading, offset=reading.offset - 5.0 / UNITS["valve_v"][reading.unit]),
+            {"offset": part.offset - 5.0 / UNITS["valve_v"][part.unit]},
         )
     elif max(-low, high) > 5.05:
-        yield "the command is within -5..5 V; gain and offset in the map turn it into that", reading
+        yield "the command is within -5..5 V; gain and offset in the map turn it into that", {}
+
+
+def is_switched(volts: Floats) -> bool:
+    """Tell whether a voltage, shape (n,), is switched: 0 V and one or two levels, maybe noisy."""
+    low, high = np.quantile(volts, (0.002, 0.998))
+    if high < 3.0 or abs(low) > 0.05 * high:
+        return False
+    counts = np.histogram(volts, 40, (low - 0.0625 * high, high + 0.0625 * high))[0]
+    busy = counts > 0.01 * len(volts)
+    levels = np.count_nonzero(np.diff(busy.astype(np.int8), prepend=0) == 1)
+    return bool(levels <= 3 and busy.sum() <= 2 * levels and counts[busy].sum() > 0.95 * len(volts))

@@ -4,17 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 from hal.calibration import CalibrationSettings
 from pamctl.units import find_units
-
-if TYPE_CHECKING:  # settings import the map, and the loop process must not load numpy
-    import numpy as np
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
 
 ATMOSPHERIC_PRESSURE_PA = CalibrationSettings().atmospheric_pressure_pa
 
@@ -37,52 +30,22 @@ _WORDS = {
 _NAME = re.compile(rf"({'|'.join(sorted(_WORDS, key=len, reverse=True))})_([a-z]+)")
 
 
-@dataclass(frozen=True)
-class ColumnReading:
-    """How a column of the source becomes a column of the log."""
+class SaidQuantity(NamedTuple):
+    """What a name, or a unit beside it, says of a column."""
 
     quantity: str
-    column: str | int
-    """Its name, or its number from 1."""
     unit: str
-    gain: float = 1.0
-    offset: float = 0.0
-    """Added to column x gain, in `unit`."""
-    gauge: bool = False
-    """Whether the pressure is relative to the atmosphere."""
-    atmospheric_pressure_pa: float = ATMOSPHERIC_PRESSURE_PA
-    shift_s: float = 0.0
-    """Added to the times of this column's samples: negative where it was logged too late."""
-
-    def to_si(self, raw: Floats) -> Floats:
-        """Return the quantity in SI, pressure absolute, for a column of shape (n,)."""
-        value = UNITS[self.quantity][self.unit] * (self.gain * raw + self.offset)
-        return value + self.atmospheric_pressure_pa if self.gauge else value
+    is_gauge: bool | None
+    """Of a pressure; None where nothing says it."""
 
 
-@dataclass(frozen=True)
-class TextHints:
-    """What the user says of a file of text; nothing said is found in the file."""
-
-    encoding: str = ""
-    decimal: str = ""
-    missing: tuple[str, ...] = ()
-    """Words for a missing value, beside the usual ones."""
-    date_order: str = ""
-    """`d/m/y` or `m/d/y`."""
-
-
-def parse_column_name(column: str, name: str = "") -> ColumnReading | None:
-    """Return how to read a column, from its name; None if the name does not state it.
-
-    `name` replaces the column's own name, if given.
-    """
-    match = _NAME.fullmatch((name or column).strip().lower())
+def parse_column_name(name: str) -> SaidQuantity | None:
+    """Return what a name such as `position_mm` states; None if it does not state it so."""
+    match = _NAME.fullmatch(name.strip().lower())
     if match is None:
         return None
     word, suffix = match.groups()
     quantity = _WORDS[word]
     unit = next((unit for unit in UNITS[quantity] if unit.lower() == suffix), None)
-    if unit is None:
-        return None
-    return ColumnReading(quantity, column, unit, gauge=word == "pressure_gauge")
+    is_gauge = word == "pressure_gauge" if quantity == "pressure_pa" else None
+    return None if unit is None else SaidQuantity(quantity, unit, is_gauge)

@@ -9,23 +9,24 @@ s; bar; mm                    units, if there is such a line
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from functools import partial
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from pamctl.json_text import to_json
 from pamctl.log.importing.cell_texts import (
     MISSING,
-    OTHER,
+    Cell,
     ClockColumn,
     DecimalMark,
     read_number,
+    read_numbers,
+    read_plain_rows,
     tell_kind,
 )
-from pamctl.log.importing.column_roles import read_unit
+from pamctl.log.importing.column_map import TextHints
+from pamctl.log.importing.header_words import read_unit
 from pamctl.log.importing.measured_table import (
     MOST_NUMBERS,
     Floats,
@@ -34,10 +35,7 @@ from pamctl.log.importing.measured_table import (
     MeasuredTable,
     TableColumn,
 )
-from pamctl.log.importing.quantities import TextHints
 
-Cell = str | float
-WIDE_GAP = "two spaces or more"
 HEAD_ROWS = 200
 """The numbers begin within as many rows."""
 _MOST_LEFT_OUT = 3
@@ -51,15 +49,6 @@ class Row(NamedTuple):
     """In the file, from 1."""
     cells: Sequence[Cell]
     is_comment: bool = False
-
-
-class TextBlock(NamedTuple):
-    """Some lines of a file, without their ends."""
-
-    first: int
-    lines: list[str]
-    is_cut: bool = False
-    """For the last line alone, where nothing ends it."""
 
 
 class TableLayout(NamedTuple):
@@ -104,7 +93,8 @@ def find_layout(rows: Sequence[Row]) -> TableLayout | None:
             odd = ""
             if above and names[0] == "1" and len(above[0].cells) > 1:
                 count = _filled_width(above[0].cells)
-                odd = f"line {above[0].number} has {count} cells, but the rows below have {width}"
+                if count != width:
+                    odd = f"line {above[0].number} has {count} cells, the rows below have {width}"
             return TableLayout(names, units, kinds, first, odd)
     return None
 
@@ -130,15 +120,18 @@ def _find_names(above: Sequence[Row], width: int) -> tuple[list[str], list[str]]
     names: list[str] | None = None
     units = [""] * width
     for row in reversed(above[-6:]):
-        fits = len(row.cells) >= width >= _filled_width(row.cells)
-        if not fits or (row.is_comment and len(row.cells) != width):
+        filled = _filled_width(row.cells)
+        fits = len(row.cells) >= width >= filled
+        if not fits or (row.is_comment and width not in (filled, len(row.cells))):
             if row.is_comment:
                 continue
             break
         cells = [" ".join(str(cell).split()) for cell in row.cells[:width]]
+        if all(tell_kind(cell) == "m" for cell in cells):
+            continue
         if not any(units) and _are_units(cells):
             units = [cell if _may_be_unit(cell) else "" for cell in cells]
-        elif _has_no_number([cell for cell in cells if cell]) and any(cells):
+        elif _has_no_number(cells):
             names = cells
             break
         elif not row.is_comment:
@@ -159,225 +152,172 @@ def _may_be_unit(cell: str) -> bool:
 class TableBuilder:
     """Takes the rows of a table, and says of each column what was not a number."""
 
-    def __init__(
-        self, path: Path, layout: TableLayout, hints: TextHints, delimiter: str = ""
-    ) -> None:
-        self._path, self._layout, self._delimiter, self._hints = path, layout, delimiter, hints
+    def __init__(self, path: Path, layout: TableLayout, hints: TextHints) -> None:
+        self._path, self._layout, self._hints = path, layout, hints
         self._width = len(layout.kinds)
         self._plain = [at for at, kind in enumerate(layout.kinds) if kind in "nm"]
         self._clocks = {at: ClockColumn() for at, kind in enumerate(layout.kinds) if kind in "td"}
-        self._missing = MISSING | {word.lower() for word in hints.missing}
-        self._sentinels = [n for w in hints.missing if (n := read_number(w, ".")) is not None]
-        self._mark = DecimalMark(hints.decimal)
-        self._parts: list[Floats] = []
+        self._parts: dict[int, list[Floats]] = {at: [] for at in (*self._plain, *self._clocks)}
         self._lines: list[Ints] = []
-        self._bad: dict[int, tuple[str, str]] = {}
+        self._missing = MISSING | {word.lower() for word in hints.missing}
+        self._mark = DecimalMark(hints.decimal or "")
+        self._bad: dict[int, tuple[str, dict[str, Any]]] = {}
         self._words: dict[int, str] = {}
-        self._odd: list[tuple[int, str]] = []
+        self._odd: dict[int, str] = {}
         self._comments: list[int] = []
-        self._rows = 0
         self._remarks: list[str] = []
-        self._doubt = ""
-
-    def look_for_mark(self, rows: Iterable[Row], fewest: int = 0) -> None:
-        """Show cells to the decimal mark's decision, at least those of the first rows."""
-        for count, row in enumerate(rows):
-            for at, kind in enumerate(self._layout.kinds):
-                if kind == "w" and at < len(row.cells) and not count:
-                    self._words[at] = f"{row.cells[at]!r} in line {row.number}"
-            if count >= fewest and self._mark.is_proved:
-                return
-            for at in self._plain:
-                if at < len(row.cells) and not row.is_comment:
-                    self._mark.take(row.number, row.cells[at])
-
-    def _decimal(self) -> str:
-        try:
-            return self._mark.settle()
-        except ValueError as error:
-            self._doubt = f"{self._path}: {error}"
-            return "."
-
-    def take_numbers(self, block: TextBlock) -> bool:
-        """Take a block of plain numbers, and of times beside them; return False for any other."""
-        text = "\n".join(block.lines)
-        delimiter = None if self._delimiter == " " else self._delimiter
-        marks = {".", ","} - {self._delimiter}
-        if block.is_cut or self._delimiter == WIDE_GAP:
-            return False
-        if '"' in text:
-            text = self._unquote(text, len(block.lines))
-            if not text:
-                return False
-        if not self._mark.is_proved and any(mark in text for mark in marks):
-            return False
-        decimal = self._decimal()
-        if OTHER[decimal] in text and OTHER[decimal] != self._delimiter:
-            return False
-        text = text.replace(",", ".") if decimal == "," else text
-        lines = text.split("\n")
-        load = partial(np.loadtxt, delimiter=delimiter, comments=None, ndmin=2)
-        try:
-            if len(self._plain) == self._width:
-                table = load(lines)
-                if table.shape != (len(lines), self._width):
-                    return False
-            else:
-                cells = [line.split(delimiter) for line in lines]
-                if any(len(row) != self._width for row in cells):
-                    return False
-                table = load(lines, usecols=self._plain)
-                if len(table) != len(lines) or not self._plain:
-                    return False
-                for at, clock in self._clocks.items():
-                    begun = len(clock)
-                    if not clock.take_many([row[at] for row in cells]):
-                        for one in self._clocks.values():
-                            one.forget(begun)
-                        return False
-        except ValueError:
-            return False
-        self._add(table, np.arange(block.first, block.first + len(lines)))
-        return True
-
-    def _unquote(self, text: str, lines: int) -> str:
-        """Return lines whose cells are all quoted without the quotes; nothing for any other."""
-        apart = text.count(f'"{self._delimiter}"')
-        is_whole = apart == text.count(self._delimiter) == lines * (self._width - 1)
-        is_whole = is_whole and text.count('"') == 2 * lines * self._width
-        return text.replace('"', "") if is_whole else ""
 
     def take_rows(self, rows: Iterable[Row], *, is_cut: bool = False) -> None:
-        """Take rows cell by cell. `is_cut`: nothing ends the last one, which may be cut off."""
-        rows = list(rows)
-        if not self._mark.is_proved:
-            self.look_for_mark(rows)
-        decimal = self._decimal()
-        numbers, lines = [], []
+        """Take rows of any width. `is_cut`: nothing ends the last one, which may be cut off."""
+        lines, cells = [], []
         for row in rows:
+            there = len(row.cells)
             if row.is_comment:
                 self._comments.append(row.number)
-                continue
-            why = self._find_oddity(row, decimal, is_cut=is_cut)
-            if why:
-                self._odd.append((row.number, why))
-                continue
-            self._refuse_odd()
-            numbers.append([self._read(row, at, decimal) for at in self._plain])
-            for at, clock in self._clocks.items():
-                if tell_kind(row.cells[at], self._missing) == "m":
-                    clock.skip()
-                elif not clock.take(row.cells[at]):
-                    self._complain(row, at)
-                    clock.skip()
-            lines.append(row.number)
-        if numbers:
-            self._add(np.array(numbers, np.float64).reshape(len(lines), -1), np.array(lines))
+            elif there == self._width or there > self._width >= _filled_width(row.cells):
+                lines.append(row.number)
+                cells.append(row.cells[: self._width])
+            else:
+                there = max(_filled_width(row.cells), min(there, self._width))
+                self._odd[row.number] = (
+                    f"the line has {there} cells, but the table has {self._width}"
+                )
+        if lines:
+            self.take(np.array(lines), list(zip(*cells, strict=True)), is_cut=is_cut)
 
-    def _add(self, table: Floats, lines: Ints) -> None:
-        self._parts.append(table)
-        self._lines.append(lines)
-        self._rows += len(lines)
-        if self._rows * self._width > MOST_NUMBERS:
-            detail = f"more than {MOST_NUMBERS:.0f} numbers up to line {lines[-1]}"
+    def take(self, lines: Ints, columns: Sequence[Sequence[Cell]], *, is_cut: bool = False) -> None:
+        """Take the cells of each column, in rows of these lines."""
+        for at, kind in enumerate(self._layout.kinds):
+            if kind == "w":
+                self._words.setdefault(at, f"{columns[at][0]!r} in line {lines[0]}")
+        decimal = self._look_for_mark(lines, columns)
+        read: dict[int, Floats] = {}
+        bad: dict[int, list[int]] = {}
+        for at in self._plain:
+            read[at], bad[at] = read_numbers(columns[at], decimal, self._missing)
+        for at, clock in self._clocks.items():
+            read[at], bad[at] = clock.read(columns[at], self._missing)
+        kept = np.ones(len(lines), bool)
+        without = np.all(
+            [np.isnan(part.reshape(len(lines), -1)[:, 0]) for part in read.values()], 0
+        )
+        for row in np.flatnonzero(without).tolist():
+            cells = [str(column[row]).strip() for column in columns]
+            is_odd = any(row in rows for rows in bad.values())
+            kept[row] = not is_odd and any(cells)
+            if is_odd and cells == self._layout.names:
+                self._odd[int(lines[row])] = (
+                    "the names are repeated: a second table begins; save it as a file of its own"
+                )
+            elif is_odd:
+                self._odd[int(lines[row])] = "no cell is a number"
+        if is_cut and kept.all():
+            kept[0] = not any(bad.values())
+            if kept[0]:
+                self._remarks.append(
+                    f"nothing ends line {lines[0]}, the last one: if the file was cut off there, "
+                    f"its last cell {columns[-1][0]!r} may lack digits"
+                )
+            else:
+                self._odd[int(lines[0])] = "the last cell is cut off"
+        self._refuse_odd(before=int(lines[kept][-1]) if kept.any() else 0)
+        for at, rows in bad.items():
+            for row in rows:
+                if kept[row] and at not in self._bad:
+                    self._complain(at, int(lines[row]), str(columns[at][row]).strip())
+        self._lines.append(lines[kept])
+        for at, part in read.items():
+            self._parts[at].append(part[kept])
+        self._limit_size()
+
+    def take_plain(self, first: int, text: str, delimiter: str) -> bool:
+        """Take lines that hold plain numbers in all columns; return False for any other."""
+        decimal = self._mark.choose()
+        if len(self._plain) < self._width or not self._mark.is_proved:
+            return False
+        values = read_plain_rows(text, delimiter, decimal, self._width)
+        if values is None:
+            return False
+        self._refuse_odd(before=first)
+        self._lines.append(first + np.arange(len(values)))
+        for at in self._plain:
+            self._parts[at].append(values[:, at])
+        self._limit_size()
+        return True
+
+    def _limit_size(self) -> None:
+        if sum(map(len, self._lines)) * self._width > MOST_NUMBERS:
+            detail = f"more than {MOST_NUMBERS:.0f} numbers up to line {self._lines[-1][-1]}"
             raise ImportRefused(f"{self._path} is too large: {detail}; cut it into parts")
 
-    def _find_oddity(self, row: Row, decimal: str, *, is_cut: bool) -> str:
-        """Return why a row is none of the table; nothing for one that is."""
-        if not len(row.cells) >= self._width >= _filled_width(row.cells):
-            there = max(_filled_width(row.cells), min(len(row.cells), self._width))
-            return f"the line has {there} cells, but the table has {self._width}"
-        if [str(cell).strip() for cell in row.cells[: self._width]] == self._layout.names:
-            return "the names are repeated: a second table begins; save it as a file of its own"
-        numeric = [row.cells[at] for at in (*self._plain, *self._clocks)]
-        if all(tell_kind(cell, self._missing) in "wm" for cell in numeric) and any(
-            tell_kind(cell, self._missing) == "w" for cell in numeric
-        ):
-            return "no cell is a number"
-        if is_cut and any(
-            tell_kind(row.cells[at], self._missing) != "m"
-            and read_number(row.cells[at], decimal) is None
-            for at in self._plain
-        ):
-            return "the last cell is cut off"
-        if is_cut:
-            self._remarks.append(
-                f"nothing ends line {row.number}, the last one: if the file was cut off there, "
-                f"its last cell {row.cells[self._width - 1]!r} may lack digits"
-            )
-        return ""
+    def _look_for_mark(self, lines: Ints, columns: Sequence[Sequence[Cell]]) -> str:
+        """Return the decimal mark; one that shows too late, or twice, is refused at the end."""
+        begin, rest = slice(0, HEAD_ROWS), slice(HEAD_ROWS, None)
+        for part in (begin, rest):
+            if not self._mark.is_proved or (part is begin and not self._lines):
+                for at in self._plain:
+                    self._mark.take(lines[part], columns[at][part])
+        return self._mark.choose()
 
-    def _refuse_odd(self) -> None:
-        if self._odd:
-            number, why = self._odd[0]
-            raise ImportRefused(f"{self._path}:{number}: {why}")
+    def _refuse_odd(self, before: float) -> None:
+        """Raise ImportRefused where a line before this one is no row of the table."""
+        if self._odd and (number := min(self._odd)) < before:
+            raise ImportRefused(f"{self._path}:{number}: {self._odd[number]}")
 
-    def _read(self, row: Row, at: int, decimal: str) -> float:
-        cell = row.cells[at]
-        value = read_number(cell, decimal)
-        if value is None:
-            if str(cell).strip().lower() not in self._missing:
-                self._complain(row, at)
-            return np.nan
-        return value
-
-    def _complain(self, row: Row, at: int) -> None:
-        if at in self._bad:
-            return
-        name, cell = self._layout.names[at], str(row.cells[at]).strip()
+    def _complain(self, at: int, line: int, cell: str) -> None:
+        name = self._layout.names[at]
         must = f"a time as {self._clocks[at].first!r}" if at in self._clocks else "a number"
         self._bad[at] = (
-            f"{self._path}:{row.number}: {name} is {cell!r}, but must be {must}; if that means a "
+            f"{self._path}:{line}: {name} is {cell!r}, but must be {must}; if that means a "
             "missing value, say so in the map",
-            f"missing: [{to_json(cell).decode()}]",
+            {"missing": [cell]},
         )
 
     def finish(self, form: str, notes: Sequence[str] = ()) -> MeasuredTable:
         """Return the table; raise ImportRefused where too much below it is no part of it."""
         if len(self._odd) > _MOST_LEFT_OUT:
-            self._refuse_odd()
+            self._refuse_odd(before=np.inf)
         notes = [*notes, *([self._layout.odd_names] if self._layout.odd_names else [])]
-        notes += [f"line {number} is left out: {why}" for number, why in self._odd]
+        notes += [f"line {number} is left out: {why}" for number, why in self._odd.items()]
         if self._comments:
             notes.append(
                 f"{len(self._comments)} comment lines are left out, the first is line "
                 f"{self._comments[0]}"
             )
-        lines = np.concatenate(self._lines) if self._lines else np.zeros(0, np.int64)
-        columns = []
-        dates = [c for c in self._clocks.values() if c.form is not None and c.form[1] == "date"]
+        doubt = self._mark.doubt and f"{self._path}: {self._mark.doubt}"
+        mend = {"decimal": self._mark.choose() if self._mark.is_proved else "."} if doubt else {}
+        decimal = "decimal comma" if self._mark.choose() == "," else "decimal point"
+        rows = np.concatenate(self._lines) if self._lines else np.zeros(0, np.int64)
+        columns = list(self._finish_columns())
+        return MeasuredTable(columns, rows, f"{form}, {decimal}", notes, self._remarks, doubt, mend)
+
+    def _finish_columns(self) -> Iterator[TableColumn]:
+        sentinels = [n for w in self._hints.missing if (n := read_number(w, ".")) is not None]
+        found = {at: np.concatenate(parts) for at, parts in self._parts.items() if parts}
+        dates = [at for at, clock in self._clocks.items() if clock.is_date]
+        order = self._hints.date_order or ""
         for at, (name, unit, kind) in enumerate(zip(*self._layout[:3], strict=True)):
-            if at in self._clocks:
-                columns.append(self._finish_clock(at, name, dates))
-                continue
+            bad, mend = self._bad.get(at, ("", {}))
             if kind == "w":
                 says = f"words, no numbers: {self._words.get(at, '')}"
-                columns.append(TableColumn(name, np.zeros(0), unit, is_text=True, says=says))
-                continue
-            index = self._plain.index(at)
-            values = np.concatenate([part[:, index] for part in self._parts] or [np.zeros(0)])
-            values[np.isin(values, self._sentinels)] = np.nan
-            bad, mend = self._bad.get(at, ("", ""))
-            columns.append(TableColumn(name, values, unit, bad_cell=bad, mend=mend))
-        decimal = "decimal comma" if self._decimal() == "," else "decimal point"
-        form = f"{form}, {decimal}"
-        mend = "decimal: '.'  # or ','" if self._doubt else ""
-        rows = lines.astype(np.int64)
-        return MeasuredTable(columns, rows, form, notes, self._remarks, self._doubt, mend)
-
-    def _finish_clock(self, at: int, name: str, dates: Sequence[ClockColumn]) -> TableColumn:
-        clock = self._clocks[at]
-        bad, mend = self._bad.get(at, ("", ""))
-        beside = None
-        if len(dates) == 1 and clock.form and not clock.form[0] and dates[0].changes:
-            beside = dates[0]
-        if clock in dates:
-            return TableColumn(name, np.zeros(0), is_text=True, says="dates; the times count them")
-        try:
-            values = clock.finish(self._hints.date_order, beside)
-        except ValueError as error:
-            bad = bad or f"{self._path}: {name}: {error}"
-            mend = "date_order: d/m/y  # or m/d/y" if "day from month" in bad else ""
-            values = np.full(len(clock), np.nan)
-        says = "times of day, in seconds"
-        return TableColumn(name, values, "s", bad_cell=bad, mend=mend, says=says)
+                yield TableColumn(name, np.zeros(0), unit, is_text=True, says=says)
+            elif at in dates:
+                says = "dates; the times count them"
+                yield TableColumn(name, np.zeros(0), is_text=True, says=says)
+            elif at in self._clocks:
+                times = found.get(at, np.zeros((0, 2)))
+                try:
+                    days = None
+                    if len(dates) == 1 and np.ptp(found[dates[0]][:, 1]):
+                        days = self._clocks[dates[0]].count_days(found[dates[0]], order)
+                    values = self._clocks[at].finish(times, order, days)
+                except ValueError as error:
+                    bad = bad or f"{self._path}: {name}: {error}"
+                    mend = {"date_order": "d/m/y"} if "day from month" in bad else mend
+                    values = np.full(len(times), np.nan)
+                says = "times of day, in seconds"
+                yield TableColumn(name, values, "s", bad_cell=bad, mend=mend, says=says)
+            else:
+                values = found.get(at, np.zeros(0))
+                values[np.isin(values, sentinels)] = np.nan
+                yield TableColumn(name, values, unit, bad_cell=bad, mend=mend)

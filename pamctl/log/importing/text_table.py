@@ -8,37 +8,55 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from io import TextIOWrapper
 from itertools import chain, islice
 from pathlib import Path
-from typing import BinaryIO, TextIO
+from typing import BinaryIO, NamedTuple, TextIO
 
+import numpy as np
+
+from pamctl.log.importing.cell_texts import tell_kind
+from pamctl.log.importing.column_map import TextHints
 from pamctl.log.importing.measured_table import ImportRefused, MeasuredTable
-from pamctl.log.importing.quantities import TextHints
 from pamctl.log.importing.table_rows import (
     HEAD_ROWS,
-    WIDE_GAP,
     Row,
     TableBuilder,
     TableLayout,
-    TextBlock,
     find_layout,
 )
 
+WIDE_GAP = "two spaces or more"
 _LONGEST_LINE = 100_000
 """Characters; the parser of cells takes no longer ones."""
-_BLOCK = 1 << 20
+_BLOCK = 1 << 18
 _DELIMITERS = {"\t": "tab", ";": "semicolon", "|": "|", ",": "comma", WIDE_GAP: WIDE_GAP,
                " ": "spaces"}  # fmt: skip
 _COMMENT = re.compile(r"\s*(?:#+|%+|//+|!)\s*")
+_SPECIAL = ('"', "#", "%", "!", "//")
+"""What lines may have that are no plain rows: a cell in quotes, a comment."""
 _BOMS = ((b"\xff\xfe\0\0", "utf-32"), (b"\0\0\xfe\xff", "utf-32"), (b"\xef\xbb\xbf", "utf-8-sig"),
          (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))  # fmt: skip
 
 
+class TextBlock(NamedTuple):
+    """Some lines of a file, without their ends."""
+
+    first: int
+    text: str
+    is_cut: bool = False
+    """For the last line alone, where nothing ends it."""
+
+    @property
+    def lines(self) -> list[str]:
+        """All of them."""
+        return self.text.split("\n")
+
+
 def read_text(path: Path, hints: TextHints, open_file: Callable[[], BinaryIO]) -> MeasuredTable:
     """Read a file of text; raise ImportRefused with the line and the cell that has no reading."""
-    encoding, notes = _find_encoding(path, hints.encoding, open_file)
+    encoding, notes = _find_encoding(path, hints.encoding or "", open_file)
     with TextIOWrapper(open_file(), encoding) as file:
         try:
             delimiter, table = _read_blocks(path, _split_blocks(path, file), hints)
@@ -53,20 +71,48 @@ def _read_blocks(
     path: Path, blocks: Iterator[TextBlock], hints: TextHints
 ) -> tuple[str, TableBuilder]:
     begun = list(islice(blocks, 2))  # the second one may be the last line of a short file
-    first = begun[0] if begun else TextBlock(1, [])
-    head = TextBlock(1, [line for block in begun for line in block.lines][: 2 * HEAD_ROWS])
+    first = begun[0] if begun else TextBlock(1, "")
+    head = TextBlock(1, "\n".join([line for one in begun for line in one.lines][: 2 * HEAD_ROWS]))
     delimiter, layout = _choose_delimiter(path, head)
-    builder = TableBuilder(path, layout, hints, delimiter)
+    builder = TableBuilder(path, layout, hints)
     skipped = next((row.number for row in list(_split_rows(head, delimiter))[layout.first :]), 1)
-    if skipped <= len(first.lines):
-        begun[0] = TextBlock(skipped, first.lines[skipped - 1 :], first.is_cut)
-    else:
-        del begun[0]
-    builder.look_for_mark(_split_rows(begun[0], delimiter), HEAD_ROWS)
+    below = first.text.split("\n", skipped - 1)
+    begun[:1] = [TextBlock(skipped, below[-1], first.is_cut)] if len(below) == skipped else []
     for block in chain(begun, blocks):
-        if not builder.take_numbers(block):
+        text = _unquote(block.text, delimiter)
+        if not block.is_cut and builder.take_plain(block.first, text, delimiter):
+            continue
+        columns = _split_evenly(text, delimiter, len(layout.kinds))
+        if columns is None:
             builder.take_rows(_split_rows(block, delimiter), is_cut=block.is_cut)
+        else:
+            lines = block.first + np.arange(len(columns[0]))
+            builder.take(lines, columns, is_cut=block.is_cut)
     return delimiter, builder
+
+
+def _unquote(text: str, delimiter: str) -> str:
+    """Return lines without the quotes where all cells have them, and no mark within."""
+    marks = (text.count(delimiter), text.count("\n"))
+    is_whole = text[:1] == text[-1:] == '"' and text.count('"') == 2 * (sum(marks) + 1)
+    is_whole = is_whole and marks == (text.count(f'"{delimiter}"'), text.count('"\n"'))
+    return text.replace('"', "") if is_whole else text
+
+
+def _split_evenly(text: str, delimiter: str, width: int) -> list[list[str]] | None:
+    """Return the cells by column; None where a line has another number of cells, or quotes."""
+    if delimiter in (" ", WIDE_GAP) or width == 1 or any(mark in text for mark in _SPECIAL):
+        return None
+    count = text.count("\n") + 1
+    cells = text.replace("\n", f"{delimiter}\n").split(delimiter)
+    there = len(cells) // count
+    if there < width or len(cells) != there * count:
+        return None
+    first = "".join(cells[::there]).split("\n")  # all line breaks, if the lines are even
+    is_even = len(first) == count and all(
+        not "".join(cells[at::there]).strip() for at in range(width, there)
+    )
+    return [first, *(cells[at::there] for at in range(1, width))] if is_even else None
 
 
 def _find_encoding(
@@ -105,20 +151,21 @@ def _split_blocks(path: Path, file: TextIO) -> Iterator[TextBlock]:
     while text := file.read(_BLOCK):
         text = rest + text
         whole, end, rest = text.rpartition("\n")
-        lines = whole.split("\n") if end else []
-        is_wide = len(text) > 1000 * len(lines)  # else no line can be that long but a few
-        longest = max(map(len, (*lines, rest))) if is_wide else 0
-        if longest > _LONGEST_LINE:
-            at = number + next(n for n, x in enumerate((*lines, rest)) if len(x) == longest)
-            detail = f"the line is longer than {_LONGEST_LINE} characters"
-            raise ImportRefused(f"{path}:{at}: {detail}: is this a table of numbers?")
-        while sum(line.count('"') for line in lines[-50:]) % 2 and '"' in whole:
-            rest = f"{lines.pop()}\n{rest}"  # a cell goes on in the next block
-        if lines:
-            yield TextBlock(number, lines)
-        number += len(lines)
+        count = whole.count("\n") + len(end)
+        if len(text) > 1000 * count:  # else no line can be that long but a few
+            for at, line in enumerate(text.split("\n"), number):
+                if len(line) > _LONGEST_LINE:
+                    detail = f"the line is longer than {_LONGEST_LINE} characters"
+                    raise ImportRefused(f"{path}:{at}: {detail}: is this a table of numbers?")
+        while '"' in whole and sum(x.count('"') for x in whole.rsplit("\n", 50)[-50:]) % 2:
+            whole, end, line = whole.rpartition("\n")  # a cell goes on in the next block
+            rest = f"{line}\n{rest}"
+            count -= 1
+        if end:
+            yield TextBlock(number, whole)
+        number += count
     if rest.strip():
-        yield TextBlock(number, [rest], is_cut=True)
+        yield TextBlock(number, rest, is_cut=True)
 
 
 def _split_rows(block: TextBlock, delimiter: str) -> Iterator[Row]:
@@ -126,7 +173,7 @@ def _split_rows(block: TextBlock, delimiter: str) -> Iterator[Row]:
     if delimiter in (" ", WIDE_GAP):
         wide = re.compile(r"\s{2,}|\t")
         for number, line in enumerate(block.lines, block.first):
-            comment = _COMMENT.match(line)
+            comment = _match_comment(line, line.split(maxsplit=1))
             text = line[comment.end() :] if comment else line.strip()
             if text:
                 cells = text.split() if delimiter == " " else wide.split(text)
@@ -136,12 +183,18 @@ def _split_rows(block: TextBlock, delimiter: str) -> Iterator[Row]:
     number = block.first
     for cells in reader:
         begun, number = number, block.first + reader.line_num
-        comment = _COMMENT.match(cells[0]) if cells else None
+        comment = _match_comment(cells[0], cells) if cells else None
         if comment:
-            cells[0] = cells[0][comment.end() :]
+            cells[0] = cells[0][comment.end() :].strip('"')
         is_separator = begun == 1 and cells[:1] and cells[0].lower().startswith("sep=")
         if any(map(str.strip, cells)) and not is_separator:
             yield Row(begun, cells, comment is not None)
+
+
+def _match_comment(text: str, cells: Sequence[str]) -> re.Match[str] | None:
+    """Return the mark of a comment; None for a row that begins with a word such as `#N/A`."""
+    comment = _COMMENT.match(text)
+    return None if comment and tell_kind(cells[0]) == "m" else comment
 
 
 def _choose_delimiter(path: Path, head: TextBlock) -> tuple[str, TableLayout]:
@@ -156,7 +209,8 @@ def _choose_delimiter(path: Path, head: TextBlock) -> tuple[str, TableLayout]:
         if layout is None:
             continue
         numeric = sum(kind in "nt" for kind in layout.kinds)
-        score = numeric / len(layout.kinds) + (numeric > 1)
+        is_named = not all(map(str.isdecimal, layout.names))
+        score = numeric / len(layout.kinds) + (numeric > 1) + 0.1 * is_named
         if best is None or score > best[0]:
             best = score, delimiter, layout
     if best is None:

@@ -12,6 +12,7 @@ from support.made_records import PERIOD_S, measured, pair
 import pamctl
 from pamctl.diagnose import Record, Verdict, diagnose
 from pamctl.diagnose.measured.column_shift import check_time_shifts
+from pamctl.diagnose.measured.from_log import record_of
 from pamctl.diagnose.measured.quality_rules import RULES, doubt_excitation, doubt_record
 from pamctl.diagnose.measured.refuse import (
     BadData,
@@ -20,6 +21,8 @@ from pamctl.diagnose.measured.refuse import (
     read_acceptances,
 )
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
+from pamctl.log.importing.column_map import ImportMap, PressureMap, TimeMap
+from pamctl.log.importing.pipeline import import_log
 from pamctl.plant.model import PlantSettings
 
 PAPER = PlantSettings()
@@ -150,13 +153,17 @@ def test_a_rate_at_which_the_pressure_jumps_is_doubted_but_a_spike_is_not() -> N
 
 def test_the_levels_of_a_valve_that_switches_are_to_be_mapped() -> None:
     good = measured("squares", 1)
-    on_off = (good["valve_v"] > 0.0).astype(float)
-    assert [d.rule for d in doubt_record(replace(good, valve_v=10.0 * on_off - 5.0), PAPER)] == []
-    (doubt,) = doubt_record(replace(good, valve_v=24.0 * on_off), PAPER)
-    assert doubt.rule == "command_unit"
-    assert "gain 0.4167, offset -5" in doubt.text
-    (doubt,) = doubt_record(replace(good, valve_v=5.0 * on_off), PAPER)
-    assert "gain 2, offset -5" in doubt.text
+    fills = (good["valve_v"] > 0.0).astype(float)
+    assert [d.rule for d in doubt_record(replace(good, valve_v=10.0 * fills - 5.0), PAPER)] == []
+    noise = 0.02 * np.random.default_rng(1).standard_normal(len(good))
+    for volts in (3.3, 5.0, 10.0, 24.0):
+        for on_off, empties in ((fills, 0.0), (1.0 - fills, volts)):  # in both polarities
+            for measured_v in (volts * on_off, volts * on_off + noise):
+                (doubt,) = doubt_record(replace(good, valve_v=measured_v), PAPER)
+                assert doubt.rule == "command_unit"
+                told = float(doubt.text.split("loses its air while it is ")[1].split(";")[0])
+                assert told == pytest.approx(empties, abs=0.15)
+                assert "offset -5" not in doubt.text
 
 
 def test_a_slow_chamber_may_answer_later_than_a_fast_one() -> None:
@@ -196,3 +203,21 @@ def test_a_doubt_is_overruled_with_a_reason_that_is_kept() -> None:
 def test_the_manual_lists_every_rule() -> None:
     page = (Path(pamctl.__file__).parent / "manual/how_to/diagnose-a-log.md").read_text()
     assert [name for name in RULES if f"`{name}`" not in page] == []
+
+
+@pytest.mark.parametrize(("atmosphere_pa", "is_told"), [(95e3, True), (101.3e3, False)])
+def test_an_atmosphere_of_the_import_map_that_is_not_the_plants_is_said(
+    tmp_path, atmosphere_pa, is_told
+):
+    t_s = np.arange(50) * 0.01
+    table = tmp_path / "a.csv"
+    rows = np.column_stack([t_s, 2.0 + np.sin(9.0 * t_s)])
+    np.savetxt(table, rows, delimiter=",", header="t_s,p", comments="")
+    pressure = PressureMap(column="p", unit="bar", gauge=True)
+    import_map = ImportMap(
+        time=TimeMap(column="t_s"), pressure=pressure, atmospheric_pressure_pa=atmosphere_pa
+    )
+    import_log(table, tmp_path / "a.mcap", import_map)
+    lines: list[str] = []
+    diagnose([record_of(tmp_path / "a.mcap")], [], PAPER, progress=lines.append)
+    assert any("counts from 95000 Pa" in line for line in lines) == is_told

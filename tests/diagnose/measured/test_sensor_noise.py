@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,14 +10,10 @@ from scipy.signal import butter, filtfilt, lfilter
 from support.made_records import all_but, measured
 
 from pamctl.diagnose import Record, diagnose
-from pamctl.diagnose.fitting.floor import doubt_floor
-from pamctl.diagnose.fitting.repeatability import find_repeats
 from pamctl.diagnose.measured.from_log import record_of
 from pamctl.diagnose.measured.noise.filtering import find_filtering
-from pamctl.diagnose.measured.noise.moving_noise import measure_growth
 from pamctl.diagnose.measured.noise.sensor_noise import Noise, estimate_channel_noise
 from pamctl.diagnose.measured.noise.stated_noise import parse_noise
-from pamctl.diagnose.measured.noise.wander import measure_walk, remove_walk
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.log.importing.column_map import ImportMap
 from pamctl.log.importing.pipeline import import_log
@@ -74,27 +69,6 @@ def test_a_filter_is_found_by_its_edge_and_by_what_comes_before_its_cause() -> N
     assert found.is_zero_phase
 
 
-def test_noise_that_grows_with_speed_is_told_from_noise_at_rest() -> None:
-    record = measured("fit", 4)
-    change = np.gradient(record["pressure_pa"])
-    louder = record["pressure_pa"] + 0.3 * change * np.random.default_rng(2).normal(
-        size=len(record)
-    )
-    grown = Record("grown", record.t_s, record["valve_v"], louder)
-    assert measure_growth([record], "pressure_pa", 300.0, 47.5) == 0.0
-    assert measure_growth([grown], "pressure_pa", 300.0, 47.5) == pytest.approx(0.3, rel=0.3)
-
-
-def test_noise_that_grows_is_drawn_where_the_signal_moves() -> None:
-    still, fast = np.zeros(5000), np.arange(5000) * 100.0
-    noise = estimate_channel_noise([measured("fit", 4)], "pressure_pa")
-    loud = noise.__class__(300.0, (), 0.0, 0.0, growth=10.0)
-    random = np.random.default_rng(0)
-    shown = loud.simulate_sensor(np.concatenate([still, fast]), random)
-    assert np.std(shown[:4900]) == pytest.approx(300.0, rel=0.05)
-    assert np.std(shown[5100:] - fast[100:]) == pytest.approx(np.hypot(300.0, 1000.0), rel=0.05)
-
-
 def test_the_step_of_a_converter_is_found_at_one_speed() -> None:
     ramp = np.abs((np.arange(5000) * 7.13e-5) % 0.06 - 0.03)
     assert find_sensor_step(np.round(ramp / 3e-6) * 3e-6) == pytest.approx(3e-6)
@@ -131,18 +105,7 @@ def test_stated_noise_comes_from_the_option_the_plant_file_or_the_import_map(
     assert (noise.source, noise.total) == ("stated", pytest.approx(4e-6))
 
 
-def test_a_force_that_comes_again_is_a_repeat_although_it_is_noisy() -> None:
-    t_s = np.arange(12_000) * 1e-3
-    force_n = 20.0 * (np.sin(np.pi * t_s) > 0.0) + np.random.default_rng(0).normal(
-        0.0, 0.05, len(t_s)
-    )
-    (repeat,) = find_repeats([Record("pulled", t_s, force_n=force_n)])
-    assert repeat.demand == "force_n"
-    assert (repeat.again - repeat.start) % 2000 == 0
-    assert repeat.length >= 5000
-
-
-def test_the_document_says_where_noise_comes_from_and_a_stated_one_counts() -> None:
+def test_the_document_says_where_noise_comes_from() -> None:
     found = diagnose(
         [measured("fit", 1)],
         [measured("judge", 2)],
@@ -155,70 +118,6 @@ def test_the_document_says_where_noise_comes_from_and_a_stated_one_counts() -> N
     assert noise["pressure_pa"]["deviation"] == pytest.approx(900.0)
     assert noise["pressure_pa"]["faults"] == []
     assert found.plant.noise == NoiseSettings(position_m=3e-6)
-    assert found.model is not None
-    assert found.model.rms["pressure"] == pytest.approx(300.0 / 900.0, rel=0.1)
-
-
-def test_where_noise_is_unknown_the_floor_is_an_estimate_from_quiet_stretches() -> None:
-    def smoothed(program: str, seed: int) -> Record:
-        # Filtered from the first sample on, without a rest: nothing shows the noise.
-        record = measured(program, seed)
-        awake = record.cut_samples(650, len(record), program)
-        pressure_pa = filtfilt(*butter(2, 0.3), awake["pressure_pa"])
-        return Record(program, awake.t_s, awake["valve_v"], pressure_pa, awake["position_m"])
-
-    found = diagnose(
-        [smoothed("fit", 1)],
-        [smoothed("judge", 2)],
-        PlantSettings(),
-        without=all_but("valve_leak"),
-    )
-    document = build_diagnosis_document(found)
-    assert document["noise"]["pressure_pa"]["source"] == "unknown"
-    assert document["noise"]["pressure_pa"]["deviation"] is None
-    assert "noise unknown" in document["noise"]["pressure_pa"]["says"][0]
-    limit = document["limits"]["pressure"]
-    assert limit["is_estimate"]
-    assert limit["decided_by"] == "quiet stretches"
-
-
-def test_a_residual_of_a_million_floors_is_a_wrong_floor() -> None:
-    assert doubt_floor("pressure", 400.0) == ""
-    assert "the floor is wrong" in doubt_floor("mechanics", 5e5)
-
-
-@pytest.mark.parametrize(("walk_pa", "found"), [(0.0, False), (40.0, True)])
-def test_a_zero_that_wanders_at_rest_is_noise_with_a_long_memory(
-    walk_pa: float, found: bool
-) -> None:
-    random = np.random.default_rng(3)
-    rests = [
-        random.normal(0.0, 300.0, 900)
-        + np.cumsum(random.normal(0.0, walk_pa, 900))
-        + 500.0 * np.exp(-np.arange(900) / 300.0)  # the end of a venting is no walk
-        for _ in range(4)
-    ]
-    walk = measure_walk(rests)
-    assert (walk > 0.0) is found
-    if found:
-        assert walk == pytest.approx(walk_pa, rel=0.3)
-        assert np.std(remove_walk(rests[0])) == pytest.approx(300.0, rel=0.1)
-        noise = Noise(300.0, (), 0.0, 0.0, walk=walk)
-        spread = np.std([noise.draw(4000, random)[-1] for _ in range(200)])
-        assert spread == pytest.approx(np.hypot(300.0, walk * np.sqrt(4000.0)), rel=0.15)
-
-
-def test_noise_with_a_memory_of_milliseconds_is_no_walk() -> None:
-    """Found where none is, a walk raises the floor tenfold and hides what is missing."""
-    random = np.random.default_rng(6)
-    keep = np.exp(-1.0 / 4.0)
-    found = 0
-    for _ in range(500):
-        kicks = random.normal(0.0, 300.0 * np.sqrt(0.3 * (1.0 - keep**2)), (8, 1000))
-        slow = lfilter([1.0], [1.0, -keep], kicks)[:, 200:]
-        fast = random.normal(0.0, 300.0 * np.sqrt(0.7), (8, 800))
-        found += measure_walk([*(fast + slow)]) > 0.0
-    assert found <= 1
 
 
 def test_the_rounding_of_a_slow_signal_is_slow() -> None:
@@ -244,24 +143,3 @@ def test_noise_below_a_converters_step_is_read_from_how_often_each_step_is_shown
     noise = estimate_channel_noise([Record("rest", t_s, valve_v, shown)], "pressure_pa")
     assert noise.resolution == pytest.approx(100.0)
     assert noise.deviation == pytest.approx(100.0 * share, rel=0.15)
-
-
-def test_a_stated_noise_is_all_the_noise_there_is() -> None:
-    random = np.random.default_rng(3)
-    moving_pa = np.concatenate([np.zeros(900), 1e5 * np.sin(0.003 * np.arange(2000)) ** 2])
-    records = [
-        Record(
-            f"wandering-{k}",
-            1e-3 * np.arange(2900),
-            valve_v=np.repeat([-5.0, 5.0], [900, 2000]),
-            pressure_pa=2e5
-            + moving_pa
-            + random.normal(0.0, 300.0, 2900)
-            + np.cumsum(random.normal(0.0, 40.0, 2900)),
-        )
-        for k in range(4)
-    ]
-    assert estimate_channel_noise(records, "pressure_pa").walk > 0.0
-    stated = [replace(r, stated_noise={"pressure_pa": 250.0}) for r in records]
-    noise = estimate_channel_noise(stated, "pressure_pa")
-    assert (noise.source, noise.deviation, noise.walk) == ("stated", 250.0, 0.0)

@@ -6,8 +6,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from pamctl.diagnose.measured.noise.filtering import find_filtering
 from pamctl.diagnose.measured.noise.mend import SensorFault
 from pamctl.diagnose.measured.noise.sensor_noise import Noise
@@ -17,7 +15,6 @@ SOURCES = {
     "stated": "as stated",
     "rest": "from the rests",
     "spectrum": "from the end of the spectrum",
-    "residual": "from what the simulation leaves",
 }
 
 
@@ -39,8 +36,6 @@ class ChannelNoise:
                 "resolution": noise.resolution,
                 "source": noise.source,
                 "is_known": noise.is_known,
-                "growth": noise.growth,
-                "walk": noise.walk,
             }
         return {
             **entry,
@@ -76,8 +71,8 @@ def describe_channels(
 ) -> dict[str, ChannelNoise]:
     """Return what is known of each channel; `mended` is what was taken off before."""
     faults = [*mended]
-    for channel, noise in noises.items():
-        faults += _find_faults(records, channel, noise)
+    for channel in noises:
+        faults += _find_faults(records, channel)
     named = dict.fromkeys([*noises, *(fault.channel for fault in faults)])
     return {
         name: ChannelNoise(noises.get(name), tuple(f for f in faults if f.channel == name))
@@ -85,7 +80,7 @@ def describe_channels(
     }
 
 
-def _find_faults(records: Sequence[Record], channel: str, noise: Noise) -> Iterator[SensorFault]:
+def _find_faults(records: Sequence[Record], channel: str) -> Iterator[SensorFault]:
     filtering = find_filtering(records, channel)
     if filtering is not None:
         at = "" if filtering.cutoff_hz is None else f" near {filtering.cutoff_hz:.3g} Hz"
@@ -93,13 +88,3 @@ def _find_faults(records: Sequence[Record], channel: str, noise: Noise) -> Itera
         how = how if filtering.is_zero_phase else ""
         says = f"{channel} was filtered{at}{how}; use the data as they were measured"
         yield SensorFault(channel, "filtered", says)
-    period_s, unit = records[0].period_s, CHANNELS[channel]
-    if noise.walk:
-        within_1_s = noise.walk / np.sqrt(period_s)
-        says = f"{channel}: the sensor's zero wanders by {within_1_s:.3g} {unit} within 1 s, and "
-        says += "further over longer times; the floor allows for it"
-        yield SensorFault(channel, "wanders", says)
-    if noise.growth:
-        says = f"{channel}: the noise grows with speed: {noise.growth * period_s:.3g} {unit} "
-        says += f"more at 1 {unit}/s (added in squares)"
-        yield SensorFault(channel, "grows_with_motion", says)

@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
+from scipy.signal import butter, sosfiltfilt, sosfreqz
 
 from pamctl.diagnose.measured.record import Array
-from pamctl.diagnose.measured.zero_phase import pass_band, respond_band_pass
 
 MAINS_HZ = (50.0, 60.0)
 OFF_HZ = 0.5
@@ -34,6 +34,8 @@ THERE = (0.7, 1.4)
 COMMANDED, NEIGHBOUR = 1e-2, 0.1
 """Share of the command's span that a sinusoid in it must have; a step has less at such rates. It
 may be this far from the mains, as a share of their frequency: the answer to it is broader."""
+PADDED = 15
+"""Samples that are mirrored at each end."""
 SHORTEST_S = 2.0
 """A shorter stretch does not tell a line from its neighbours."""
 STEADY_S = 4.0
@@ -127,9 +129,11 @@ def _measure_line(values: Array, share: float, half_width: float, period_s: floa
 
 def _pass_band(values: Array, share: float) -> tuple[Array, float]:
     """Return what lies around a frequency, and the filter's gain there."""
-    low, high = BAND[0] * share, min(BAND[1] * share, 0.49)
-    gain = float(respond_band_pass(np.array([share]), low, high)[0])
-    return pass_band(values, low, high), gain
+    band = [BAND[0] * share, min(BAND[1] * share, 0.49)]
+    sections = butter(2, band, "bandpass", fs=1.0, output="sos")
+    (passed,) = sosfreqz(sections, [2.0 * np.pi * share])[1]
+    filtered = sosfiltfilt(sections, values, padlen=min(PADDED, len(values) - 1))
+    return np.asarray(filtered), float(abs(passed) ** 2)
 
 
 def _weigh_quiet(band: Array, share: float) -> Array:

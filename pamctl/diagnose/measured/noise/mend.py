@@ -18,9 +18,7 @@ from pamctl.diagnose.measured.noise.outliers import bridge, find_outliers
 from pamctl.diagnose.measured.noise.time_stamps import cut_even_stretches, find_regular_times
 from pamctl.diagnose.measured.record import CHANNELS, Array, Record
 
-FaultKind = Literal[
-    "jitter", "outliers", "dropouts", "hum", "filtered", "grows_with_motion", "wanders", "unused"
-]
+FaultKind = Literal["jitter", "outliers", "dropouts", "hum", "filtered", "unused"]
 
 
 class SensorFault(NamedTuple):

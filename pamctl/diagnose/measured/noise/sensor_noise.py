@@ -1,4 +1,4 @@
-"""Sensor noise: stated, or estimated from the rests or the spectrum; and drawn for the floor."""
+"""Sensor noise: stated, or estimated from the rests or the spectrum; and drawn for the monitor."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ from typing import Literal
 import numpy as np
 from scipy.special import ndtri
 
-from pamctl.diagnose.measured.noise.filtering import QUIETEST, find_filtering
-from pamctl.diagnose.measured.noise.moving_noise import measure_growth
+from pamctl.diagnose.measured.noise.filtering import QUIETEST
 from pamctl.diagnose.measured.noise.spectrum import falls_steeply, find_tail
 from pamctl.diagnose.measured.noise.time_stamps import cut_even_stretches
-from pamctl.diagnose.measured.noise.wander import measure_walk, remove_walk
 from pamctl.diagnose.measured.record import Array, Record
 from pamctl.log.record_problems import find_sensor_step
 
@@ -32,7 +30,7 @@ TWO_STEPS = 0.1
 """Relative uncertainty of a noise that reaches two steps of its converter."""
 RIDGE = 1e-6
 """White share that is added to the noise of a rest: a filtered one would predict itself."""
-Source = Literal["stated", "rest", "spectrum", "residual", "unknown"]
+Source = Literal["stated", "rest", "spectrum", "unknown"]
 
 
 @dataclass(frozen=True)
@@ -51,10 +49,6 @@ class Noise:
     """Relative uncertainty of the deviation, one sigma."""
     source: Source = "rest"
     """Where the deviation comes from."""
-    growth: float = 0.0
-    """Further noise of a channel that moves, over its change from one sample to the next."""
-    walk: float = 0.0
-    """Standard deviation of the zero's random step from one sample to the next."""
 
     @property
     def is_known(self) -> bool:
@@ -76,21 +70,11 @@ class Noise:
             drawn: Array = lfilter([1.0], [1.0, *(-m for m in self.memory)], innovation)[settle:]
         else:
             drawn = random.normal(0.0, self.deviation, samples)
-        if self.walk:
-            drawn = drawn + np.cumsum(random.normal(0.0, self.walk, samples))
         return drawn
 
-    def simulate_sensor(
-        self, values: Array, random: np.random.Generator, moving: Array | None = None
-    ) -> Array:
-        """Return what the sensor would show: noise is added, then rounded to the nearest step.
-
-        `moving` is the signal whose motion makes more noise; None for the values themselves.
-        """
+    def simulate_sensor(self, values: Array, random: np.random.Generator) -> Array:
+        """Return what the sensor would show: noise is added, then rounded to the nearest step."""
         noisy = values + self.draw(len(values), random) if self.deviation > 0.0 else values
-        if self.growth:
-            change = np.gradient(values if moving is None else moving)
-            noisy = noisy + self.growth * change * random.normal(0.0, 1.0, len(values))
         if self.resolution == 0.0:
             return noisy
         if not noisy.any():  # the rounding error of a signal that moves
@@ -107,28 +91,15 @@ def estimate_channel_noise(records: Sequence[Record], channel: str) -> Noise:
     """
     step = float(np.median([find_sensor_step(r[channel]) for r in records]))
     stated = [r.stated_noise[channel] for r in records if channel in r.stated_noise]
-    rests = _collect_rests(records, channel, step)
-    walk = measure_walk(rests)
-    if walk and find_filtering(records, channel) is not None:
-        walk = 0.0  # what a filter left of the noise is slow by itself
-    rested = _estimate_from_rests([remove_walk(r) for r in rests] if walk else rests, step)
+    rested = _estimate_from_rests(_collect_rests(records, channel, step), step)
     if stated:
         pooled = float(np.sqrt(np.mean(np.square(stated))))
         noise = Noise(_subtract_rounding(pooled, step), (), 0.0, step, source="stated")
         return noise if rested is None else _take_colour(noise, rested)
     span = max(float(np.ptp(r[channel])) for r in records)
     if rested is not None and rested.total > QUIETEST * span:
-        noise = _refine_white(rested, records, channel)
-    else:
-        noise = _read_tail(records, channel, step, span)
-    growth = measure_growth(records, channel, noise.total, step)
-    return replace(noise, growth=growth, walk=walk)
-
-
-def estimate_from_residual(pieces: Sequence[Array], known: Noise) -> Noise:
-    """Return the noise of a channel whose simulation leaves only noise, such as these stretches."""
-    found = _estimate_from_rests([_remove_trend(p) for p in pieces], known.resolution)
-    return known if found is None else replace(found, source="residual")
+        return _refine_white(rested, records, channel)
+    return _read_tail(records, channel, step, span)
 
 
 def _collect_rests(records: Sequence[Record], channel: str, step: float) -> list[Array]:

@@ -1,150 +1,168 @@
-"""The named effects with equation, numbers and rivals; and every set of effects that was tried."""
+"""The findings with gain, rivals and numbers; the faults of the set-up; the model's own numbers."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from pamctl.diagnose.diagnosis import Diagnosis
-from pamctl.diagnose.fitting.numbers import look_up_parameter, unit_of
-from pamctl.diagnose.naming.rivals import Standing
-from pamctl.diagnose.naming.search import EffectsTrial
-from pamctl.diagnose.naming.verdict import Verdict
-from pamctl.diagnose.report.phrases import (
-    mark_bound,
-    numbers_of,
-    relative_shift,
+from pamctl.diagnose.evidence.ladder import Finding
+from pamctl.diagnose.plant_numbers import FittedNumber, look_up_parameter
+from pamctl.diagnose.report.finding_words import (
+    FreeTerm,
+    is_in_catalogue,
+    label_hypothesis,
+    list_numbers,
+    spell_finding,
+    spell_kind,
     spell_names,
+    spell_place,
 )
-from pamctl.diagnose.report.sensor_units import write_ratio
+from pamctl.diagnose.report.open_findings import list_faults
+from pamctl.diagnose.report.phrases import relative_shift
 from pamctl.plant.catalogue import CATALOGUE
+from pamctl.report.drawing.levels import Levels
+from pamctl.report.drawing.svg import MUTED
 from pamctl.report.html_page import Page
 
-_MOST = 20
-"""Sets of effects in the table of what was tried."""
+MOST_RIVALS = 5
+"""Bars of rivals below a finding's own."""
+_SURE = {
+    "name": "the name: every rival that was fitted in its place is beaten",
+    "kind": "place and kind",
+    "place": "the place",
+    "set": "that one of these is there",
+    "rest": "nothing: it mends the model, and is small beside what was found before it",
+}
+
+
+def write_setup(page: Page, diagnosis: Diagnosis) -> None:
+    """Write what is wrong about the set-up, and how to mend it."""
+    faults = list_faults(diagnosis)
+    if not faults:
+        return
+    page.section("The set-up")
+    page.table(
+        ["what is wrong", "value", "90 % interval", "unit", "not told from"],
+        [
+            [
+                fault.text,
+                f"{fault.value:.5g}",
+                f"{fault.ci90[0]:.5g} to {fault.ci90[1]:.5g}",
+                fault.unit,
+                ", ".join(map(spell_names, fault.cannot_be_told_from)) or "-",
+            ]
+            for fault in faults
+        ],
+        caption="Each is a number of the plant file or a column of the records. It was asked "
+        "together with the effects, and by the same rule.",
+    )
+    page.points(*(f"To mend it: {fault.how_to_mend}." for fault in faults))
 
 
 def write_findings(page: Page, diagnosis: Diagnosis) -> None:
-    """Write the effects with their rivals, then the numbers that were recalibrated."""
-    if diagnosis.standings:
-        page.section("The effect" if len(diagnosis.standings) == 1 else "The effects")
-    for standing in diagnosis.standings:
-        _write_effect(page, diagnosis, standing)
+    """Write each finding with its rivals and numbers, then the numbers that were recalibrated."""
+    if diagnosis.findings:
+        page.section("What was found")
+        page.text(
+            "A gain is counted in nats, on each block of the records by a model that was not "
+            "fitted to that block. It is counted under the resolution of the poorer of two models. "
+            "Intervals come from a bootstrap over stretches of 4 blocks, 0.5 % on each side."
+        )
+    for finding in diagnosis.findings:
+        _write_finding(page, diagnosis, finding)
     if diagnosis.recalibrated:
         page.section("The numbers of the model")
         page.table(
             ["parameter", "start model", "fitted", "90 % interval", "unit", "off by", "range"],
             list(_list_recalibrated(diagnosis)),
-            caption="Fitted together with the effects, if there are any. A number is off if its "
-            "interval does not include the start model's value. A number at an end of the range in "
-            "which it was searched may lie beyond it.",
+            caption="Fitted together with all findings. A number is off if its interval does not "
+            "include the start model's value. A number at an end of its range may lie beyond it.",
         )
 
 
-def _write_effect(page: Page, diagnosis: Diagnosis, standing: Standing) -> None:
-    name = standing.effect.name
-    effect = CATALOGUE[name]
-    page.heading(spell_names(name))
-    form = standing.effect.form
+def _write_finding(page: Page, diagnosis: Diagnosis, finding: Finding) -> None:
+    its = finding.hypothesis
+    page.heading(spell_finding(diagnosis, finding))
     page.facts(
         {
-            "name in plant files": name,
-            "block": effect.block,
-            **({"form": form} if form != name else {}),
-            "beats every rival in": f"{100.0 * standing.confidence:.0f} % of bootstrap replicas",
+            "what is sure": _SURE[finding.level],
+            "place": spell_place(its.place),
+            "kind": spell_kind(its.kind),
+            "fits best": label_hypothesis(its),
+            "share of the whole gain": f"{100.0 * finding.share:.0f} %",
         }
     )
-    page.note(effect.equation)
-    page.text(f"What a model without it shows: {effect.signature}.")
-    rows = []
-    for number in numbers_of(diagnosis, name):
-        parameter = look_up_parameter(number.name)
-        row = [parameter.name, parameter.meaning, f"{number.value:.5g}"]
-        row += [f"{number.low:.5g} to {number.high:.5g}", number.unit]
-        rows.append([*row, mark_bound(diagnosis, number.name)])
-    page.table(["parameter", "meaning", "value", "90 % interval", "unit", "range"], rows)
-    _write_rivals(page, diagnosis, standing)
-
-
-def _write_rivals(page: Page, diagnosis: Diagnosis, standing: Standing) -> None:
-    model = diagnosis.model
-    block = _find_own_block(diagnosis, standing)
-    rows = [
-        [
-            spell_names(rival.name),
-            write_ratio(model, block, rival.residual_over_floor) if model else "-",
-            f"{100.0 * rival.wins:.0f} %",
-            "not told apart" if rival.is_equal else "worse",
-        ]
-        for rival in standing.rivals
-    ]
-    if rows:
-        page.table(
-            ["rival", "left, x floor (RMS)", "leaves less in", "verdict"],
-            rows,
-            caption="Each rival was fitted in place of the effect and judged on the held-out "
-            "records. The third column is the share of bootstrap replicas.",
-        )
-    else:
-        page.text("No other effect of the catalogue came near enough to be fitted as a rival.")
-
-
-def _list_recalibrated(diagnosis: Diagnosis) -> Iterator[list[str]]:
-    for number in diagnosis.recalibrated:
-        nominal = diagnosis.start_value(number.name)
-        off = relative_shift(diagnosis, number)
-        yield [
-            number.name,
-            f"{nominal:.5g}",
-            f"{number.value:.5g}",
-            f"{number.low:.5g} to {number.high:.5g}",
-            number.unit,
-            f"{100.0 * off:+.2f} %" if off is not None else "-",
-            mark_bound(diagnosis, number.name),
-        ]
-    for name, value, unit in _list_nuisances(diagnosis):
-        start = f"{diagnosis.start_value(name):.5g}"
-        yield [name, start, f"{value:.5g}", "always free", unit, "-", mark_bound(diagnosis, name)]
-
-
-def _list_nuisances(diagnosis: Diagnosis) -> Iterator[tuple[str, float, str]]:
-    """Yield the numbers that every fit has beside the model's own, such as a sensor's zero."""
-    model = diagnosis.model
-    shown = {number.name for number in diagnosis.numbers}
-    for fitted in model.fits.values() if model else ():
-        for free in fitted.free:
-            if free.is_nuisance and free.name not in shown:
-                shown.add(free.name)
-                yield free.name, fitted.values[free.name], unit_of(free)
-
-
-def _find_own_block(diagnosis: Diagnosis, standing: Standing) -> str:
-    """Return the block of an effect; of one that both blocks show, the one with the most left."""
-    model = diagnosis.model
-    blocks = model.evidence.blocks if model else ()
-    own = [block for block in blocks if block in standing.effect.blocks]
-    return max(own or blocks, key=model.ratio) if model else ""
-
-
-def write_trials(page: Page, diagnosis: Diagnosis) -> None:
-    """List the sets of effects that were fitted, by what they leave."""
-    base = diagnosis.base
-    if base is None or not diagnosis.trials:
-        return
-    page.section("What was tried")
-    blocks = base.evidence.blocks
-    rows = [["recalibrated only", *(write_ratio(base, b, base.ratio(b)) for b in blocks)]]
-    best: dict[tuple[str, ...], EffectsTrial] = {}
-    for trial in diagnosis.trials:
-        best.setdefault(trial.names, trial)  # the best form of each set
-    for names, trial in [*best.items()][:_MOST]:
-        left = (write_ratio(base, block, trial.ratios[block]) for block in blocks)
-        rows.append([spell_names(*names), *left])
+    if is_in_catalogue(finding):
+        effect = CATALOGUE[its.family]
+        page.note(effect.equation)
+        page.text(f"What a model without it shows: {effect.signature}.")
+    term = FreeTerm.read(diagnosis, finding) if its.is_term else None
+    if term is not None:
+        kin = f" Kin in the catalogue: {spell_names(*term.kin)}." if term.kin else ""
+        page.note(f"{term.text[:1].upper()}{term.text[1:]}. {term.equation}.{kin}")
+    page.grid(_draw_rivals(finding), caption=_write_caption(finding))
     page.table(
-        ["model", *(f"{block}, x floor (RMS)" for block in blocks)],
-        rows,
-        caption="Residual on the held-out records over the floor, the best first. If a single "
-        "effect leaves nothing above the limit, effects that promised less were not fitted. Sets "
-        "of several effects were fitted only where they looked promising.",
+        ["number", "meaning", "value", "90 % interval", "unit", "range"],
+        [_number_row(finding, n) for n in list_numbers(finding)],
     )
-    if diagnosis.verdict is Verdict.NONE_KNOWN:
-        page.text("Every one of these leaves something above the limit, so none is named.")
+    if term is not None and term.curve:
+        unit = "" if term.location.unit == "1" else f", {term.location.unit}"
+        driver = f"{term.driver}, {term.as_dict([])['driver_unit']}"
+        page.table(
+            [driver, f"size{unit}", "90 % interval"],
+            [
+                [f"{p['at']:.4g}", f"{p['value']:.4g}", " to ".join(f"{e:.4g}" for e in p["ci90"])]
+                for p in term.curve
+            ],
+            caption="The curve: linear between these points, and constant beyond them. What "
+            "recalibration imitates may move the whole of it.",
+        )
+
+
+def _draw_rivals(finding: Finding) -> Levels:
+    plot = Levels("Lost without it, and with a rival in its place", "nats")
+    plot.bar("without it", finding.gain_nats, ends=finding.interval_nats)
+    for j in finding.judged[:MOST_RIVALS]:
+        colour = 1 if j.is_beaten else MUTED if j.is_freer else 3
+        label = spell_names(label_hypothesis(j.hypothesis))
+        plot.bar(label, j.behind_nats, colour=colour, ends=j.interval_nats)
+    return plot
+
+
+def _write_caption(finding: Finding) -> str:
+    if not finding.judged:
+        return "No rival came near enough to be fitted in its place."
+    shown = finding.judged[:MOST_RIVALS]
+    near = sum(not j.is_beaten and not j.is_freer for j in shown)
+    mimics = sum(not j.is_beaten and j.is_freer for j in shown)
+    left = f"{near} of these cannot be ruled out." if near else ""
+    freer = (
+        "The grey bar is a freer law of the same place: it can always mimic a name, and counts "
+        "only where it does better."
+        if mimics
+        else ""
+    )
+    return (
+        "Each rival was fitted in its place, beside the rest of the model. A rival is beaten if it "
+        f"surely loses a tenth of what is lost without the finding. {left} {freer}".rstrip()
+    )
+
+
+def _number_row(finding: Finding, n: FittedNumber) -> list[str]:
+    meaning = look_up_parameter(n.name).meaning if is_in_catalogue(finding) else "-"
+    ends = [f"{n.value:.5g}", f"{n.low:.5g} to {n.high:.5g}", n.unit]
+    return [n.name.lstrip("~"), meaning, *ends, "at an end" if n.name in finding.at_range else ""]
+
+
+def _list_recalibrated(diagnosis: Diagnosis) -> Iterator[Sequence[str]]:
+    for n in diagnosis.recalibrated:
+        off = relative_shift(diagnosis, n)
+        yield [
+            n.name,
+            f"{diagnosis.start_value(n.name):.5g}",
+            f"{n.value:.5g}",
+            f"{n.low:.5g} to {n.high:.5g}",
+            n.unit,
+            f"{100.0 * off:+.2f} %" if off is not None else "-",
+            "at an end" if n.name in diagnosis.at_bound else "",
+        ]

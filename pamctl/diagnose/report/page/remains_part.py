@@ -1,52 +1,20 @@
-"""What remains, what these data cannot show, and what was compared."""
+"""What does not count, what these data cannot show, and what was compared."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-from pamctl.diagnose.diagnosis import Diagnosis, find_largest_remainder
-from pamctl.diagnose.measured.noise.channel_noise import SOURCES
-from pamctl.diagnose.measured.noise.sensor_noise import Noise
+from pamctl.diagnose.diagnosis import Diagnosis
+from pamctl.diagnose.evidence.run_pieces import Runs
+from pamctl.diagnose.measured.noise.channel_noise import SOURCES, ChannelNoise
 from pamctl.diagnose.measured.record import Record
-from pamctl.diagnose.report.compared_models import SIGNAL_DISPLAYS
-from pamctl.diagnose.report.page.regime_map import write_shape
-from pamctl.diagnose.report.phrases import (
-    describe_largest_remainder,
-    describe_limits,
-    describe_remainder,
-    describe_signs,
-    describe_substeps,
-    spell_names,
-)
+from pamctl.diagnose.report.diagnosis_document import find_masked_shares
+from pamctl.diagnose.report.finding_words import spell_names
+from pamctl.diagnose.report.phrases import SIGNAL_DISPLAYS, describe_noise
 from pamctl.diagnose.report.rig_at_hand import advise_experiment, words_of_rig
 from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
 from pamctl.report.motion_section import mark_moments
-
-
-def write_remainder(page: Page, diagnosis: Diagnosis) -> None:
-    """Say what is left, and where."""
-    model = diagnosis.model
-    if model is None:
-        return
-    page.section("What remains")
-    page.text(describe_limits(model))
-    if substeps := describe_substeps(diagnosis.substep_changes):
-        page.note(substeps)
-    if diagnosis.signs:
-        page.note(describe_signs(diagnosis))
-    if model.is_complete:
-        block, ratio, _ = find_largest_remainder(diagnosis)
-        limit = model.floors[block].limit / model.floors[block].mean
-        page.text(
-            f"Nothing is above the limit. The {block} block is nearest to it, at {ratio:.2f} times "
-            f"its floor; the limit is {limit:.2f}."
-        )
-        return
-    page.text(describe_largest_remainder(diagnosis))
-    write_shape(page, diagnosis)
-    if diagnosis.remainder is not None:
-        page.note(describe_remainder(diagnosis.remainder, diagnosis.nominal.actuator))
 
 
 def write_blind_spots(page: Page, diagnosis: Diagnosis) -> None:
@@ -79,21 +47,13 @@ def write_blind_spots(page: Page, diagnosis: Diagnosis) -> None:
 
 
 def write_compared_runs(page: Page, diagnosis: Diagnosis, records: Sequence[Record]) -> None:
-    """List the records and their use, the start model, and the sensors' noise."""
+    """List the records and their use, the start model, masks, and the sensors' noise."""
     page.section("What was compared")
-    train, holdout = diagnosis.train or records, diagnosis.holdout
-    cut = {r.name for r in train} & {r.name for r in holdout}
-    rows = [
-        _record_row(r, "cut: half for the fit, a third to choose by, a sixth to confirm")
-        for r in train
-        if r.name in cut
-    ]
-    rows += [_record_row(r, "fit" if holdout else "none") for r in train if r.name not in cut]
-    rows += [
-        _record_row(r, "two thirds to choose by, one to confirm")
-        for r in holdout
-        if r.name not in cut
-    ]
+    evidence = diagnosis.evidence
+    train = diagnosis.train or records
+    rows = [_record_row(r, "fitted, each block left out in turn" if evidence else "none")
+            for r in train]  # fmt: skip
+    rows += [_record_row(r, "held out") for r in diagnosis.holdout]
     page.table(["record", "use", "duration, s", "samples", "period, ms", "measured"], rows)
     if diagnosis.accepted:
         page.table(
@@ -101,18 +61,39 @@ def write_compared_runs(page: Page, diagnosis: Diagnosis, records: Sequence[Reco
             [["; ".join(a.doubts), a.rule, a.reason] for a in diagnosis.accepted],
             caption="These rules would have refused the data. The user overruled them.",
         )
-    model = diagnosis.model
-    if model is None:
+    if evidence is None:
         return
     effects = diagnosis.nominal.effects.model_dump(exclude_none=True)
     page.text(
         f"The start model is {words_of_rig(diagnosis).start_model}, with "
         + (f"{spell_names(*effects)}." if effects else "no further effect.")
+        + f" {_describe_simulation(evidence.weigher.train)}"
     )
+    masked = find_masked_shares(diagnosis)
     page.table(
-        ["sensor", "noise", "converter's step", "unit", "kind", "known"],
-        [_noise_row(name, noise) for name, noise in model.evidence.noises.items()],
+        ["sensor", "noise", "converter's step", "unit", "kind", "known", "do not count"],
+        [_noise_row(name, diagnosis.noise, masked) for name in evidence.noise_rms],
+        caption="Samples at which a record says nothing do not count: gaps, spikes, a frozen "
+        "column, no velocity where a motion is imposed, and the first part of a run that does not "
+        "begin at rest.",
     )
+    faults = describe_noise(diagnosis)
+    if faults:
+        page.points(*faults)
+
+
+def _describe_simulation(runs: Runs) -> str:
+    if runs.imposed:
+        return (
+            "Something else moves this axis: the equation of motion gives the force for the "
+            "measured motion."
+        )
+    if runs.actuator == "direct":
+        how = "in short windows, each from the measured state" if runs.windowed else "freely"
+        return f"The motion is simulated from the measured force, {how}."
+    if "valve_v" in runs.stretches[0].inputs:
+        return "The whole model is simulated from the command alone."
+    return "The motion is simulated from the measured pressure."
 
 
 def write_measured_runs(page: Page, records: Sequence[Record]) -> None:
@@ -144,11 +125,17 @@ def _record_row(record: Record, use: str) -> list[str]:
     return [record.name, use, f"{record.duration_s:.1f}", str(len(record)), period, measured]
 
 
-def _noise_row(channel: str, noise: Noise) -> list[str]:
+def _noise_row(
+    channel: str, about: Mapping[str, ChannelNoise], masked: Mapping[str, float]
+) -> list[str]:
     display = SIGNAL_DISPLAYS[channel]
+    noise = about[channel].noise if channel in about else None
+    share = f"{100.0 * masked.get(channel, 0.0):.2g} %"
+    if noise is None:
+        return [display.title, "-", "-", display.gap_unit, "-", "-", share]
     step = f"{noise.resolution * display.gap_factor:.3g}"
     if not noise.is_known:
-        return [display.title, "unknown", step, display.gap_unit, "-", "not from these data"]
+        return [display.title, "unknown", step, display.gap_unit, "-", "not from these data", share]
     size = f"{noise.deviation * display.gap_factor:.3g}"
     kind = "correlated from sample to sample" if noise.memory else "white"
-    return [display.title, size, step, display.gap_unit, kind, SOURCES[noise.source]]
+    return [display.title, size, step, display.gap_unit, kind, SOURCES[noise.source], share]

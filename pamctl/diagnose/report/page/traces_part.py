@@ -1,88 +1,169 @@
-"""Measurement and models over time, on the held-out records."""
+"""Measurement and models over time, on the records that judge; and what is left over the time."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from pamctl.diagnose.diagnosis import Diagnosis
+from pamctl.diagnose.diagnosis import Diagnosis, Verdict
+from pamctl.diagnose.evidence.fit import WeighedModel
+from pamctl.diagnose.evidence.run_pieces import Runs
 from pamctl.diagnose.measured.record import Array
-from pamctl.diagnose.report.compared_models import (
-    SIGNAL_DISPLAYS,
-    HeldOutRun,
-    HeldOutSignal,
-    ModelStage,
-    list_model_stages,
-    simulate_stages,
-)
+from pamctl.diagnose.report.phrases import SIGNAL_DISPLAYS
+from pamctl.log.moments import Moment
 from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot, plot_apart
 from pamctl.report.html_page import Page
 from pamctl.report.motion_section import mark_moments
 
 STRETCH_S = 3.0
+MOST_NOISE = 1e4
+"""A model that runs away is drawn so many times the sensor's noise away."""
 _TIME = PlotAxis("time", "s", tight=True)
 
 
-class Stretch(NamedTuple):
-    """A part of a held-out record: samples [start, stop)."""
+class ModelStage(NamedTuple):
+    """One of the models between the start model and the model to go on with."""
 
-    record: HeldOutRun
-    start: int
-    stop: int
+    key: str
+    """The name of its level in a `HeldOutGap`."""
+    label: str
+    model: WeighedModel
+    colour: int
+
+
+@dataclass(frozen=True)
+class ShownRun:
+    """A record, or the part of one between gaps, with its simulations; arrays (channels, n), SI."""
+
+    name: str
+    t_s: Array
+    command_v: Array | None
+    channels: tuple[str, ...]
+    measured: Array
+    residuals: dict[str, Array]
+    """Measured minus simulated by stage."""
+    counted: Array
+    """1 where a sample counts, NaN where not."""
+    noise: Array
+    moments: tuple[Moment, ...] = ()
+
+
+def list_stages(diagnosis: Diagnosis) -> list[ModelStage]:
+    """Return the models that this verdict compares; the last one is the model to go on with."""
+    evidence = diagnosis.evidence
+    if evidence is None:
+        return []
+    stages = [ModelStage("nominal", "start model", evidence.start, 3)]
+    if diagnosis.verdict is not Verdict.NO_DISCREPANCY:
+        stages.append(ModelStage("recalibrated", "recalibrated", evidence.base, 1))
+    if diagnosis.findings:
+        stages.append(ModelStage("extended", "with what was found", evidence.model, 0))
+    return stages
+
+
+def show_runs(diagnosis: Diagnosis, stages: Sequence[ModelStage]) -> list[ShownRun]:
+    """Simulate every stage on the held-out records, or on the fitted ones if none are held out."""
+    evidence = diagnosis.evidence
+    if evidence is None or not stages:
+        return []
+    weigher = evidence.weigher
+    runs = weigher.held_out or weigher.train
+    counted = np.where(_flatten(runs.masked), np.nan, 1.0)
+    shown = _flatten(runs.shown)
+    simulated = {
+        s.key: _flatten(runs.simulate({**weigher.base, **s.model.values}, min(runs.steps_s)))
+        for s in stages
+    }
+    noise = np.array([evidence.noise_rms[c] for c in runs.channels])
+    most = MOST_NOISE * noise[:, None]
+    left = {k: np.clip(shown - row, -most, most) for k, row in simulated.items()}
+    return list(_cut_pieces(diagnosis, runs, shown, left, counted, noise))
+
+
+def _flatten(blocks: np.ndarray) -> np.ndarray:
+    return blocks.reshape(len(blocks), -1)
+
+
+def _cut_pieces(
+    diagnosis: Diagnosis, runs: Runs, shown: Array, left: dict[str, Array], counted: Array,
+    noise: Array,
+) -> Iterator[ShownRun]:  # fmt: skip
+    when_s, at = runs.when_s.ravel(), 0
+    moments = {r.name: r.moments for r in (*diagnosis.train, *diagnosis.holdout)}
+    for piece, size in zip(runs.stretches, runs.sizes, strict=True):
+        n = min(size, piece.shown.shape[1])
+        part = slice(at, at + n)
+        command = piece.inputs.get("valve_v")
+        yield ShownRun(
+            piece.name, piece.begin_s + when_s[part], None if command is None else command[:n],
+            runs.channels, shown[:, part], {k: rows[:, part] for k, rows in left.items()},
+            counted[:, part], noise, moments.get(piece.name, ()),
+        )  # fmt: skip
+        at += size
 
 
 def write_traces(page: Page, diagnosis: Diagnosis) -> None:
     """Show the most telling stretch, and the residual of its whole record."""
-    records = simulate_stages(diagnosis)
-    stages = list_model_stages(diagnosis)[-2:]
-    if not records:
+    stages = list_stages(diagnosis)
+    runs = show_runs(diagnosis, stages)
+    if not runs:
         return
-    stretch = find_telling_stretch(records, stages)
-    close_up = [*_draw_close_up(stretch, stages)]
-    same_scale = [*_draw_same_scale(stretch, stages[-1])]
-    whole = [*_draw_whole(stretch, stages)]
-    mark_moments([*close_up, *same_scale, *whole], stretch.record.moments)
+    stages = stages[-2:]
+    run, part = find_telling_stretch(runs, stages)
+    close_up = [*_draw_close_up(run, part, stages)]
+    same_scale = [*_draw_same_scale(run, stages[-1])]
+    is_part = part.stop - part.start < len(run.t_s)
+    whole = [*_draw_whole(run, part, stages)] if is_part else []
+    mark_moments([*close_up, *same_scale, *whole], run.moments)
     page.section("Measured and simulated")
-    page.figure(*close_up, caption=_write_caption(stretch, stages))
+    why = (
+        f'where the model "{stages[-1].label}" improves most on "{stages[-2].label}"'
+        if len(stages) > 1
+        else "where the residual is largest"
+    )
+    use = "held-out" if diagnosis.holdout else "partly fitted"
+    page.figure(
+        *close_up,
+        caption=f"The {use} record {run.name}, at most {STRETCH_S:g} s of it, {why}. A residual "
+        "breaks where samples do not count.",
+    )
     page.figure(
         *same_scale,
         caption="The measured signal without its mean, and the residual, at the same scale: what "
         f'the model "{stages[-1].label}" leaves of what there was to explain.',
     )
-    page.figure(
-        *whole,
-        caption=f"The residual over the whole record {stretch.record.name}. The stretch above lies "
-        "between the dashed lines.",
-    )
+    if whole:
+        page.figure(
+            *whole,
+            caption=f"What is left over the whole record {run.name}. The stretch above lies "
+            "between the dashed lines.",
+        )
 
 
-def find_telling_stretch(records: Sequence[HeldOutRun], stages: Sequence[ModelStage]) -> Stretch:
+def find_telling_stretch(
+    runs: Sequence[ShownRun], stages: Sequence[ModelStage]
+) -> tuple[ShownRun, slice]:
     """Return the stretch in which the last model improves most on the first.
 
     With a single model, return the stretch with the largest residual.
     """
-    best, most = Stretch(records[0], 0, len(records[0].t_s)), -np.inf
-    for record in records:
-        length = min(int(np.searchsorted(record.t_s, STRETCH_S)), len(record.t_s))
-        gains = _score_stretches(record, stages, length)
-        start = int(np.argmax(gains))
-        if gains[start] > most:
-            best, most = Stretch(record, start, start + length), float(gains[start])
+    best, most = (runs[0], slice(0, len(runs[0].t_s))), -np.inf
+    for run in runs:
+        length = min(int(np.searchsorted(run.t_s - run.t_s[0], STRETCH_S)), len(run.t_s))
+        gains = np.zeros(len(run.t_s) - length + 1)
+        for c, noise in enumerate(run.noise):
+            before, after = (
+                _measure_movement(np.nan_to_num(run.residuals[s.key][c] * run.counted[c]), length)
+                for s in (stages[0], stages[-1])
+            )
+            gains += (before - after if len(stages) > 1 else before) / noise**2
+        begin = int(np.argmax(gains))
+        if gains[begin] > most:
+            best, most = (run, slice(begin, begin + length)), float(gains[begin])
     return best
-
-
-def _score_stretches(record: HeldOutRun, stages: Sequence[ModelStage], length: int) -> Array:
-    """Return how much each stretch of `length` samples would show, in sensor deviations."""
-    gains = np.zeros(len(record.t_s) - length + 1)
-    for signal in record.signals:
-        before, after = (
-            _measure_movement(np.where(record.counted, signal.residual(s.key), 0.0), length)
-            for s in (stages[0], stages[-1])
-        )
-        gains += (before - after if len(stages) > 1 else before) / signal.deviation**2
-    return gains
 
 
 def _measure_movement(residual: Array, length: int) -> Array:
@@ -90,81 +171,69 @@ def _measure_movement(residual: Array, length: int) -> Array:
 
     A gap that opens and closes shows more than a constant one.
     """
-    mean, square = (_moving_means(values, length) for values in (residual, residual**2))
-    moving: Array = square - 0.9 * mean**2
-    return moving
+    means = []
+    for values in (residual, residual**2):
+        sums = np.concatenate([[0.0], np.cumsum(values)])
+        means.append((sums[length:] - sums[:-length]) / length)
+    return np.asarray(means[1] - 0.9 * means[0] ** 2)
 
 
-def _moving_means(values: Array, length: int) -> Array:
-    sums = np.concatenate([[0.0], np.cumsum(values)])
-    means: Array = (sums[length:] - sums[:-length]) / length
-    return means
-
-
-def _draw_close_up(stretch: Stretch, stages: Sequence[ModelStage]) -> Iterator[SvgPlot]:
-    part = slice(stretch.start, stretch.stop)
-    record = stretch.record
-    t_s = record.t_s[part]
-    for signal in record.signals:
-        display = SIGNAL_DISPLAYS[signal.name]
-        plot = SvgPlot(
-            display.title, _TIME, PlotAxis(display.title.split(",")[0].lower(), display.unit)
-        )
-        plot.line(t_s, display.factor * signal.measured[part], "measured", colour=MUTED, thick=True)
+def _draw_close_up(run: ShownRun, part: slice, stages: Sequence[ModelStage]) -> Iterator[SvgPlot]:
+    t_s = run.t_s[part]
+    for c, channel in enumerate(run.channels):
+        display = SIGNAL_DISPLAYS[channel]
+        plot = SvgPlot(display.title, _TIME, PlotAxis(display.short, display.unit))
+        measured = run.measured[c, part]
+        plot.line(t_s, display.factor * measured, "measured", colour=MUTED, thick=True)
         for stage in stages:
-            simulated = display.factor * signal.simulated[stage.key][part]
+            simulated = display.factor * (measured - run.residuals[stage.key][c, part])
             plot.line(t_s, simulated, stage.label, colour=stage.colour)
         yield plot
-        yield from _draw_residual(t_s, signal, stages, part)
-    if record.command_v is not None:
+        yield from _draw_residual(run, c, stages, part)
+    if run.command_v is not None:
         command = SvgPlot("Valve command", _TIME, PlotAxis("command", "V"), height_px=90)
-        yield command.line(t_s, record.command_v[part], step=True, colour=MUTED)
+        yield command.line(t_s, run.command_v[part], step=True, colour=MUTED)
 
 
 def _draw_residual(
-    t_s: Array, signal: HeldOutSignal, stages: Sequence[ModelStage], part: slice
+    run: ShownRun, c: int, stages: Sequence[ModelStage], part: slice
 ) -> list[SvgPlot]:
-    display = SIGNAL_DISPLAYS[signal.name]
+    display = SIGNAL_DISPLAYS[run.channels[c]]
     title = f"{display.title.split(',')[0]}, measurement \N{MINUS SIGN} simulation"
-    residuals = {stage.key: signal.residual(stage.key)[part] for stage in stages}
-    factor, unit = display.choose_unit(max(float(np.abs(r).max()) for r in residuals.values()))
+    residuals = {s.key: (run.residuals[s.key] * run.counted)[c, part] for s in stages}
+    largest = max(float(np.abs(np.nan_to_num(r)).max()) for r in residuals.values())
+    factor, unit = display.choose_unit(largest)
 
     def draw(shown: Sequence[ModelStage]) -> SvgPlot:
         plot = SvgPlot(title, _TIME, PlotAxis("residual", unit), height_px=110)
         for stage in shown:
-            plot.line(t_s, factor * residuals[stage.key], stage.label, colour=stage.colour)
+            plot.line(
+                run.t_s[part], factor * residuals[stage.key], stage.label, colour=stage.colour
+            )
         return plot
 
     return plot_apart(draw, stages)
 
 
-def _draw_same_scale(stretch: Stretch, stage: ModelStage) -> Iterator[SvgPlot]:
+def _draw_same_scale(run: ShownRun, stage: ModelStage) -> Iterator[SvgPlot]:
     """Draw signal and residual of the whole record on one axis, with their RMS as labels."""
-    record = stretch.record
-    for signal in record.signals:
-        display = SIGNAL_DISPLAYS[signal.name]
-        moved = display.factor * (signal.measured - np.mean(signal.measured))
-        left = display.factor * signal.residual(stage.key)
-        name = display.title.split(",")[0]
-        plot = SvgPlot(f"{name}, signal and residual", _TIME, PlotAxis(name.lower(), display.unit))
+    for c, channel in enumerate(run.channels):
+        display = SIGNAL_DISPLAYS[channel]
+        moved = display.factor * (run.measured[c] - np.mean(run.measured[c]))
+        left = display.factor * run.residuals[stage.key][c] * run.counted[c]
+        plot = SvgPlot(
+            f"{display.title.split(',')[0]}, signal and residual", _TIME,
+            PlotAxis(display.short, display.unit),
+        )  # fmt: skip
         for label, values, colour in (("signal", moved, MUTED), ("residual", left, stage.colour)):
-            rms = float(np.sqrt(np.mean(values[record.counted] ** 2)))
-            plot.line(record.t_s, values, f"{label}, RMS {rms:.3g} {display.unit}", colour=colour)
+            kept = values[np.isfinite(values)]
+            rms = float(np.sqrt(np.mean(kept**2))) if len(kept) else 0.0
+            plot.line(run.t_s, values, f"{label}, RMS {rms:.3g} {display.unit}", colour=colour)
         yield plot
 
 
-def _draw_whole(stretch: Stretch, stages: Sequence[ModelStage]) -> Iterator[SvgPlot]:
-    t_s = stretch.record.t_s
-    for signal in stretch.record.signals:
-        for plot in _draw_residual(t_s, signal, stages, slice(None)):
-            plot.place(float(t_s[stretch.start]), "")
-            yield plot.place(float(t_s[stretch.stop - 1]), "")
-
-
-def _write_caption(stretch: Stretch, stages: Sequence[ModelStage]) -> str:
-    why = (
-        f'where the model "{stages[-1].label}" improves most on "{stages[-2].label}"'
-        if len(stages) > 1
-        else "where the residual is largest"
-    )
-    return f"{STRETCH_S:g} s of the held-out record {stretch.record.name}, {why}."
+def _draw_whole(run: ShownRun, part: slice, stages: Sequence[ModelStage]) -> Iterator[SvgPlot]:
+    for c in range(len(run.channels)):
+        for plot in _draw_residual(run, c, stages, slice(None)):
+            plot.place(float(run.t_s[part.start]), "")
+            yield plot.place(float(run.t_s[part.stop - 1]), "")

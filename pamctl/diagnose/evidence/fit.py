@@ -1,0 +1,369 @@
+"""Models under the likelihood: their fit, their evidence with each block left out, what counts.
+
+A fit compares simulations of coarse steps. What fine steps would change (the *lag* of a model, its
+coarse residual minus its fine one) is taken from one fine simulation, and again when a fit ends:
+only fine residuals decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pamctl.diagnose.evidence.constants import (
+    COARSE_STEP_S,
+    DRAWS,
+    FINE_STEP_S,
+    FIT_STEPS,
+    FIT_STOP,
+    NAME_NATS,
+    NUGGET,
+    SEEN_SHARE,
+    SMALL_SHARE,
+    STRETCH,
+    SURE,
+)
+from pamctl.diagnose.evidence.likelihood import Likelihood, Loss, levels_of, to_haar
+from pamctl.diagnose.evidence.pool import CHAIN, Unknown, Variant
+from pamctl.diagnose.evidence.run_pieces import Runs
+from pamctl.diagnose.evidence.sample_masks import find_resolution
+
+Array = NDArray[np.float64]
+
+STEP = 2e-3
+"""Of a number's scale: the step of a one-sided difference."""
+MOST_STEP = 3.0
+"""Scales that a number may move at once."""
+NEAR = 0.5
+"""Scales within which a tangent is that of the place."""
+KEPT_PROMISE = 0.3
+"""A tangent is used again while a step gains this share of what it promised."""
+
+
+@dataclass(eq=False)
+class WeighedModel:
+    """A model: what is free in it, where its fit stands, and what its residual costs."""
+
+    names: tuple[str, ...]
+    numbers: tuple[Unknown, ...]
+    held: Mapping[str, float]
+    x: Array
+    picked: Mapping[str, Variant] = field(default_factory=dict)
+    """The variant of each name."""
+    d: Array = field(default_factory=lambda: np.zeros(0))
+    """Residual as Haar coefficients; empty before the first simulation."""
+    lag: Array | float = 0.0
+    """Coarse residual minus fine residual."""
+    tangent: Array | None = None
+    """Change of d for a scale of each number, shape (numbers, *d.shape)."""
+    tangent_at: Array = field(default_factory=lambda: np.zeros(0))
+    """The numbers at which the tangent was simulated."""
+    loss: Loss | None = None
+    left_out: Array = field(default_factory=lambda: np.zeros(0))
+    """Loss of each block as if it had been left out, those held out behind."""
+    away: tuple[bytes, Array] | None = None
+    """The numbers of the last simulation of the held-out records, and its residual."""
+
+    @property
+    def values(self) -> dict[str, float]:
+        """All numbers by name."""
+        return {
+            **self.held,
+            **{n.name: float(v) for n, v in zip(self.numbers, self.x, strict=True)},
+        }
+
+    @property
+    def total(self) -> float:
+        """Nats of all blocks, each left out."""
+        return float(self.left_out.sum())
+
+    @property
+    def cost(self) -> Loss:
+        """The loss under the last floor."""
+        assert self.loss is not None
+        return self.loss
+
+
+class Weigher:
+    """The records and their likelihood: it fits models, and weighs one against another."""
+
+    def __init__(
+        self,
+        train: Runs,
+        held_out: Runs | None,
+        base: Mapping[str, float],
+        noise: Mapping[str, float] | None = None,
+    ) -> None:
+        """Lay out the likelihoods; `base` holds the numbers of the plant that stay.
+
+        `noise` states standard deviations of sensors, SI, by channel: no scale is below them.
+        """
+        self.train, self.held_out, self.base = train, held_out, base
+        steps = map(find_resolution, train.shown.reshape(len(train.shown), -1))
+        stated = ((noise or {}).get(channel, 0.0) for channel in train.channels)
+        least2 = np.array([max(q**2 / 12.0, s**2) for q, s in zip(steps, stated, strict=True)])
+        level = levels_of(train.block)
+        self.like = Likelihood(train.find_kept(level), least2)
+        self.like_held = None
+        if held_out is not None:
+            self.like_held = Likelihood(held_out.find_kept(level), least2)
+        self.floor2 = least2
+        self.pushes: dict[str, float] = {}
+        """Of each hypothesis, the square that a unit dose adds to the residual."""
+        one = np.zeros_like(train.shown)
+        self._zeros = {}
+        for c, channel in enumerate(train.channels):
+            one[:] = 0.0
+            one[c] = -1.0
+            self._zeros[f"{CHAIN}zero.{channel}"] = to_haar(one)
+
+    # --- residuals ---
+
+    def find_residual(self, values: Mapping[str, float], step_s: float = COARSE_STEP_S) -> Array:
+        """Return the Haar coefficients of what was measured minus what a plant shows."""
+        return self.residual_of(self.train, values, step_s)
+
+    def residual_of(
+        self, runs: Runs, values: Mapping[str, float], step_s: float = COARSE_STEP_S
+    ) -> Array:
+        """Return the same of other records."""
+        off = runs.shown - runs.simulate({**self.base, **values}, step_s)
+        return to_haar(runs.fill_masked(off))
+
+    def residual_at(self, m: WeighedModel, x: Array) -> Array:
+        """Return a model's residual at other numbers, less the error of coarse steps."""
+        moved = {n.name: float(v) for n, v in zip(m.numbers, x, strict=True)}
+        d = self.find_residual({**m.held, **moved})
+        d -= m.lag
+        return d
+
+    def refine(self, m: WeighedModel) -> None:
+        """Simulate a model in fine steps; its residual is then the one that counts."""
+        coarse, fine = (self.find_residual(m.values, s) for s in (COARSE_STEP_S, FINE_STEP_S))
+        m.lag, m.d = coarse - fine, fine
+
+    # --- fitting ---
+
+    def find_column(self, m: WeighedModel, i: int) -> Array:
+        """Return the change of the residual for a scale of one number."""
+        number = m.numbers[i]
+        if number.name in self._zeros:
+            return self._zeros[number.name] * number.scale
+        h = STEP * number.scale
+        h = -h if m.x[i] + h > number.high else h
+        x = m.x.copy()
+        x[i] += h
+        return (self.residual_at(m, x) - m.d) * (number.scale / h)
+
+    def _find_tangent(self, m: WeighedModel) -> Array:
+        if m.tangent is None:
+            m.tangent = np.stack([self.find_column(m, i) for i in range(len(m.x))])
+            m.tangent_at = m.x.copy()
+        return m.tangent
+
+    def fit(
+        self, m: WeighedModel, steps: int = FIT_STEPS, *, is_rough: bool = False
+    ) -> WeighedModel:
+        """Fit under the present floor by Gauss and Newton; scales are found anew at each step.
+
+        A step also corrects the tangent by what it moved (Broyden). A rough fit simulates no other.
+        """
+        low, high, scale = (
+            np.array([getattr(n, k) for n in m.numbers]) for k in ("low", "high", "scale")
+        )
+        if not m.d.size:
+            self.refine(m)
+        m.loss = self.like(m.d, self.floor2)
+        damping = 1e-3
+        for step in range(steps):
+            tangent = self._find_tangent(m)
+            fresh = is_rough or bool((np.abs(m.x - m.tangent_at) < NEAR * scale).all())
+            flat = tangent.reshape(len(m.x), -1)
+            weighed = flat * m.cost.weights.ravel()
+            hessian, slope = weighed @ flat.T, weighed @ m.d.ravel()
+            cost = float(m.cost.by_block.sum())
+            better = None
+            for _ in range(4 if fresh else 1):
+                way = _find_step(m.x, low, high, scale, hessian, slope, damping)
+                d = self.residual_at(m, m.x + way)
+                loss = self.like(d, self.floor2, m.cost.scales2)
+                if loss.by_block.sum() < cost:
+                    better = m.x + way, d, loss
+                    break
+                damping = max(damping, 1e-4) * 10.0
+            if better is None:
+                if fresh:
+                    break
+                m.tangent = None
+                continue
+            go = way / scale
+            promised = float(-(slope @ go) - 0.5 * go @ hessian @ go)
+            missed = (better[1] - m.d).ravel() - go @ flat
+            flat += np.outer(go / max(float(go @ go), 1e-30), missed)
+            m.x, m.d, m.loss = better
+            gained, damping = cost - float(m.loss.by_block.sum()), max(damping / 10.0, 1e-6)
+            if gained < FIT_STOP:
+                if fresh:
+                    break
+                m.tangent = None
+            elif not is_rough and step < steps - 1 and gained < KEPT_PROMISE * promised:
+                m.tangent = None
+        self._find_tangent(m)
+        return m
+
+    def polish(self, m: WeighedModel, steps: int = FIT_STEPS) -> WeighedModel:
+        """Fit to the end by fine residuals: until the steps' error moves nothing."""
+        for _ in range(3):
+            self.fit(m, steps)
+            before = float(m.cost.by_block.sum())
+            self.refine(m)
+            m.loss = self.like(m.d, self.floor2)
+            if abs(float(m.loss.by_block.sum()) - before) < FIT_STOP:
+                break
+        return self.leave_out(m)
+
+    def settle(self, m: WeighedModel, steps: int = FIT_STEPS) -> WeighedModel:
+        """Fit while the floor follows down: far misfits first count whole, later by their parts."""
+        if not m.d.size:
+            self.refine(m)
+        for _ in range(4):
+            before = self.like.mean_squares(m.d)
+            self.set_floor(m)
+            self.fit(m, steps)
+            if (self.like.mean_squares(m.d) > 0.8 * before).all():
+                break
+        self.refine(m)
+        self.set_floor(m)
+        return self.polish(m, 3)
+
+    # --- weighing ---
+
+    def set_floor(self, m: WeighedModel) -> None:
+        """Take the resolution of the model that is to be beaten."""
+        self.floor2 = np.maximum(self.like.least2, NUGGET**2 * self.like.mean_squares(m.d))
+
+    def leave_out(self, m: WeighedModel) -> WeighedModel:
+        """Weigh a model with each block left out, to first order; then the held-out blocks."""
+        m.loss = self.like(m.d, self.floor2)
+        optimism = find_optimism(self._find_tangent(m), m.loss.weights, m.d)
+        m.left_out = m.loss.by_block + optimism
+        if self.held_out is not None and self.like_held is not None:
+            key = m.x.tobytes()
+            if m.away is None or m.away[0] != key:
+                m.away = key, self.residual_of(self.held_out, m.values, FINE_STEP_S)
+            held = self.like_held(m.away[1], self.floor2, scales2=m.loss.scales2)
+            m.left_out = np.concatenate([m.left_out, held.by_block])
+        return m
+
+    def meet(self, poorer: WeighedModel, better: WeighedModel) -> None:
+        """Weigh both by what the poorer one can resolve: only then do their nats compare."""
+        self.set_floor(poorer)
+        self.leave_out(poorer)
+        self.leave_out(better)
+
+    def find_intervals(self, m: WeighedModel) -> dict[str, tuple[float, float]]:
+        """Return a 90 % interval of each number, by the scores of the blocks (a sandwich).
+
+        Neighbouring blocks are summed, STRETCH at a time: their scores are not independent. The
+        error of a sensor's step stays the same while a signal rests: each block may be off by it.
+        """
+        assert m.tangent is not None
+        count, (_, n_blocks, _) = len(m.x), m.d.shape
+        flat = m.tangent.reshape(count, -1)
+        weighed = flat * m.cost.weights.ravel()
+        hessian = weighed @ flat.T
+        inverse = np.linalg.pinv(hessian, hermitian=True)
+        by_block = (weighed * m.d.ravel()).reshape(count, len(m.d), n_blocks, -1).sum(axis=(1, 3))
+        pieces = np.add.reduceat(by_block, np.arange(0, n_blocks, STRETCH), axis=1)
+        by_mean = (
+            weighed.reshape(count, *m.d.shape)[..., -1]
+            * np.sqrt(m.d.shape[-1] * self.like.least2)[:, None]
+        )
+        by_mean = by_mean.reshape(count, -1)
+        middle = pieces @ pieces.T + by_mean @ by_mean.T
+        variance = np.maximum(np.diag(inverse @ middle @ inverse), np.diag(inverse) * 0.1)
+        off = 1.645 * np.sqrt(np.maximum(variance, 0.0)) * [n.scale for n in m.numbers]
+        return {
+            n.name: (float(v - w), float(v + w))
+            for n, v, w in zip(m.numbers, m.x, off, strict=True)
+        }
+
+    def find_imprint(self, a: WeighedModel, b: WeighedModel) -> Array:
+        """Return the robust RMS that b takes off a in each channel, over the sensor's noise."""
+        off = self.find_robust2(a) - self.find_robust2(b)
+        return np.sqrt(np.maximum(off, 0.0) / self.find_noise2(b))
+
+    def find_robust2(self, m: WeighedModel) -> Array:
+        """Return the robust mean square of each channel's residual, SI."""
+        scales2 = self.like.find_scales2(m.d, self.like.least2)
+        return np.asarray((self.like.counts * scales2).sum(axis=1) / self.like.counts.sum(axis=1))
+
+    def find_noise2(self, m: WeighedModel) -> Array:
+        """Return the squared noise of each sensor: the finest level, never below its step."""
+        fine = m.d[..., : self.like.block // 2] ** 2
+        kept = self.like.keep[..., : self.like.block // 2]
+        middle = np.array([np.median(f[k]) for f, k in zip(fine, kept, strict=True)])
+        return np.maximum(middle / 0.455, self.like.least2)
+
+    def find_seen(self, a: WeighedModel, b: WeighedModel) -> Array:
+        """Return the share of each channel's robust mean square that b takes off a."""
+        left2 = [(self.like.counts * m.cost.scales2).sum(axis=1) for m in (a, b)]
+        return np.asarray(1.0 - left2[1] / left2[0])
+
+    def may_be_seen(self, a: WeighedModel, b: WeighedModel) -> bool:
+        """Tell whether a rough fit of b takes off a half of what a reader sees."""
+        seen = self.find_seen(a, b).max() > 0.5 * SEEN_SHARE
+        return bool(seen or self.find_imprint(a, b).max() > 0.5)
+
+    def counts(self, a: WeighedModel, b: WeighedModel) -> bool:
+        """Tell whether b's last name is worth saying against a: sure, seen, and sized."""
+        variant = b.picked[b.names[-1]]
+        sizes = [(abs(b.values[u.name] - (u.neutral or 0.0)), u.smallest) for u in variant.sizes]
+        if all(size < SMALL_SHARE * smallest for size, smallest in sizes):
+            return False
+        gain = a.left_out - b.left_out
+        low, middle, _ = bound_gain(gain)
+        if low <= 0.0 or middle <= NAME_NATS:
+            return False
+        if gain[self.like.n_blocks :].sum() < 0.0:  # the records that are held out
+            return False
+        seen = self.find_seen(a, b).max() > SEEN_SHARE
+        return bool(seen or self.find_imprint(a, b).max() > 1.0)
+
+
+def _find_step(
+    x: Array, low: Array, high: Array, scale: Array, hessian: Array, slope: Array, damping: float
+) -> Array:
+    """Return a damped step within the ranges; numbers whose gradient points out of them stay."""
+    diagonal = np.diag(hessian)
+    out = ((x <= low) & (slope > 0.0)) | ((x >= high) & (slope < 0.0))
+    free = np.flatnonzero(~out & (diagonal > 0.0))
+    step = np.zeros(len(x))
+    if len(free):
+        ridge = damping * np.diag(diagonal[free]) + 1e-12 * diagonal.max() * np.eye(len(free))
+        step[free] = -np.linalg.solve(hessian[np.ix_(free, free)] + ridge, slope[free])
+    return np.asarray(np.clip(x + np.clip(step, -MOST_STEP, MOST_STEP) * scale, low, high) - x)
+
+
+def find_optimism(tangent: Array, weights: Array, d: Array) -> Array:
+    """Return what each block gained by being fitted: g_b' H^-1 g_b, without a refit."""
+    count, (_, n_blocks, _) = len(tangent), d.shape
+    flat = tangent.reshape(count, -1)
+    weighed = flat * weights.ravel()
+    hessian = weighed @ flat.T
+    hessian += 1e-9 * np.diag(np.diag(hessian)) + 1e-12 * max(hessian.max(), 1e-30) * np.eye(count)
+    by_block = (weighed * d.ravel()).reshape(count, len(d), n_blocks, -1).sum(axis=(1, 3))
+    return np.asarray(np.einsum("ib,ij,jb->b", by_block, np.linalg.inv(hessian), by_block))
+
+
+def bound_gain(gain: Array, quantiles: Sequence[float] | Array = (SURE, 0.5, 1.0 - SURE)) -> Array:
+    """Return quantiles of a total gain: circular bootstrap over stretches of blocks."""
+    n, rng = len(gain), np.random.default_rng(0)
+    pieces = max(1, -(-n // STRETCH))
+    begins = rng.integers(0, n, (DRAWS, pieces))
+    sums = np.concatenate([[0.0], np.cumsum(np.concatenate([gain, gain[:STRETCH]]))])
+    totals = (sums[begins + min(STRETCH, n)] - sums[begins]).sum(axis=1)
+    return np.asarray(np.quantile(totals * n / (pieces * min(STRETCH, n)), quantiles))

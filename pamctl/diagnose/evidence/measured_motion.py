@@ -1,0 +1,82 @@
+"""The motion of a mechanism, as records have it: its speed, and whether the force imposes it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import savgol_filter
+
+from pamctl.diagnose.evidence.constants import REST_SHARE
+from pamctl.plant.drive import SampleGrid, build_grid
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SMOOTH_S = 0.05
+"""Over which a measured state is smoothed, where a window begins."""
+SPEED_S = 0.3
+"""Over which the speed of an imposed motion is measured."""
+SPRING_SHARE = 0.2
+"""Of the force's span that a spring takes which makes a mechanism forget."""
+INERTIA_SHOWS = 2.0
+"""The mean square of the force without the acceleration, over that with it, if a mass shows."""
+
+
+def judge_motion(records: Sequence[Any], actuator: str, period_s: float) -> tuple[bool, bool]:
+    """Tell whether a mechanism's motion is imposed, and whether it needs windows, by its force.
+
+    A spring that takes part of the force makes it forget. Without one, a force in which the
+    acceleration does not show has not moved the mass: something else did.
+    """
+    if actuator != "direct" or any(r.position_m is None for r in records):
+        return False, False
+    tables, forces = [], []
+    for record in records:
+        grid = build_grid(np.diff(record.t_s), len(record.t_s), 1)
+        rates = find_rates(np.asarray(record.position_m, float), period_s, SMOOTH_S, grid)
+        speed = rates["speed"]
+        columns = [rates["push"], speed, rates["smooth"], np.sign(speed), np.ones(len(speed))]
+        pressure = record.pressure_pa
+        if record.force_n is not None and pressure is not None:
+            columns += [np.asarray(pressure), pressure * np.sign(speed)]
+        tables.append(np.column_stack(columns))
+        forces.append(record.force_n if record.force_n is not None else pressure)
+    table, force = np.concatenate(tables), np.concatenate(forces)
+    table = table / np.maximum(np.abs(table).max(axis=0), 1e-30)
+    amounts, _, _, _ = np.linalg.lstsq(table, force, rcond=None)
+    less, _, _, _ = np.linalg.lstsq(table[:, 1:], force, rcond=None)
+    left2 = [
+        float(np.mean((force - t @ a) ** 2)) for t, a in ((table, amounts), (table[:, 1:], less))
+    ]
+    spring = abs(amounts[2]) * np.ptp(table[:, 2]) / max(float(np.ptp(force)), 1e-30)
+    if spring >= SPRING_SHARE:
+        return False, False
+    has_force = all(r.force_n is not None for r in records)
+    return has_force and left2[1] < INERTIA_SHOWS * left2[0], True
+
+
+def find_rates(
+    position_m: Array, period_s: float, width_s: float, grid: SampleGrid
+) -> dict[str, Array]:
+    """Return the smoothed position, its speed and acceleration, of samples at uneven times."""
+    even_s = np.arange(0.0, grid.samples_s[-1] + period_s, period_s)
+    even_m = np.interp(even_s, grid.samples_s, position_m)
+    width = min(max(5, round(width_s / period_s) | 1), (len(even_m) - 1) | 1)
+    found = {
+        name: savgol_filter(even_m, width, 2, deriv=deriv, delta=period_s)
+        for deriv, name in enumerate(("smooth", "speed", "push"))
+    }
+    return {name: np.interp(grid.samples_s, even_s, row) for name, row in found.items()}
+
+
+def has_no_speed(speed: Array, samples_s: Array) -> Mask:
+    """Tell where a log has no speed: at rest, and where its average goes over a reversal."""
+    size = np.abs(speed)
+    turns_s = samples_s[np.flatnonzero(np.diff(np.sign(speed)))]
+    after = np.searchsorted(turns_s, samples_s)
+    turns_s = np.concatenate([[-np.inf], turns_s, [np.inf]])
+    apart_s = np.minimum(samples_s - turns_s[after], turns_s[after + 1] - samples_s)
+    return np.asarray((size < REST_SHARE * np.quantile(size, 0.95)) | (apart_s < 0.5 * SPEED_S))

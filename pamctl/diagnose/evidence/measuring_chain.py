@@ -1,0 +1,102 @@
+"""What lies between the plant and a file, as a part of the pool.
+
+Columns that are late, smoothed, of another clock or turned round; the air of the place; numbers of
+the plant file that no fit moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+from pamctl.diagnose.evidence.pool import CHAIN, Hypothesis, Unknown, Variant
+from pamctl.plant.effects.description import Actuator
+
+ATMOSPHERE = "atmospheric_pressure_pa"
+TURNED = "turned"
+"""The kind of a column of the wrong sign."""
+
+
+HOME = f"{CHAIN}home."
+"""Begins a zero that is free beside an effect which homing does not see."""
+
+
+def free_home(hypothesis: Hypothesis) -> Hypothesis:
+    """Return the hypothesis with a zero that it leaves open: an encoder is homed within a play."""
+    if hypothesis.family != "encoder_backlash":
+        return hypothesis
+    variants = []
+    for variant in hypothesis.variants:
+        (width,) = variant.sizes
+        half = 0.5 * width.high
+        zero = Unknown(f"{HOME}position_m", 0.0, -half, half, width.scale)
+        variants.append(variant._replace(shapes=(*variant.shapes, zero)))
+    return replace(hypothesis, variants=tuple(variants))
+
+
+def list_of_chain(
+    channels: Sequence[str], plant: Mapping[str, float], period_s: float, actuator: Actuator
+) -> Iterator[Hypothesis]:
+    """Yield what makes a file differ from the plant.
+
+    Columns that are late, smoothed, of another clock, scaled or turned round; the air of the place;
+    numbers of the plant file that no fit moves.
+    """
+    tick, places = period_s, {"pressure_pa": "pressure_sensor", "position_m": "encoder"}
+    for channel in channels:
+        place, short = places.get(channel, channel), channel.split("_")[0]
+        late = Unknown(f"{CHAIN}late.{channel}", tick, -20 * tick, 20 * tick, tick, 0.0, 0.4 * tick)
+        yield Hypothesis(f"{short}_late", place, "lag", (Variant({}, (late,)),), f"{short}_late",
+                         setup=("skew", channel))  # fmt: skip
+        width = Unknown(
+            f"{CHAIN}smooth.{channel}", 4 * tick, 0.0, 100 * tick, 2 * tick, 0.0, 0.4 * tick
+        )
+        name = f"{short}_smoothed"
+        yield Hypothesis(
+            name, place, "lag", (Variant({}, (width,)),), name, setup=("filtered", channel)
+        )
+        yield _make_turn(short, place, channel)
+        yield _make_clock(short, place, channel)
+    if actuator != "direct":
+        yield _make_turn("valve", "valve", "valve_v")
+        yield _make_clock("all", "clock", "t_s")
+        # Logged too early it is a delay of the rig.
+        late = Unknown(f"{CHAIN}late.valve_v", tick, 0.0, 20 * tick, tick, 0.0, 0.4 * tick)
+        yield Hypothesis(
+            "valve_late", "valve", "lag", (Variant({}, (late,)),), "valve_late",
+            setup=("skew", "valve_v"),
+        )  # fmt: skip
+        yield _make_clock("valve", "valve", "valve_v")
+    if "pressure_pa" in channels:
+        air = plant["atmospheric_pressure_pa"]
+        yield _make_number("atmosphere", "pressure_sensor", f"{CHAIN}atmosphere", air, 0.02, 0.16)
+    if actuator == "muscle":
+        for name, share in (("rest_length_m", 0.01), ("temperature_k", 0.02)):
+            place = "pull" if name == "rest_length_m" else "air"
+            yield _make_number(name.rsplit("_", 1)[0], place, name, plant[name], share, 0.05)
+
+
+def _make_turn(short: str, place: str, channel: str) -> Hypothesis:
+    """Return a column of the wrong sign: its factor is -1, or near it."""
+    factor = Unknown(f"{CHAIN}factor.{channel}", -1.0, -2.0, -0.5, 0.05, 1.0, 0.5)
+    name = f"{short}_turned"
+    variants = (Variant({}, (factor,)),)
+    return Hypothesis(name, place, TURNED, variants, name, setup=("sign", channel))
+
+
+def _make_clock(short: str, place: str, channel: str) -> Hypothesis:
+    rate = Unknown(f"{CHAIN}clock.{channel}", 1e-4, -0.02, 0.02, 1e-4, 0.0, 1e-4)
+    name = f"{short}_clock"
+    variants = (Variant({}, (rate,)),)
+    return Hypothesis(name, place, "clock", variants, name, setup=("clock_rate", channel))
+
+
+def _make_number(
+    name: str, place: str, number: str, value: float, share: float, most: float
+) -> Hypothesis:
+    size = Unknown(
+        number, value * (1.0 - share), value * (1.0 - most), value * (1.0 + most),
+        value * share, value, 0.2 * value * share,
+    )  # fmt: skip
+    setup = ("plant_constant", number.lstrip(CHAIN) if name != "atmosphere" else ATMOSPHERE)
+    return Hypothesis(name, place, "constant", (Variant({}, (size,)),), name, setup=setup)

@@ -1,0 +1,254 @@
+"""The search: score, refit the best, take what counts; exchange and prune until nothing changes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pamctl.diagnose.evidence.constants import (
+    EXCHANGE_SHARE,
+    FIRST_SHARE,
+    KEPT,
+    MOST_NAMES,
+    NAME_NATS,
+    SHORTLIST,
+)
+from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
+from pamctl.diagnose.evidence.measuring_chain import TURNED
+from pamctl.diagnose.evidence.pool import Hypothesis, Variant
+from pamctl.diagnose.evidence.scores import EvidenceScore, drop_name, extend_model, score_all
+
+ROUGH_STEPS = 3
+POLISHED = 4
+"""Fits of a shortlist that are carried to the end."""
+
+Tell = Callable[[str], None]
+
+
+def _gain_of(fitted: tuple[float, WeighedModel]) -> float:
+    return fitted[0]
+
+
+class NameSearch:
+    """The search over a pool, from a recalibrated model."""
+
+    def __init__(
+        self, weigher: Weigher, pool: Mapping[str, Hypothesis], tell: Tell = lambda _: None
+    ) -> None:
+        """Begin with nothing seen; `tell` hears what is done."""
+        self.weigher, self.pool, self.tell = weigher, pool, tell
+        self.best_scores: dict[str, float] = {}
+        """The best gain that each hypothesis of a shortlist promised in any round."""
+        self._scored: dict[frozenset[str], list[EvidenceScore]] = {}
+        self._without: dict[tuple[object, ...], WeighedModel] = {}
+        self._fitted: dict[frozenset[str], WeighedModel] = {}
+
+    def run(self, base: WeighedModel) -> WeighedModel:
+        """Return the model that nothing improves."""
+        m, been, asked = self.turn_columns(base), set[frozenset[str]](), list(self.pool)
+        while len(m.names) < MOST_NAMES and frozenset(m.names) not in been:
+            been.add(frozenset(m.names))
+            self._fitted[frozenset(m.names)] = m
+            self.weigher.set_floor(m)
+            self.weigher.leave_out(m)
+            scored = self.score(m, asked)
+            for score in scored[:KEPT]:
+                known = self.best_scores.get(score.name, 0.0)
+                self.best_scores[score.name] = max(known, score.gain)
+            best = ", ".join(f"{s.name} {s.gain:.0f}" for s in scored[:3])
+            self.tell(f"{len(scored)} explanations asked; they promise, in nats: {best}")
+            if not scored or scored[0].gain < NAME_NATS:
+                break
+            fits = self.refit(m, scored)
+            best = ", ".join(f"{f.names[-1]} {m.total - f.total:.0f}" for f in fits[:3])
+            self.tell(f"fitted, they gain, in nats: {best}")
+            taken = next((f for f in fits[:3] if self.weigher.counts(m, f)), None)
+            if taken is None:
+                break
+            taken = self.choose_form(m, taken)
+            m = self.exchange(base, self.weigher.settle(taken, 4))
+        return self.prune(m)
+
+    def turn_columns(self, base: WeighedModel) -> WeighedModel:
+        """Return the model with the column turned round that explains most, if one does.
+
+        It is asked first, from the plant file's numbers: no tangent leads from one sign to another.
+        """
+        weigher, best = self.weigher, base
+        start = np.array([n.value for n in base.numbers])
+        for its in self.pool.values():
+            if its.kind != TURNED:
+                continue
+            (variant,) = its.variants
+            (factor,) = variant.sizes
+            numbers, x = (*base.numbers, factor), np.append(start, factor.value)
+            e = WeighedModel((its.name,), numbers, {}, x, {its.name: variant})
+            weigher.set_floor(base)
+            weigher.refine(e)
+            if weigher.like(e.d, weigher.floor2).by_block.sum() < base.cost.by_block.sum():
+                e = weigher.settle(e)
+                weigher.meet(base, e)
+                if weigher.counts(base, e) and e.total < min(best.total, base.total):
+                    best = e
+        return best
+
+    def score(self, m: WeighedModel, names: Sequence[str]) -> list[EvidenceScore]:
+        """Return the scores of those names that a model may take, the best first.
+
+        A model of the same names has about the same scores: they are not found again.
+        """
+        known = self._scored.setdefault(frozenset(m.names), [])
+        new = {*names} - {s.name for s in known}
+        asked = [self.pool[n] for n in names if n in new and self.fits_in(m, self.pool[n])]
+        known += score_all(self.weigher, m, asked)
+        known.sort(key=lambda s: -s.gain)
+        return [s for s in known if s.name in {*names}]
+
+    def drop(self, m: WeighedModel, name: str) -> WeighedModel:
+        """Return the model refitted without a name, both weighed by what the poorer resolves."""
+        weigher, key = self.weigher, (m.names, m.x.tobytes(), name)
+        if key not in self._without:
+            weigher.set_floor(m)
+            left = self._fitted.get(frozenset(m.names) - {name})
+            self._without[key] = left or weigher.polish(weigher.fit(drop_name(m, name), 5), 2)
+        weigher.meet(self._without[key], m)
+        return self._without[key]
+
+    def fits_in(self, m: WeighedModel, hypothesis: Hypothesis) -> bool:
+        """Tell whether a hypothesis shares no numbers, and no term's part, with the model's."""
+        inside = [self.pool[n] for n in m.names]
+        return not any(
+            h.family == hypothesis.family or (h.is_term and h.part == hypothesis.part)
+            for h in inside
+            if hypothesis.is_term or h.family == hypothesis.family
+        )
+
+    def choose(self, scored: Sequence[EvidenceScore], many: int) -> list[EvidenceScore]:
+        """Return the best; for each free term among them, the two best names that may be it too."""
+        chosen = list(scored[:many])
+        for term in [self.pool[s.name] for s in chosen if self.pool[s.name].is_term]:
+            names = [s for s in scored if self.pool[s.name].may_be(term)]
+            chosen += [s for s in names[:2] if s not in chosen]
+        return chosen
+
+    def refit(
+        self,
+        m: WeighedModel,
+        scored: Sequence[EvidenceScore],
+        many: int = SHORTLIST,
+        least: float = NAME_NATS,
+    ) -> list[WeighedModel]:
+        """Return fitted models with one hypothesis more each, the best first.
+
+        All are fitted roughly, and to the end what then gains half of the best, and of `least`.
+        """
+        weigher = self.weigher
+        before, rough = float(m.cost.by_block.sum()), list[tuple[float, WeighedModel]]()
+        for score in self.choose(scored, many):
+            e = weigher.fit(extend_model(weigher, m, score), ROUGH_STEPS, is_rough=True)
+            rough.append((before - float(e.cost.by_block.sum()), e))
+        best = max(gain for gain, _ in rough)
+        for k, score in enumerate(self.choose(scored, many)):
+            if rough[k][0] < best < score.gain:  # it promised more: the dose's tangent misled it
+                e = weigher.fit(extend_model(weigher, m, score), ROUGH_STEPS)
+                rough[k] = max(rough[k], (before - float(e.cost.by_block.sum()), e), key=_gain_of)
+        rough.sort(key=_gain_of, reverse=True)
+        least, fits = 0.5 * max(least, rough[0][0]), list[WeighedModel]()
+        for gain, e in rough:
+            worth = len(fits) < POLISHED and gain > least and weigher.may_be_seen(m, e)
+            fits.append(weigher.polish(e) if worth else weigher.leave_out(e))
+        fits.sort(key=lambda e: e.total)
+        if fits and self.pool[fits[0].names[-1]].is_term:
+            self._prefer_name(m, fits)
+        return fits
+
+    def choose_form(self, m: WeighedModel, e: WeighedModel) -> WeighedModel:
+        """Return the form of a model's last name that does best; of equal ones the simplest."""
+        weigher, its = self.weigher, self.pool[e.names[-1]]
+        forms: dict[tuple[object, ...], list[Variant]] = {}
+        for variant in its.variants:
+            forms.setdefault(variant.form, []).append(variant)
+        for form, variants in forms.items():
+            if form == e.picked[its.name].form:
+                continue
+            scored = score_all(weigher, m, [replace(its, variants=tuple(variants))])
+            for score in scored:
+                other = weigher.polish(extend_model(weigher, m, score))
+                if other.total + len(other.x) < e.total + len(e.x):
+                    e = other
+        return e
+
+    def _prefer_name(self, m: WeighedModel, fits: list[WeighedModel]) -> None:
+        """Put a name before a freer term of its place that does little better."""
+        first = fits[0]
+        for e in fits[1:5]:
+            if not self.pool[e.names[-1]].may_be(self.pool[first.names[-1]]):
+                continue
+            self.weigher.polish(e)
+            if m.total - e.total > (1.0 - FIRST_SHARE) * (m.total - first.total):
+                fits.remove(e)
+                fits.insert(0, e)
+                return
+
+    def exchange(self, base: WeighedModel, m: WeighedModel) -> WeighedModel:
+        """Drop names that count no longer, or put others in their place, while that helps."""
+        weigher = self.weigher
+        for round_ in range(3 if len(m.names) > 1 else 0):
+            weigher.meet(base, m)
+            whole = base.total - m.total
+            for name in m.names if round_ else m.names[:-1]:
+                without = self.drop(m, name)
+                loss = without.total - m.total
+                if not self.counts_in(without, m, name):
+                    self.tell(f"{name} counts no longer: dropped")
+                    m = weigher.settle(without, 4)
+                    break
+                if loss > EXCHANGE_SHARE * whole:
+                    continue
+                better = self._find_better(without, m, name, loss)
+                if better is not None:
+                    self.tell(f"{better.names[-1]} does better than {name}: exchanged")
+                    m = weigher.settle(better, 4)
+                    break
+            else:
+                return m
+        return m
+
+    def _find_better(
+        self, without: WeighedModel, m: WeighedModel, name: str, loss: float
+    ) -> WeighedModel | None:
+        near = sorted(
+            (n for n in self.best_scores if n != name), key=lambda n: -self.best_scores[n]
+        )
+        scored = self.score(without, near[:20])[:3]
+        if not scored or scored[0].gain < 0.5 * loss:
+            return None
+        best = next(iter(self.refit(without, scored, 3)), None)
+        return best if best is not None and best.total < m.total - NAME_NATS else None
+
+    def counts_in(self, without: WeighedModel, m: WeighedModel, name: str) -> bool:
+        """Tell whether a name counts in a model, against the model without it."""
+        order = (*(n for n in m.names if n != name), name)
+        kept, m.names = m.names, order
+        try:
+            return self.weigher.counts(without, m)
+        finally:
+            m.names = kept
+
+    def prune(self, m: WeighedModel) -> WeighedModel:
+        """Drop what does not count beside the rest, the weakest first."""
+        weigher = self.weigher
+        while len(m.names) > 1:
+            weak = []
+            for name in m.names:
+                without = self.drop(m, name)
+                if not self.counts_in(without, m, name):
+                    weak.append((without.total - m.total, name, without))
+            if not weak:
+                break
+            _, name, without = min(weak, key=lambda w: w[0])
+            self.tell(f"{name} does not count beside the rest: dropped")
+            m = weigher.settle(without, 4)
+        return m

@@ -1,0 +1,425 @@
+"""The records, as blocks of samples with masks, and the simulation of all their sensors.
+
+A muscle or a chamber runs from the command; a mechanism from the measured force, freely where its
+spring lets it forget, else in windows; where something else moves an axis, the equation gives the
+force. What a hypothesis of the measuring chain does is done to the simulated readings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from copy import copy
+from dataclasses import dataclass
+from functools import cache, partial
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from pamctl.diagnose.evidence.constants import (
+    COARSE_STEP_S,
+    FINE_STEP_S,
+    LEAST_LEVELS,
+    LEVELS,
+)
+from pamctl.diagnose.evidence.measured_motion import (
+    SMOOTH_S,
+    SPEED_S,
+    find_rates,
+    has_no_speed,
+    judge_motion,
+)
+from pamctl.diagnose.evidence.measuring_chain import HOME
+from pamctl.diagnose.evidence.pool import CHAIN
+from pamctl.diagnose.evidence.sample_masks import (
+    fill_gone,
+    find_frozen,
+    find_neighbours,
+    find_spikes,
+)
+from pamctl.plant.axis.required_force import required_force_n
+from pamctl.plant.drive import (
+    NO_RESTARTS,
+    Restarts,
+    SampleGrid,
+    build_grid,
+    drive_coupled,
+    drive_mechanics,
+)
+from pamctl.plant.effects.description import ACTUATORS
+from pamctl.plant.flat import ACTUATOR, parameters_of
+from pamctl.plant.parameters import PlantParameters, rest_state
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+WARM_S = 0.25
+"""After a start from measured values: longer than the plant's memory of 60 ms."""
+WINDOW_S = 0.256
+"""A mechanism without a spring never forgets: it begins again after so long."""
+OFF_REST_PA = 5e3
+"""A muscle whose record begins so far from the atmosphere has not begun vented."""
+GAP = 20.0
+"""Periods without a sample after which a record goes on anew."""
+BLOCK_S = 0.512
+"""Of a block at 1 kHz; slower logs come as near to it as the levels let them."""
+TWELFTHS = 12
+HELD_OUT = (5, 11)
+"""Of twelve stretches of each record, those that are held out where no record is."""
+FAR = 1e4
+"""What a simulation shows where the plant leaves the range of its model."""
+
+
+class Recording(Protocol):
+    """What is needed of a record: columns in SI of one length, None where nothing was measured."""
+
+    @property
+    def name(self) -> str:
+        """Which record it is."""
+
+    @property
+    def t_s(self) -> Any:
+        """Times of the samples, s."""
+
+    @property
+    def valve_v(self) -> Any:
+        """Command, V."""
+
+    @property
+    def pressure_pa(self) -> Any:
+        """Absolute pressure, Pa."""
+
+    @property
+    def position_m(self) -> Any:
+        """Position, m."""
+
+    @property
+    def force_n(self) -> Any:
+        """Driving force, N."""
+
+
+@dataclass
+class RunPiece:
+    """A record, or the part of one between two gaps."""
+
+    inputs: dict[str, Array]
+    shown: Array
+    """What the sensors showed, shape (channels, samples)."""
+    masked: Mask
+    """As `shown`."""
+    rates: dict[str, Array]
+    grids: dict[float, SampleGrid]
+    """By the length of the step."""
+    starts_at_rest: bool
+    name: str = ""
+    """Of its record."""
+    begin_s: float = 0.0
+    """Where it begins in its record."""
+
+
+class Runs:
+    """Records of one rig, and what a plant would have shown in their place."""
+
+    def __init__(
+        self,
+        records: Sequence[Recording],
+        plant: Mapping[str, float],
+        like: Runs | None = None,
+        jobs: int = 1,
+    ) -> None:
+        """Cut records at gaps into blocks. Raise ValueError where nothing can be simulated.
+
+        Held-out records are simulated `like` those that are fitted, `jobs` records side by side.
+        """
+        self.jobs = jobs
+        self.actuator = ACTUATORS[round(plant.get(ACTUATOR, 0.0))]
+        self.period_s = float(np.median([np.median(np.diff(r.t_s)) for r in records or ()]))
+        motion = judge_motion(records, self.actuator, self.period_s)
+        self.imposed: bool = like.imposed if like else motion[0]
+        self.windowed: bool = like.windowed if like else motion[1]
+        self.channels = _choose_channels(records, self.actuator, self.imposed)
+        levels = round(np.log2(BLOCK_S / self.period_s))
+        self.block: int = like.block if like else 1 << max(LEAST_LEVELS, min(LEVELS, levels))
+        self._atmosphere_pa = plant["atmospheric_pressure_pa"]
+        self.steps_s = (FINE_STEP_S, COARSE_STEP_S)
+        self.stretches = [s for record in records for s in self._cut(record)]
+        if not self.stretches:
+            raise ValueError(f"no record is as long as a block of {self.block * self.period_s:g} s")
+        self._lay_out()
+        self.simulated_samples = 0
+        self._last: tuple[Any, Array] | None = None
+        self._whole = self
+
+    def part(self, counts: Mask) -> Runs:
+        """Return the same records, of which only these blocks count, shape (n_blocks,)."""
+        view = copy(self)
+        view._whole, view._counts = self, counts
+        view._note_hidden()
+        return view
+
+    # --- what was measured ---
+
+    def _cut(self, record: Recording) -> list[RunPiece]:
+        t_s = np.ascontiguousarray(record.t_s, dtype=np.float64)
+        counts = getattr(record, "counts", None)
+        gaps = np.flatnonzero(np.diff(t_s) > GAP * self.period_s) + 1
+        found = []
+        for begin, end in zip([0, *gaps], [*gaps, len(t_s)], strict=True):
+            if end - begin < self.block // 2:
+                continue
+            cut = slice(begin, end)
+            columns = {
+                name: np.ascontiguousarray(getattr(record, name)[cut], dtype=np.float64)
+                for name in ("valve_v", "pressure_pa", "position_m", "force_n")
+                if getattr(record, name) is not None
+            }
+            acts_after = getattr(record, "acts_after_s", None)
+            held_v = getattr(record, "held_v", None) if begin == 0 else None
+            grids = {
+                step: build_grid(
+                    np.diff(t_s[cut]), end - begin, max(1, round(self.period_s / step)),
+                    None if acts_after is None else acts_after[cut], held_v,
+                )
+                for step in self.steps_s
+            }  # fmt: skip
+            counted = None if counts is None else counts[cut]
+            found.append(self._make_stretch(columns, grids, begin == 0, counted))
+            found[-1].name, found[-1].begin_s = record.name, float(t_s[begin])
+        return found
+
+    def _make_stretch(
+        self, columns: dict[str, Array], grids: dict[float, SampleGrid], is_first: bool,
+        counts: Mask | None,
+    ) -> RunPiece:  # fmt: skip
+        shown = np.stack([columns[c] for c in self.channels])
+        masked = ~np.isfinite(shown)
+        shown = np.stack([fill_gone(row, gone) for row, gone in zip(shown, masked, strict=True)])
+        for row, gone in zip(shown, masked, strict=True):
+            gone |= find_spikes(row) | find_frozen(row)
+        if counts is not None:
+            masked |= ~np.asarray(counts, dtype=bool)
+        pressures = columns.get("pressure_pa")
+        vented = pressures is None or abs(pressures[0] - self._atmosphere_pa) < OFF_REST_PA
+        at_rest = is_first and vented and self.actuator != "direct"
+        if not at_rest and not self.imposed:
+            masked[:, : round(WARM_S / self.period_s)] = True
+        rates: dict[str, Array] = {}
+        if self.actuator == "direct":
+            width_s = SPEED_S if self.imposed else SMOOTH_S
+            rates = find_rates(columns["position_m"], self.period_s, width_s, grids[COARSE_STEP_S])
+        if self.imposed:
+            masked |= has_no_speed(rates["speed"], grids[COARSE_STEP_S].samples_s)
+        return RunPiece(columns, shown, masked, rates, grids, at_rest)
+
+    def _lay_out(self) -> None:
+        """Fit the stretches into blocks; the last block of each may be filled up to half."""
+        sizes = []
+        for stretch in self.stretches:
+            n, whole = stretch.shown.shape[1], stretch.shown.shape[1] // self.block * self.block
+            sizes.append(whole + self.block if n - whole >= self.block // 2 else whole)
+        self.sizes = sizes
+        self.n_blocks = sum(sizes) // self.block
+        self.shown = self.pack([s.shown for s in self.stretches])
+        masked = self.pack([s.masked.astype(float) for s in self.stretches], rest=1.0) > 0.5
+        self.masked: Mask = masked
+        self.when_s = self.pack([s.grids[COARSE_STEP_S].samples_s[None] for s in self.stretches])[0]
+        self._counts = np.ones(self.n_blocks, dtype=bool)
+        self._note_hidden()
+
+    def _note_hidden(self) -> None:
+        """Note what does not count: samples that say nothing, and blocks of the other part."""
+        self.hidden: Mask = self.masked | ~self._counts[:, None]
+        ends = np.cumsum([0, *self.sizes])
+        self._fills = [find_neighbours(row.ravel(), ends) for row in self.hidden]
+
+    def pack(self, parts: Sequence[Array], rest: float | None = None) -> Array:
+        """Return rows of all stretches as blocks, shape (rows, n_blocks, block)."""
+        rows = np.empty((len(parts[0]), sum(self.sizes)))
+        at = 0
+        for part, size in zip(parts, self.sizes, strict=True):
+            n = min(size, part.shape[1])
+            rows[:, at : at + n] = part[:, :n]
+            if n < size:
+                rows[:, at + n : at + size] = part[:, n - 1 : n] if rest is None else rest
+            at += size
+        return rows.reshape(len(rows), self.n_blocks, self.block)
+
+    def fill_masked(self, residual: Array) -> Array:
+        """Fill what is masked from its neighbours, in place: every model's residual alike."""
+        rows = residual.reshape(len(residual), -1)
+        for row, (at, left, right, share) in zip(rows, self._fills, strict=True):
+            if len(at):
+                row[at] = (1.0 - share) * row[left] + share * row[right]
+        return residual
+
+    def find_kept(self, level: NDArray[np.int64]) -> Mask:
+        """Return which Haar coefficients have at least half of their samples."""
+        seen = 1.0 - self.hidden
+        parts, rest = [], seen
+        for _ in range(int(level[-1])):
+            rest = 0.5 * (rest[..., 0::2] + rest[..., 1::2])
+            parts.append(rest)
+        return np.asarray(np.concatenate([*parts, rest], axis=-1) >= 0.5)
+
+    # --- what a plant would have shown ---
+
+    def simulate(self, values: Mapping[str, float], step_s: float) -> Array:
+        """Return the readings of a plant, as `shown`; FAR where it leaves its model's range."""
+        plain, chain = join_waves(values)
+        air_pa = chain.get(f"{CHAIN}atmosphere")
+        if air_pa is not None:
+            plain["atmospheric_pressure_pa"] = air_pa
+        command = {k: v for k, v in chain.items() if k.endswith(("valve_v", "t_s"))}
+        key = (step_s, *sorted((plain | command).items()))
+        last = self._whole._last
+        if last is not None and last[0] == key:
+            rows = last[1].copy()
+        else:
+            rows = self._drive(parameters_of(plain), step_s, command)
+            self._whole._last = (key, rows.copy())
+        if chain:
+            rows = self._change_readings(rows, chain)
+        return rows
+
+    def _drive(self, p: PlantParameters, step_s: float, command: Mapping[str, float]) -> Array:
+        self.simulated_samples += sum(self.sizes)
+        drive = partial(self._drive_stretch, p, step_s=step_s, command=command)
+        parts = [*_start_threads(self.jobs).map(drive, self.stretches)]
+        return np.nan_to_num(self.pack(parts), nan=FAR, posinf=FAR, neginf=-FAR)
+
+    def _drive_stretch(
+        self, p: PlantParameters, stretch: RunPiece, step_s: float, command: Mapping[str, float]
+    ) -> Array:
+        inputs, grid = stretch.inputs, stretch.grids[step_s]
+        longer = 1.0 + command.get(f"{CHAIN}clock.t_s", 0.0)
+        if longer != 1.0:
+            grid = grid._replace(
+                samples_s=grid.samples_s / longer, acts_s=grid.acts_s / longer,
+                step_s=grid.step_s / longer, ends_s=grid.ends_s / longer,
+            )  # fmt: skip
+        if self.imposed:
+            rates = stretch.rates
+            return required_force_n(
+                p, grid.samples_s, inputs["position_m"], rates["speed"], rates["push"],
+                inputs.get("pressure_pa"),
+            )[None]  # fmt: skip
+        if self.actuator == "direct":
+            return self._drive_mechanism(p, stretch, grid)
+        if "valve_v" not in inputs:
+            start = self._start(p, stretch)
+            response = drive_mechanics(p, inputs["pressure_pa"], grid, start=start)
+            return response.position_m[None]
+        commands = inputs["valve_v"]
+        if command:
+            commands = commands * command.get(f"{CHAIN}factor.valve_v", 1.0)
+            when_s = grid.samples_s * (1.0 + command.get(f"{CHAIN}clock.valve_v", 0.0))
+            when_s = when_s + command.get(f"{CHAIN}late.valve_v", 0.0)
+            commands = np.interp(when_s, grid.samples_s, commands)
+        coupled = drive_coupled(p, commands, grid, start=self._start(p, stretch))
+        return np.stack([getattr(coupled, channel) for channel in self.channels])
+
+    def _start(self, p: PlantParameters, stretch: RunPiece) -> Any:
+        if stretch.starts_at_rest:
+            return None
+        first = {name: float(np.median(c[:5])) for name, c in stretch.inputs.items()}
+        position_m = first.get("position_m", 0.0)
+        return rest_state(p, position_m, first.get("pressure_pa", self._atmosphere_pa))
+
+    def _drive_mechanism(self, p: PlantParameters, stretch: RunPiece, grid: SampleGrid) -> Array:
+        inputs, rates, n = stretch.inputs, stretch.rates, len(grid.samples_s)
+        pressure = inputs.get("pressure_pa")
+        if pressure is None:
+            pressure = np.full(n, p.paper.atmospheric_pressure_pa)
+        again = NO_RESTARTS
+        if self.windowed:
+            every = np.arange(round(WINDOW_S / self.period_s), n, round(WINDOW_S / self.period_s))
+            again = Restarts(every, rates["smooth"][every], rates["speed"][every])
+        start = rest_state(p, float(rates["smooth"][0]), float(pressure[0]))
+        start = start._replace(velocity_m_per_s=float(rates["speed"][0]))
+        response = drive_mechanics(
+            p, pressure, grid, force_n=inputs.get("force_n"), start=start, restarts=again
+        )
+        return response.position_m[None]
+
+    def _change_readings(self, rows: Array, chain: Mapping[str, float]) -> Array:
+        """Do to the readings what the measuring chain does."""
+        out = rows.reshape(len(rows), -1)
+        for row, channel in zip(out, self.channels, strict=True):
+            late_s = chain.get(f"{CHAIN}late.{channel}", 0.0)
+            rate = 1.0 + chain.get(f"{CHAIN}clock.{channel}", 0.0)
+            width_s = chain.get(f"{CHAIN}smooth.{channel}", 0.0)
+            at = 0
+            for size in self.sizes:
+                part, when_s = row[at : at + size], self.when_s.ravel()[at : at + size]
+                if late_s or rate != 1.0:
+                    part[:] = np.interp(rate * when_s - late_s, when_s, part)
+                if width_s > 0.0:
+                    part[:] = gaussian_filter1d(part, max(width_s / self.period_s, 0.05))
+                at += size
+            row *= chain.get(f"{CHAIN}factor.{channel}", 1.0)
+            row += chain.get(f"{CHAIN}zero.{channel}", 0.0) + chain.get(f"{HOME}{channel}", 0.0)
+            if channel == "pressure_pa" and f"{CHAIN}atmosphere" in chain:
+                row += self._atmosphere_pa - chain[f"{CHAIN}atmosphere"]
+        return rows
+
+
+@cache
+def _start_threads(jobs: int) -> ThreadPoolExecutor:
+    """Return threads that drive records side by side: a kernel in C needs no interpreter."""
+    return ThreadPoolExecutor(jobs, "drive")
+
+
+def hold_out(runs: Runs) -> tuple[Runs, Runs | None]:
+    """Return the part that is fitted, and two short stretches of each record that are not.
+
+    The latter is None where no record has as many blocks.
+    """
+    number = [
+        TWELFTHS * (b + 0.5) / n for n in np.array(runs.sizes) // runs.block for b in range(n)
+    ]
+    held = np.isin(np.floor(number), HELD_OUT)
+    shows = (~runs.masked[:, held]).any(axis=(1, 2)).all()
+    return (runs.part(~held), runs.part(held)) if shows else (runs, None)
+
+
+def _choose_channels(records: Sequence[Recording], actuator: str, imposed: bool) -> tuple[str, ...]:
+    """Return what the simulation predicts; raise ValueError where the records lack an input."""
+    if not records:
+        raise ValueError("no records: one at least is needed")
+    measured = [
+        name
+        for name in ("valve_v", "pressure_pa", "position_m", "force_n")
+        if all(getattr(r, name) is not None for r in records)
+    ]
+    if actuator == "direct":
+        if "position_m" not in measured or not {"force_n", "pressure_pa"} & {*measured}:
+            raise ValueError("a direct mechanism needs position_m, and force_n or pressure_pa")
+        return ("force_n",) if imposed else ("position_m",)
+    if "valve_v" in measured:
+        wanted = ("pressure_pa",) if actuator == "chamber" else ("position_m", "pressure_pa")
+        channels = tuple(name for name in wanted if name in measured)
+    else:
+        both = {"pressure_pa", "position_m"} <= {*measured} and actuator == "muscle"
+        channels = ("position_m",) if both else ()
+    if not channels:
+        raise ValueError(f"a {actuator} needs valve_v and a sensor, or pressure_pa and position_m")
+    return channels
+
+
+def join_waves(values: Mapping[str, float]) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the plant's numbers, and those of the measuring chain.
+
+    The two sizes of a wave become the amplitude and phase that the plant knows.
+    """
+    plain = {name: float(v) for name, v in values.items() if not name.startswith(CHAIN)}
+    chain = {name: float(v) for name, v in values.items() if name.startswith(CHAIN)}
+    for name in [n for n in chain if n.endswith(".sine")]:
+        family = name.removesuffix(".sine").removeprefix(CHAIN)
+        sine, cosine = chain.pop(name), chain.pop(f"{CHAIN}{family}.cosine")
+        is_term = family.endswith("_term")
+        size, phase = ("size", "phase") if is_term else ("amplitude_pa", "phase_rad")
+        plain[f"{family}.{size}"] = float(np.hypot(sine, cosine))
+        plain[f"{family}.{phase}"] = float(np.arctan2(cosine, sine))
+    return plain, chain

@@ -1,0 +1,282 @@
+"""The score of a hypothesis without a fit: what secants at fitting doses would gain.
+
+A hypothesis is simulated at a dose that grows or shrinks until it moves the residual by about the
+residual itself. Beside the model's own tangent a weighted least-squares fit of dose and numbers
+predicts the residual, and the likelihood what that is worth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from pamctl.diagnose.evidence.constants import MOST_DOSE
+from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
+from pamctl.diagnose.evidence.likelihood import from_haar
+from pamctl.diagnose.evidence.pool import Hypothesis, Unknown, Variant
+
+Array = NDArray[np.float64]
+
+HATS = np.array([[1, 1, 1, 1, 1], [-1, -0.5, 0, 0.5, 1], [1, 0, -1, 0, 1]], dtype=float)
+"""What a curve is scored by: level, slope and hump; all five knots are fitted."""
+MOST_SHARE = 3.0
+"""A least-squares dose may be so many times the simulated one."""
+MOST_HAT = 10.0
+HOPE_NATS = 4.0
+"""Where the first shape of a hypothesis promises less, no other is asked."""
+ALIKE = 1e-4
+"""Of a secant's square: what is smaller beside the model's tangent is rounding."""
+LIKELY_MOVE = 10.0
+"""Scales that a number may move beside a new hypothesis: what no sample shows stays."""
+STUCK = 1e-3
+"""Scales from its range at which a number counts as held by it."""
+HIGHEST_HZ = 60.0
+"""Of a ripple: pumps and mains are slower."""
+FILTER_S = 0.06
+"""The plant's memory, by which a force's imprint on the position lags."""
+LINE = ((1.0, 1.0), (1.0, 0.3), (1.0, 0.0), (0.2, 0.2), (0.2, 0.0), (0.03, 0.0))
+"""Shares of a prediction, of the new sizes and of the model's numbers, at which a fit may start."""
+
+
+class EvidenceScore(NamedTuple):
+    """What a hypothesis promises, and where its fit should start."""
+
+    gain: float
+    name: str
+    variant: Variant
+    sizes: Array
+    """Of each size, the prediction."""
+    move: Array
+    """Of the model's own numbers, in scales."""
+
+
+def score_all(
+    weigher: Weigher, m: WeighedModel, hypotheses: Iterable[Hypothesis]
+) -> list[EvidenceScore]:
+    """Return the scores of hypotheses beside a model, the best first."""
+    beside = _Beside(weigher, m)
+    found = (beside.score(h) for h in hypotheses)
+    return sorted((s for s in found if s is not None), key=lambda s: -s.gain)
+
+
+class _Beside:
+    """A model's residual and tangent, weighed: what all scores beside it share."""
+
+    def __init__(self, weigher: Weigher, m: WeighedModel) -> None:
+        self.weigher, self.m, cost = weigher, m, m.cost
+        assert m.tangent is not None
+        low, high, scale = (
+            np.array([getattr(n, k) for n in m.numbers]) for k in ("low", "high", "scale")
+        )
+        self.room = (low - m.x) / scale, (high - m.x) / scale
+        self.free = np.flatnonzero((self.room[0] < -STUCK) & (self.room[1] > STUCK))
+        self.tangent = m.tangent.reshape(len(m.x), -1)[self.free]
+        self.root = np.sqrt(cost.weights).ravel()
+        self.weighed = self.tangent * self.root
+        self.off = m.d.ravel() * self.root
+        hessian = self.weighed @ self.weighed.T + LIKELY_MOVE**-2 * np.eye(len(self.free))
+        self.inverse = np.linalg.inv(hessian)
+        self.slope = self.weighed @ self.off
+        self.size2 = float((m.d**2 * self.weigher.like.keep).sum())
+        self.here = m.d + m.lag
+
+    def score(self, hypothesis: Hypothesis) -> EvidenceScore | None:
+        """Return the best of the variants and doses; None where none does anything."""
+        variants = self._scan(hypothesis) if hypothesis.scan else hypothesis.variants
+        best: EvidenceScore | None = None
+        for number, variant in enumerate(variants):
+            if number and not hypothesis.scan and (best is None or best.gain < HOPE_NATS):
+                break  # another shape of what gains nothing
+            for sizes, secants in self._push(hypothesis.name, variant):
+                score = self._predict(hypothesis.name, variant, sizes, secants)
+                if score is not None and (best is None or score.gain > best.gain):
+                    best = score
+        return best
+
+    def _push(self, name: str, variant: Variant) -> Iterator[tuple[Array, Array]]:
+        """Yield directions of the sizes, and the secants along them, at doses that fit."""
+        neutral = np.array([u.neutral or 0.0 for u in variant.sizes])
+        usual = np.array([u.value for u in variant.sizes]) - neutral
+        held = {**self.m.values, **variant.held, **{u.name: u.value for u in variant.shapes}}
+        directions = HATS if variant.is_curve else np.diag(usual)
+        known = self.weigher.pushes.get(name)
+        dose = min(max((self.size2 / known) ** 0.5, 1.0 / MOST_DOSE), MOST_DOSE) if known else 1.0
+        room = min(
+            ((u.high if w > 0.0 else u.low) - n) / w
+            for u, n, w in zip(variant.sizes, neutral, usual, strict=True)
+        )
+        dose = min(dose, 0.9 * room)
+        if any(u.low < u.high < (u.neutral or 0.0) for u in variant.sizes):
+            dose = 1.0  # a column is turned round or not: there is nothing between
+        for again in range(3):
+            secants = []
+            for way in directions * dose:
+                sizes = {
+                    u.name: float(v) for u, v in zip(variant.sizes, neutral + way, strict=True)
+                }
+                d = self.weigher.find_residual({**held, **sizes})
+                secants.append((d - self.here).ravel())
+            secants_now = np.stack(secants)
+            yield directions * dose, secants_now
+            big = float((secants_now**2).sum(axis=1).max()) / self.size2
+            if big > 0.0:
+                self.weigher.pushes[name] = big * self.size2 / dose**2
+            if again == 2 or big == 0.0 or 0.1 <= big <= 4.0:
+                return
+            if big > 4.0:
+                dose *= max(0.02, big**-0.5)
+                continue
+            grown = min(dose * min(MOST_DOSE, big**-0.5), 0.9 * room)
+            if grown < 1.5 * dose:
+                return
+            dose = grown
+
+    def _predict(
+        self, name: str, variant: Variant, directions: Array, secants: Array
+    ) -> EvidenceScore | None:
+        weighed = secants * self.root
+        inside = weighed @ self.weighed.T
+        alone = weighed @ weighed.T
+        normal = alone - inside @ self.inverse @ inside.T
+        if not np.isfinite(normal).all() or np.trace(normal) < 1e-6:
+            return None
+        # What the model's own numbers do as well is not asked for by a large dose.
+        ridge = np.diag(ALIKE * np.diag(alone) + 1e-6 * np.trace(normal))
+        share = -np.linalg.solve(
+            normal + ridge, weighed @ self.off - inside @ self.inverse @ self.slope
+        )
+        if variant.is_curve:
+            share = np.clip(share, -MOST_HAT, MOST_HAT)
+        else:
+            one_sided = [
+                u.low >= (u.neutral or 0.0) or u.high <= (u.neutral or 0.0) for u in variant.sizes
+            ]
+            share = np.clip(share, np.where(one_sided, 0.0, -MOST_SHARE), MOST_SHARE)
+            if len(share) == 1:  # not beyond its range, which need not begin at its neutral value
+                u, usual = variant.sizes[0], float(directions[0, 0])
+                ends = [(end - (u.neutral or 0.0)) / usual for end in (u.low, u.high)]
+                share = np.clip(share, min(ends), max(ends))
+        cost, move = self._predict_cost(secants, inside, share)
+        gain = float(self.m.cost.by_block.sum()) - cost
+        neutral = np.array([u.neutral or 0.0 for u in variant.sizes])
+        return EvidenceScore(gain, name, variant, neutral + share @ directions, move)
+
+    def _predict_cost(self, secants: Array, inside: Array, share: Array) -> tuple[float, Array]:
+        """Return the cost of a dose with the model's numbers fitted to it, and their move."""
+        move = np.zeros(len(self.m.x))
+        move[self.free] = -self.inverse @ (self.slope + inside.T @ share)
+        move = np.clip(move, *self.room)
+        d = self.m.d.ravel() + share @ secants + move[self.free] @ self.tangent
+        loss = self.weigher.like(
+            d.reshape(self.m.d.shape), self.weigher.floor2, self.m.cost.scales2
+        )
+        return float(loss.by_block.sum()), np.asarray(move)
+
+    # --- waves ---
+
+    def _scan(self, hypothesis: Hypothesis) -> Iterator[Variant]:
+        """Yield the variants at the two best periods, by directions that cost no simulation.
+
+        The weighed residual, back in time, is correlated with what a wave of each period would do
+        to the readings: for a force a lag, for a supply the change by a constant pressure.
+        """
+        runs, m = self.weigher.train, self.m
+        off = self.off - self.inverse @ self.slope @ self.weighed
+        pull = from_haar((off * self.root).reshape(self.m.d.shape)).reshape(len(self.shown), -1)
+        if hypothesis.scan == "position":
+            if "position_m" not in runs.channels:
+                return
+            row = runs.channels.index("position_m")
+            pull = pull[row][None]
+            if hypothesis.place != "encoder":  # a force moves the mass first
+                keep = np.exp(-runs.period_s / FILTER_S)
+                pull = lfilter([1.0 - keep], [1.0, -keep], pull[:, ::-1])[:, ::-1]
+            over = self.shown[row]
+        else:
+            tank = "tank_pressure_pa"
+            more = {**m.values, tank: m.values.get(tank, self.weigher.base[tank]) + 1e3}
+            way = from_haar(self.weigher.find_residual(more) - self.here)
+            pull, over = (pull * way.reshape(pull.shape)).sum(axis=0)[None], runs.when_s.ravel()
+        span = float(np.ptp(over))
+        if span <= 0.0:
+            return
+        bins, highest = 4096, 100.0 / span
+        if hypothesis.scan == "time":
+            highest = min(HIGHEST_HZ, 0.2 / runs.period_s)
+            bins = max(bins, 1 << round(np.log2(4.0 * highest * span) + 0.5))
+        place = ((over - over.min()) / span * (bins - 1)).astype(int)
+        spectrum = np.abs(np.fft.rfft(np.bincount(place, pull.sum(axis=0), bins), 4 * bins)) ** 2
+        rates = np.arange(len(spectrum)) / (4.0 * span) * (bins - 1) / bins
+        spectrum[(rates < 0.75 / span) | (rates > highest)] = 0.0
+        variant = hypothesis.variants[0]
+        for _ in range(2):
+            best = int(spectrum.argmax())
+            value = float(1.0 / rates[best] if hypothesis.scan == "position" else rates[best])
+            width = value / max(rates[best] * span, 1.0)
+            shape = replace(
+                variant.shapes[0], value=value, low=max(value - width, 0.3 * value),
+                high=value + width, scale=0.1 * width,
+            )  # fmt: skip
+            yield variant._replace(shapes=(shape,))
+            spectrum[max(best - 5, 0) : best + 6] = 0.0
+
+    @property
+    def shown(self) -> Array:
+        """What the model shows, one row a channel."""
+        measured = self.weigher.train.shown
+        return (measured - from_haar(self.m.d)).reshape(len(measured), -1)
+
+
+def extend_model(weigher: Weigher, m: WeighedModel, score: EvidenceScore) -> WeighedModel:
+    """Return the model with a hypothesis, at the best of some points along the prediction."""
+    variant = score.variant
+    sizes = [_put_inside(u, v) for u, v in zip(variant.sizes, score.sizes, strict=True)]
+    shapes = [u.value for u in variant.shapes]
+    numbers = (*m.numbers, *variant.free)
+    free = {u.name for u in variant.free}
+    held = {**m.held, **{k: v for k, v in variant.held.items() if k not in free}}
+    begin = np.concatenate([m.x, [u.neutral or 0.0 for u in variant.sizes], shapes])
+    moved = m.x + np.clip(score.move, -MOST_SHARE, MOST_SHARE) * [n.scale for n in m.numbers]
+    end = np.concatenate([moved, sizes, shapes])
+    low, high = (np.array([getattr(n, k) for n in numbers]) for k in ("low", "high"))
+    e = WeighedModel(
+        (*m.names, score.name), numbers, held, begin, {**m.picked, score.name: variant}, lag=m.lag
+    )
+    tries = []
+    for new, old in LINE:
+        share = np.concatenate([np.full(len(m.x), old), np.full(len(variant.free), new)])
+        x = np.clip(begin + share * (end - begin), low, high)
+        d = weigher.residual_at(e, x)
+        tries.append((float(weigher.like(d, weigher.floor2).by_block.sum()), x, d))
+    _, e.x, e.d = min(tries, key=lambda t: t[0])
+    assert m.tangent is not None
+    columns = [weigher.find_column(e, i) for i in range(len(m.x), len(e.x))]
+    e.tangent, e.tangent_at = np.concatenate([m.tangent, np.stack(columns)]), e.x.copy()
+    return e
+
+
+def _put_inside(unknown: Unknown, value: float) -> float:
+    """Return a value inside the range, and off the neutral end of it."""
+    inside = min(max(value, unknown.low), unknown.high)
+    if inside == unknown.neutral:
+        inside += 1e-3 * unknown.scale * (1.0 if unknown.low >= unknown.neutral else -1.0)
+    return inside
+
+
+def drop_name(m: WeighedModel, name: str) -> WeighedModel:
+    """Return the model without one of its names, unfitted; it starts where the model stands."""
+    variant = m.picked[name]
+    gone = {u.name for u in variant.free} | {*variant.held}
+    keep = [i for i, number in enumerate(m.numbers) if number.name not in gone]
+    return WeighedModel(
+        tuple(n for n in m.names if n != name),
+        tuple(m.numbers[i] for i in keep),
+        {k: v for k, v in m.held.items() if k not in gone},
+        m.x[keep],
+        {k: v for k, v in m.picked.items() if k != name},
+    )

@@ -1,0 +1,278 @@
+"""From records and a plant file to what is missing: the door of the room."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pamctl.diagnose.evidence.constants import FIT_STEPS
+from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
+from pamctl.diagnose.evidence.ladder import Finding, climb_ladder, fit_number
+from pamctl.diagnose.evidence.measuring_chain import free_home, list_of_chain
+from pamctl.diagnose.evidence.name_search import NameSearch
+from pamctl.diagnose.evidence.pool import (
+    CHAIN,
+    PAPER_SCALES,
+    Hypothesis,
+    Scales,
+    Unknown,
+    list_effects,
+    list_terms,
+)
+from pamctl.diagnose.evidence.run_pieces import Recording, Runs, hold_out
+from pamctl.diagnose.evidence.sample_masks import find_resolution
+from pamctl.diagnose.plant_numbers import FittedNumber
+from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.model import PlantSettings, values_of
+from pamctl.plant.terms.locations import LOCATIONS, SUFFIX
+
+Array = NDArray[np.float64]
+
+CALIBRATED: Mapping[str, Mapping[str, float]] = {
+    "muscle": {
+        "valve_gain_m2_per_v": 0.1,
+        "tank_pressure_pa": 0.02,
+        "braid_length_m": 0.003,
+        "damping_n_s_per_m": 0.1,
+        "stiffness_n_per_m": 0.1,
+        "kinetic_friction_per_m": 0.1,
+    },
+    "chamber": {"valve_gain_m2_per_v": 0.1, "tank_pressure_pa": 0.02},
+    "direct": {"mass_kg": 0.2, "damping_n_s_per_m": 0.2, "stiffness_n_per_m": 0.2},
+}
+"""Numbers that every model recalibrates, and a visible share of each."""
+LOAD = "external_load.force_n"
+"""The constant load of a direct mechanism; its force sensor's zero is the same to all data."""
+KNOWN_WELL = 0.1
+"""A number with a smaller visible share is measured with a tape or a gauge: 6 shares are its range;
+all others are guesses, a factor of 12 (a direct mechanism: 50)."""
+ZERO_PA = 250.0
+"""Homing leaves so much on a pressure sensor's zero; an encoder is homed within a count."""
+
+
+@dataclass(frozen=True)
+class EvidenceVerdict:
+    """What the evidence says, and the models that it rests on."""
+
+    findings: tuple[Finding, ...]
+    start: WeighedModel
+    """The plant file's model, with nothing fitted."""
+    base: WeighedModel
+    """Recalibrated."""
+    model: WeighedModel
+    """Recalibrated with all findings in it."""
+    weigher: Weigher
+    pool: Mapping[str, Hypothesis]
+    """What was asked, by name."""
+    gap: Mapping[str, Mapping[str, float]]
+    """RMS by stage (`nominal`, `recalibrated`, `extended`) and channel, SI; held out if any is."""
+    noise_rms: Mapping[str, float]
+    """Of each channel's sensor, SI."""
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The extended model's numbers by flat name, those of the measuring chain included."""
+        return {**self.weigher.base, **self.model.values}
+
+    @property
+    def recalibrated(self) -> tuple[FittedNumber, ...]:
+        """The start model's own numbers, as the extended model has them."""
+        own = {n.name for n in self.base.numbers if not n.name.startswith(CHAIN)}
+        intervals = self.weigher.find_intervals(self.model)
+        return tuple(
+            fit_number(n.name, float(v), intervals[n.name])
+            for n, v in zip(self.model.numbers, self.model.x, strict=True)
+            if n.name in own
+        )
+
+    @property
+    def shifted(self) -> tuple[FittedNumber, ...]:
+        """Those whose interval excludes what the plant file says."""
+        said = self.weigher.base
+        return tuple(n for n in self.recalibrated if not n.low <= said.get(n.name, 0.0) <= n.high)
+
+    @property
+    def at_range(self) -> tuple[str, ...]:
+        """Free numbers at an end of their range."""
+        return tuple(
+            n.name
+            for n, v in zip(self.model.numbers, self.model.x, strict=True)
+            if not n.low < v < n.high and v != n.neutral and not n.name.startswith(CHAIN)
+        )
+
+    @property
+    def left_over_noise(self) -> Mapping[str, float]:
+        """What the extended model leaves of each channel, over its sensor's noise (RMS)."""
+        return {c: rms / self.noise_rms[c] for c, rms in self.gap["extended"].items()}
+
+
+def weigh_evidence(
+    records: Sequence[Recording],
+    held_out: Sequence[Recording] = (),
+    plant: PlantSettings | None = None,
+    *,
+    without: Sequence[str] = (),
+    noise: Mapping[str, float] | None = None,
+    jobs: int = 1,
+    tell: Callable[[str], None] = lambda _: None,
+) -> EvidenceVerdict:
+    """Find what is missing from a plant file. Raise ValueError where records lack an input.
+
+    Names in `without` are left out of the pool. `noise` states standard deviations of sensors, SI,
+    by channel. `jobs` records are simulated side by side; the
+    result is the same for any number.
+    """
+    plant = plant or PlantSettings()
+    weigher, start = prepare_weigher(records, held_out, plant, noise, jobs, holds_out=True)
+    base = weigher.settle(replace(start), FIT_STEPS)
+    tell("recalibrated")
+    pool = {
+        h.name: h
+        for h in list_pool(weigher.train, weigher.base, plant)
+        if not {h.name, h.family} & {*without}
+    }
+    search = NameSearch(weigher, pool, tell)
+    m = search.run(base)
+    findings = tuple(climb_ladder(search, base, m)) if m.names else ()
+    gap = {
+        stage: _find_gap(weigher, each)
+        for stage, each in (("nominal", start), ("recalibrated", base), ("extended", m))
+    }
+    left = np.sqrt(weigher.find_noise2(m))
+    noise_rms = dict(zip(weigher.train.channels, map(float, left), strict=True))
+    return EvidenceVerdict(findings, start, base, m, weigher, pool, gap, noise_rms)
+
+
+def prepare_weigher(
+    records: Sequence[Recording],
+    held_out: Sequence[Recording],
+    plant: PlantSettings,
+    noise: Mapping[str, float] | None = None,
+    jobs: int = 1,
+    *,
+    holds_out: bool = False,
+) -> tuple[Weigher, WeighedModel]:
+    """Return the likelihood of these records, and the plant file's model with nothing fitted.
+
+    With `holds_out`, and without records in `held_out`, two stretches of each record are held out.
+    """
+    values = values_of(plant)
+    train, away = Runs(records, values, jobs=jobs), None
+    if held_out:
+        away = Runs(held_out, values, train, jobs)
+    elif holds_out:
+        train, away = hold_out(train)
+    numbers = list_calibrated(train, values, plant)
+    start = WeighedModel((), numbers, {}, np.array([n.value for n in numbers]))
+    return Weigher(train, away, values, noise), start
+
+
+def _find_gap(weigher: Weigher, m: WeighedModel) -> dict[str, float]:
+    runs = weigher.held_out or weigher.train
+    off = runs.shown - runs.simulate({**weigher.base, **m.values}, min(runs.steps_s))
+    rms = [np.sqrt(np.mean(o[~gone] ** 2)) for o, gone in zip(off, runs.hidden, strict=True)]
+    return dict(zip(runs.channels, map(float, rms), strict=True))
+
+
+def list_calibrated(
+    runs: Runs, values: Mapping[str, float], plant: PlantSettings
+) -> tuple[Unknown, ...]:
+    """Return the numbers that every model frees: the plant's guesses, and the sensors' zeros."""
+    found = []
+    for name, share in CALIBRATED[plant.actuator].items():
+        value = values[name]
+        if name in plant.known or value == 0.0 or (runs.imposed and name != "damping_n_s_per_m"):
+            continue
+        low, high = value * (1.0 - 6.0 * share), value * (1.0 + 6.0 * share)
+        if share >= KNOWN_WELL:
+            most = 50.0 if plant.actuator == "direct" else 12.0
+            low, high = value / most, value * most
+        found.append(Unknown(name, value, low, high, share * value))
+    for name, number in values.items():
+        effect, dot, short = name.partition(".")
+        if not dot or not number or name in plant.known or effect not in CATALOGUE:
+            continue
+        p = next(p for p in CATALOGUE[effect].parameters if p.name == short)
+        if p.role == "size" and number != p.neutral:
+            most = 50.0 * abs(number)
+            low = -most if p.low < 0.0 else 0.0
+            found.append(Unknown(name, number, low, most, 0.1 * abs(number)))
+    if plant.actuator == "direct" and not runs.imposed and "external_load" not in plant.known:
+        force = scales_of(runs, plant).force_n
+        found.append(Unknown(LOAD, 0.0, -10.0 * force, 10.0 * force, 0.1 * force))
+    for channel, row in zip(runs.channels, runs.shown, strict=True):
+        step = find_resolution(row.ravel())
+        most = {"pressure_pa": ZERO_PA, "position_m": step}.get(channel, 1e3 * np.ptp(row))
+        found.append(
+            Unknown(f"{CHAIN}zero.{channel}", 0.0, -most, most, 0.2 * min(most, np.ptp(row)))
+        )
+    return tuple(found)
+
+
+def list_pool(runs: Runs, values: Mapping[str, float], plant: PlantSettings) -> list[Hypothesis]:
+    """Return every hypothesis that these records may show."""
+    machine = scales_of(runs, plant)
+    reach = find_reach(runs)
+    acting = {name.split(".")[0] for name in values if "." in name}
+    taken = {LOCATIONS[t.removesuffix(SUFFIX)].part for t in acting if t.endswith(SUFFIX)}
+    pool = [
+        *(free_home(h) for h in list_effects(plant.actuator, machine) if h.family not in acting),
+        *list_of_chain(runs.channels, values, runs.period_s, plant.actuator),
+        *(h for h in list_terms(plant.actuator, reach, machine) if h.part not in taken),
+    ]
+    if plant.actuator == "direct":
+        seen = {"friction", "pull"} | ({"encoder"} if not runs.imposed else set())
+        pool = [h for h in pool if h.place in seen and _is_driven(h, reach)]
+    if runs.imposed:
+        pool = [h for h in pool if not h.scan]
+    if plant.actuator == "muscle" and "valve_v" not in runs.stretches[0].inputs:
+        pool = [h for h in pool if h.place in ("friction", "pull", "encoder")]
+    if plant.actuator == "chamber":
+        pool = [h for h in pool if h.place in ("valve", "supply", "air", "pressure_sensor")]
+    return pool
+
+
+def _is_driven(hypothesis: Hypothesis, reach: Mapping[str, tuple[float, float]]) -> bool:
+    """Tell whether the records have what drives a law: no pressure, no law of the pressure."""
+    needs_pressure = "pressure" in hypothesis.name or hypothesis.name == "piston"
+    return "pressure" in reach or not needs_pressure
+
+
+def find_reach(runs: Runs) -> dict[str, tuple[float, float]]:
+    """Return the range of each driver in the records."""
+    reach = {"time": (0.0, float(runs.when_s.max()))}
+    columns: dict[str, list[Array]] = {}
+    for stretch in runs.stretches:
+        for name, column in stretch.inputs.items():
+            columns.setdefault(name, []).append(column)
+    joined = {name: np.concatenate(parts) for name, parts in columns.items()}
+    if "valve_v" in joined:
+        reach["command"] = (float(joined["valve_v"].min()), float(joined["valve_v"].max()))
+    if "pressure_pa" in joined:
+        gauge = joined["pressure_pa"] - runs._atmosphere_pa
+        reach["pressure"] = (0.0, float(np.quantile(gauge, 0.999)))
+    if "position_m" in joined:
+        x = joined["position_m"]
+        reach["position"] = (float(np.quantile(x, 0.001)), float(np.quantile(x, 0.999)))
+        many = max(1, round(0.01 / runs.period_s))
+        rate = np.concatenate([(c[many:] - c[:-many]) for c in columns["position_m"]])
+        speed = np.quantile(rate / (many * runs.period_s), (0.01, 0.99))
+        reach["velocity"] = (float(speed[0]), float(speed[1]))
+    return reach
+
+
+def scales_of(runs: Runs, plant: PlantSettings) -> Scales:
+    """Return what the machine reaches; for a muscle of the paper's size the catalogue's."""
+    if plant.actuator != "direct":
+        return PAPER_SCALES
+    reach = find_reach(runs)
+    forces = [s.inputs["force_n"] for s in runs.stretches if "force_n" in s.inputs]
+    pressure = reach.get("pressure", (0.0, PAPER_SCALES.pressure_pa))[1]
+    force = 0.5 * float(np.ptp(np.concatenate(forces))) if forces else 1e-3 * pressure
+    return Scales(
+        max(force, 1e-9), max(reach["position"][1] - reach["position"][0], 1e-9),
+        max(map(abs, reach["velocity"])), max(pressure, 1.0),
+    )  # fmt: skip

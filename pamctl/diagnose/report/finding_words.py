@@ -1,0 +1,331 @@
+"""A finding in words: effects by name, laws without a name as a sentence has them, places, kinds.
+
+The words follow the level that a finding reaches. Nothing here says more than the ladder does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pamctl.diagnose.diagnosis import Diagnosis
+from pamctl.diagnose.evidence.ladder import Finding, JudgedRival
+from pamctl.diagnose.evidence.pool import CHAIN, Hypothesis
+from pamctl.diagnose.plant_numbers import FittedNumber, unit_of
+from pamctl.diagnose.report.setup_words import SETUP_UNITS, label_fault
+from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.terms.locations import LOCATIONS, SUFFIX, Location
+from pamctl.plant.terms.operators import DRIVER_UNITS, DRIVERS, KNOTS, OPERATORS, REFERENCES
+
+PLACES: Mapping[str, str] = {
+    "valve": "the valve",
+    "supply": "the supply",
+    "air": "the air behind the valve",
+    "friction": "the friction",
+    "pull": "the forces that pull and push",
+    "pressure_sensor": "the pressure sensor",
+    "encoder": "the position sensor",
+    "force_n": "the force sensor",
+}
+KINDS: Mapping[str, str] = {
+    "lag": "something late or slow",
+    "memory": "a memory at reversals",
+    "wave": "a wave",
+    "constant": "a constant change",
+    "onset": "a change that begins at an instant",
+    "turned": "a wrong sign",
+    "clock": "a clock of another rate",
+}
+_COLUMNS = {"encoder": "position_m", "pressure_sensor": "pressure_pa", "command": "valve_v"}
+_SIGNALS = {"command": "the command", "position": "the position", "pressure": "the pressure",
+            "velocity": "the velocity", "time": "time"}  # fmt: skip
+_SHOWN: Mapping[str, tuple[float, str]] = {
+    "m": (1e3, "mm"), "Pa": (1e-3, "kPa"), "V": (1.0, "V"), "m/s": (1e3, "mm/s"), "s": (1.0, "s"),
+    "N": (1.0, "N"), "1": (100.0, "%"), "kg/s": (1e6, "mg/s"), "m3": (1e6, "cm3"),
+}  # fmt: skip
+MOST_IN_SENTENCE = 3
+"""Members of a set in a sentence; the document has all."""
+_BOTH_WAYS = ("wave", "hysteresis")
+
+
+def spell_names(*names: str) -> str:
+    """Return names of effects as a text has them: `valve_leak` is a valve leak.
+
+    A law without a name, such as `force~lag(position)`, is a lag of force over position.
+    """
+    spelled = []
+    for name in (part for joined in names for part in joined.split(" and ")):
+        is_label = " of " in name
+        named = label_term(name) if "~" in name else name
+        spelled.append(named if is_label else named.replace("_", " ").replace(":", " of "))
+    return " and ".join(spelled)
+
+
+def label_term(name: str) -> str:
+    """Name a law without a name in a list: `curve of force over time`.
+
+    A law of a sensor or of the command is called after its column.
+    """
+    location, _, rest = name.partition("~")
+    operator, _, driver = rest.rstrip(")").partition("(")
+    return f"{operator} of {_COLUMNS.get(location, location)} over {driver}"
+
+
+def label_hypothesis(hypothesis: Hypothesis) -> str:
+    """Name a hypothesis in a list: an effect, a fault of the set-up, or a law without a name."""
+    if hypothesis.setup:
+        return label_fault(*hypothesis.setup)
+    return label_term(hypothesis.name) if hypothesis.is_term else hypothesis.name
+
+
+def spell_kind(kind: str) -> str:
+    """Return a kind of law as a noun."""
+    if kind.startswith("over "):
+        signal = _SIGNALS[kind.removeprefix("over ")]
+        return "a change over time" if signal == "time" else f"a law of {signal}"
+    return KINDS.get(kind, f"a law like {spell_names(kind)}")
+
+
+def spell_place(place: str) -> str:
+    """Return a place as a noun."""
+    return PLACES.get(place, spell_names(place))
+
+
+def list_candidates(finding: Finding) -> list[str]:
+    """Return the labels of what may be there, the best first."""
+    members = (finding.hypothesis, *finding.rivals)
+    return list(dict.fromkeys(label_hypothesis(h) for h in members))
+
+
+def spell_set(labels: Sequence[str]) -> str:
+    """Return `a, b or c`; of a long set the first ones."""
+    names = [*map(spell_names, labels[:MOST_IN_SENTENCE])]
+    if len(labels) > MOST_IN_SENTENCE:
+        names.append("others")
+    return " or ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def describe_standing(rival: JudgedRival) -> str:
+    """Say of a rival that is not beaten what that means; empty where it is beaten."""
+    if rival.is_beaten:
+        return ""
+    if rival.is_freer:
+        return ", a freer law of its place, which can always mimic it"
+    return ", which does not rule it out"
+
+
+def is_in_catalogue(finding: Finding) -> bool:
+    """Tell whether the best hypothesis is an effect of the catalogue."""
+    return not finding.hypothesis.is_term and finding.hypothesis.setup is None
+
+
+def spell_finding(diagnosis: Diagnosis, finding: Finding) -> str:
+    """Return a finding as a noun, as far up as it is sure."""
+    hypothesis = finding.hypothesis
+    if finding.level == "set":
+        return spell_set(list_candidates(finding))
+    if finding.level in ("name", "rest"):
+        return spell_names(label_hypothesis(hypothesis))
+    if hypothesis.is_term and finding.level == "kind":
+        return FreeTerm.read(diagnosis, finding).text
+    what = spell_kind(hypothesis.kind) if finding.level == "kind" else "something"
+    return f"{what} in {spell_place(hypothesis.place)} ({spell_set(list_candidates(finding))})"
+
+
+# --- numbers -------------------------------------------------------------------------------------
+
+
+def list_numbers(finding: Finding) -> list[FittedNumber]:
+    """Return the fitted numbers of a finding, with units; a wave's as amplitude and phase."""
+    by_name = {n.name: n for n in finding.numbers}
+    found = []
+    for n in finding.numbers:
+        if n.name.endswith(".sine"):
+            found += _join_wave(n, by_name[n.name.replace(".sine", ".cosine")])
+        elif not n.name.endswith(".cosine"):
+            found.append(_with_unit(n))
+    return found
+
+
+def _join_wave(sine: FittedNumber, cosine: FittedNumber) -> list[FittedNumber]:
+    """Return amplitude and phase with their intervals, by propagation of errors."""
+    family = sine.name.removeprefix(CHAIN).removesuffix(".sine")
+    names = ("size", "phase") if family.endswith(SUFFIX) else ("amplitude_pa", "phase_rad")
+    s, c = sine.value, cosine.value
+    widths = np.array([0.5 * (n.high - n.low) for n in (sine, cosine)])
+    size, phase = float(np.hypot(s, c)), float(np.arctan2(c, s))
+    off = float(np.hypot(s * widths[0], c * widths[1])) / max(size, 1e-300)
+    turn = float(np.hypot(c * widths[0], s * widths[1])) / max(size, 1e-300) ** 2
+    return [
+        FittedNumber(f"{family}.{n}", v, v - w, v + w, unit_of(f"{family}.{n}"))
+        for n, v, w in zip(names, (size, phase), (off, turn), strict=True)
+    ]
+
+
+def _with_unit(n: FittedNumber) -> FittedNumber:
+    if not n.name.startswith(CHAIN):
+        return n
+    kind, _, column = n.name.removeprefix(CHAIN).partition(".")
+    units = {"zero": {"pressure_pa": "Pa", "position_m": "m", "force_n": "N"}.get(column, "")}
+    return FittedNumber(n.name, n.value, n.low, n.high, {**SETUP_UNITS, **units}.get(kind, ""))
+
+
+def find_form(diagnosis: Diagnosis, finding: Finding) -> str:
+    """Return the form of an effect that was picked; its own name where it has but one."""
+    assert diagnosis.evidence is not None
+    variant = diagnosis.evidence.model.picked[finding.name]
+    family = finding.hypothesis.family
+    sizes = {u.name for u in variant.sizes}
+    for form in CATALOGUE[family].forms:
+        free = {f"{family}.{name}" for name in form.free}
+        if sizes <= free and all(
+            variant.held.get(f"{family}.{k}", v) == v for k, v in form.held.items()
+        ):
+            return form.name
+    return family
+
+
+# --- laws without a name -------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class FreeTerm:
+    """A law without a name: where it acts, how, on what, with its fitted numbers."""
+
+    location: Location
+    operator: str
+    driver: str
+    values: Mapping[str, float]
+    """Its numbers by short name; a wave's as the plant has them."""
+    numbers: tuple[FittedNumber, ...]
+    span: tuple[float, float]
+    """Of a curve: where it begins and ends."""
+    actuator: str = "muscle"
+
+    @classmethod
+    def read(cls, diagnosis: Diagnosis, finding: Finding) -> FreeTerm:
+        """Return the term that a finding is."""
+        assert diagnosis.evidence is not None
+        prefix = f"{finding.hypothesis.family}."
+        numbers = tuple(list_numbers(finding))
+        all_values = {**diagnosis.evidence.values, **{n.name: n.value for n in numbers}}
+        values = {k.removeprefix(prefix): v for k, v in all_values.items() if k.startswith(prefix)}
+        return cls(
+            LOCATIONS[finding.hypothesis.family.removesuffix(SUFFIX)],
+            OPERATORS[round(values["operator"])], DRIVERS[round(values["driver"])],
+            values, numbers, (values.get("low", 0.0), values.get("high", 1.0)),
+            diagnosis.nominal.actuator,
+        )  # fmt: skip
+
+    @property
+    def curve(self) -> list[dict[str, Any]]:
+        """The knots of a curve, in SI; empty of another operator."""
+        if self.operator != "curve":
+            return []
+        at = np.linspace(*self.span, KNOTS)
+        size = self.values["size"]
+        return [
+            {"at": float(q), "value": size * n.value, "ci90": [size * n.low, size * n.high]}
+            for q, n in zip(at, self.numbers, strict=True)
+        ]
+
+    @property
+    def text(self) -> str:
+        """The term as a noun: `a force that remembers the last reversal ..., +-1.5 N`."""
+        place = self.location.words
+        if self.actuator == "chamber":
+            place = place.replace("muscle", "chamber")
+        article = place if place.startswith("a ") else f"a change of {place}"
+        return f"{article} {self._describe_memory()}, {self._describe_size()}"
+
+    def _describe_memory(self) -> str:
+        signal, unit = _SIGNALS[self.driver], DRIVER_UNITS[self.driver]
+        inner = self.values.get("inner", 1.0)
+        width = spell_quantity(inner, unit)
+        if self.operator == "wave" and self.driver == "time":
+            return f"that swings every {width}"
+        return {
+            "constant": "that is always there",
+            "gain": f"in proportion to {signal}",
+            "curve": f"that follows {signal} along a curve",
+            "beyond": f"that begins beyond {width} of {signal} and grows from there",
+            "wave": f"that repeats itself every {width} of {signal}",
+            "onset": f"that begins {width} after the start",
+            "dead_zone": f"that takes away what is within {width} of zero",
+            "saturation": f"that ends at {width}",
+            "lag": f"that remembers {signal} for {spell_quantity(inner, 's')}",
+            "play": f"that follows with a play of {width}",
+            "slew": f"that follows no faster than {inner:.3g} {unit}/s",
+            "hysteresis": f"that remembers the last reversal of {signal} over {width}",
+        }[self.operator]
+
+    def _describe_size(self) -> str:
+        unit, size = self.location.unit, self.values["size"]
+        if self.operator == "curve":
+            low, high = (f([p["value"] for p in self.curve]) for f in (min, max))
+            return f"from {spell_quantity(low, unit)} to {spell_quantity(high, unit)}"
+        if self.operator in _BOTH_WAYS:
+            return f"+-{spell_quantity(abs(size), unit)}"
+        if self.operator in ("constant", "onset"):
+            return spell_quantity(size, unit)
+        per = spell_quantity(REFERENCES[self.driver], DRIVER_UNITS[self.driver])
+        return f"{spell_quantity(size, unit)} for each {per}"
+
+    @property
+    def equation(self) -> str:
+        """Its equation, in the symbols of its numbers."""
+        q = {"command": "u", "position": "x", "pressure": "P_g", "velocity": "v", "time": "t"}[
+            self.driver
+        ]
+        law = {
+            "constant": "1",
+            "gain": f"{q} / Q",
+            "curve": f"h({q})",
+            "beyond": f"max({q} - w, 0) / Q",
+            "wave": f"sin(2 pi {q} / w + phase)",
+            "onset": f"[{q} > w]",
+            "dead_zone": f"-clip({q}, -w, w) / Q",
+            "saturation": f"(clip({q}, -w, w) - {q}) / Q",
+            "lag": f"(z - {q}) / Q,  w z' = {q} - z",
+            "play": f"(z - {q}) / Q,  |z - {q}| <= w / 2",
+            "slew": f"(z - {q}) / Q,  |z'| <= w",
+            "hysteresis": f"z,  dz = (sign(d{q}) - z) |d{q}| / w",
+        }[self.operator]
+        place = self.location.name.replace("_", " ")
+        return f"{place} (1 + size {law})" if self.location.unit == "1" else f"{place} + size {law}"
+
+    @property
+    def kin(self) -> list[str]:
+        """Effects of the catalogue that act at the same place in the same way."""
+        driver = "" if self.operator == "constant" else self.driver
+        key = (self.location.name, self.operator, driver)
+        return [
+            effect.name
+            for effect in CATALOGUE.values()
+            if key in {(t.location, t.operator, t.driver) for t in effect.as_terms}
+        ]
+
+    def as_dict(self, others: list[str]) -> dict[str, Any]:
+        """Return what the document holds; `others` are what the data do not tell it from."""
+        return {
+            "text": self.text,
+            "location": self.location.name,
+            "operator": self.operator,
+            "driver": self.driver,
+            "unit": self.location.unit,
+            "driver_unit": DRIVER_UNITS[self.driver],
+            "equation": self.equation,
+            "parameters": {n.name.split(".")[1]: n.as_dict() for n in self.numbers},
+            "curve": self.curve,
+            "kin": self.kin,
+            "cannot_be_told_from": others,
+        }
+
+
+def spell_quantity(value: float, unit: str) -> str:
+    """Return a value in the unit of a reader: `1.5 mm`."""
+    factor, shown = _SHOWN.get(unit, (1.0, unit))
+    return f"{factor * value:.3g} {shown}"

@@ -1,0 +1,351 @@
+"""What a file says of its own data: made by the writer, and compared with the data by the check.
+
+https://mcap.dev/spec
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from numpy.typing import NDArray
+
+from pamctl.log.framing import NO_CHECKSUM, Damage, FileRecord, encode_record, record_at
+from pamctl.log.reading.record_walk import Loaded, Part
+
+INDEX_ENTRY = np.dtype([("time", "<u8"), ("offset", "<u8")])
+
+DESCRIPTIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
+"""Records that stand in the data, in chunks and in the summary."""
+
+Complain = Callable[[str, str], None]
+"""Gets a finding: its kind, and what is wrong."""
+
+
+class FileIndex:
+    """What the end of a file says of its data: descriptions, counts, times and places.
+
+    The writer builds it from what it writes, the check from what it reads.
+    """
+
+    def __init__(self, complain: Complain = lambda kind, what: None) -> None:
+        """`complain` is told of descriptions that are missing, or contradict each other."""
+        self._complain = complain
+        self.schemas: dict[int, bytes] = {}
+        """Schema records by number, as they stand in the file."""
+        self.channels: dict[int, bytes] = {}
+        self.counts: Counter[int] = Counter()
+        """Messages by channel."""
+        self.chunks = 0
+        """Number of chunks."""
+        self._chunk: ChunkIndex | None = None
+        """The last chunk, whose message indexes may follow."""
+        self._encoded: dict[Opcode, list[bytes]] = {
+            kind: []
+            for kind in (Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX)
+        }
+        self._times: list[int] = []
+        """Of the earliest and the latest message, ns."""
+
+    def take(self, record: FileRecord) -> None:
+        """Take a record that is neither a chunk nor a message."""
+        length = record.end - record.start
+        match record.opcode:
+            case Opcode.SCHEMA | Opcode.CHANNEL:
+                self._describe(record)
+            case Opcode.ATTACHMENT:
+                a = Attachment.read(record.stream())
+                place = (record.start, length, a.create_time, a.log_time, len(a.data))
+                self._add(Opcode.ATTACHMENT_INDEX, AttachmentIndex(*place, a.name, a.media_type))
+            case Opcode.METADATA:
+                name = Metadata.read(record.stream()).name
+                self._add(Opcode.METADATA_INDEX, MetadataIndex(record.start, length, name))
+
+    def _add(self, kind: Opcode, entry: McapRecord) -> None:
+        self._encoded[kind].append(encode_record(entry))
+
+    def _describe(self, record: FileRecord) -> None:
+        number = int.from_bytes(record.body[:2], "little")
+        what, known = "schema", self.schemas
+        if record.opcode == Opcode.CHANNEL:
+            what, known = "channel", self.channels
+            channel = Channel.read(record.stream())
+            if channel.schema_id and channel.schema_id not in self.schemas:
+                there = f"schema {channel.schema_id}, which does not exist"
+                self._complain(what, f"channel {channel.topic} has {there}")
+        else:
+            Schema.read(record.stream())
+            if number == 0:
+                self._complain(what, f"at byte {record.start}, a schema has the number 0")
+        if known.setdefault(number, record.frame()) != record.frame():
+            self._complain(what, f"{what} {number} is described in two ways")
+
+    def take_parts(self, parts: Iterable[Part]) -> tuple[tuple[int, int], dict[int, NDArray[Any]]]:
+        """Take what follows in the data, not over the end of a chunk.
+
+        Return its first and last time, and its message index by channel.
+        """
+        entries: dict[int, list[NDArray[Any]]] = {}
+        ends: list[int] = []
+        for part in parts:
+            if isinstance(part, FileRecord):
+                self.take(part)
+                continue
+            if part.channel not in self.channels:
+                where = f"messages of channel {part.channel}, which is not yet described"
+                self._complain("channel", f"at byte {part.start}, {where}")
+            times = part.records["log_time"]
+            ends += int(times.min()), int(times.max())
+            self.counts[part.channel] += len(times)
+            found = np.empty(len(times), INDEX_ENTRY)
+            found["time"] = times
+            found["offset"] = part.start + part.records.itemsize * np.arange(len(times))
+            entries.setdefault(part.channel, []).append(found)
+        if ends:
+            self._times = [min([*self._times, *ends]), max([*self._times, *ends])]
+        span = min(ends, default=0), max(ends, default=0)
+        return span, {channel: np.concatenate(found) for channel, found in entries.items()}
+
+    def add_chunk(self, chunk: Chunk, offset: int, length: int) -> None:
+        """Note where a chunk stands; its message indexes follow with `add_message_index`."""
+        self._end_chunk()
+        self.chunks += 1
+        self._chunk = ChunkIndex(
+            chunk_length=length,
+            chunk_start_offset=offset,
+            compression=chunk.compression,
+            compressed_size=len(chunk.data),
+            message_end_time=chunk.message_end_time,
+            message_index_length=0,
+            message_index_offsets={},
+            message_start_time=chunk.message_start_time,
+            uncompressed_size=chunk.uncompressed_size,
+        )
+
+    def _end_chunk(self) -> None:
+        """Encode the index of the last chunk: an hour of them takes much memory otherwise."""
+        if self._chunk:
+            self._add(Opcode.CHUNK_INDEX, self._chunk)
+            self._chunk = None
+
+    def add_message_index(self, channel: int, offset: int, length: int) -> None:
+        """Note where an index of the last chunk stands."""
+        if self._chunk:
+            self._chunk.message_index_offsets[channel] = offset
+            self._chunk.message_index_length += length
+
+    def groups(self) -> dict[Opcode, list[bytes]]:
+        """Return the records of the summary by kind, encoded."""
+        self._end_chunk()
+        start, end = self._times or (0, 0)
+        statistics = Statistics(
+            attachment_count=len(self._encoded[Opcode.ATTACHMENT_INDEX]),
+            channel_count=len(self.channels),
+            channel_message_counts=dict(self.counts),
+            chunk_count=self.chunks,
+            message_count=self.counts.total(),
+            message_end_time=end,
+            message_start_time=start,
+            metadata_count=len(self._encoded[Opcode.METADATA_INDEX]),
+            schema_count=len(self.schemas),
+        )
+        return {
+            Opcode.SCHEMA: list(self.schemas.values()),
+            Opcode.CHANNEL: list(self.channels.values()),
+            Opcode.STATISTICS: [encode_record(statistics)],
+            **self._encoded,
+        }
+
+
+_SUMMARY: Mapping[int, Any] = {
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.SUMMARY_OFFSET: SummaryOffset,
+    Opcode.CHUNK_INDEX: ChunkIndex,
+    Opcode.ATTACHMENT_INDEX: AttachmentIndex,
+    Opcode.METADATA_INDEX: MetadataIndex,
+    Opcode.STATISTICS: Statistics,
+}
+
+
+class IndexCheck:
+    """Follows the records of a file, builds the index they should have, and compares it."""
+
+    def __init__(self, error: Complain, warn: Complain) -> None:
+        """Begin before the file's first record; get told of errors and warnings."""
+        self._error, self._warn = error, warn
+        self._index = FileIndex(error)
+        self._expected: Mapping[int, NDArray[Any]] | None = {}
+        """The message index of the last chunk, by channel; None where it is not known."""
+        self._last = 0
+        self._stored: dict[int, list[bytes]] = {}
+        """The records of the summary by kind."""
+        self._groups: dict[int, SummaryOffset] = {}
+        self._in_summary = False
+
+    def take(self, loaded: Loaded) -> None:
+        """Take the next record."""
+        record = loaded.record
+        before, self._last = self._last, record.opcode
+        if not before and record.opcode != Opcode.HEADER:
+            begin = f"a record {record.opcode} instead of its header"
+            self._error("order", f"the file begins with {begin}")
+        if self._in_summary:
+            self._take_of_summary(record)
+            return
+        match record.opcode:
+            case Opcode.CHUNK:
+                self._take_chunk(loaded)
+            case Opcode.MESSAGE_INDEX:
+                self._check_message_index(record, before)
+            case Opcode.MESSAGE | Opcode.SCHEMA | Opcode.CHANNEL | Opcode.METADATA:
+                self._index.take_parts(loaded.parts)
+            case Opcode.ATTACHMENT:
+                self._index.take_parts(loaded.parts)
+                if record.body[-4:] == NO_CHECKSUM:
+                    name = Attachment.read(record.stream()).name
+                    self._warn_unchecked(f"the attachment {name}")
+            case Opcode.DATA_END:
+                self._in_summary = True
+                if DataEnd.read(record.stream()).data_section_crc == 0:
+                    self._warn_unchecked("the data section")
+            case Opcode.HEADER if not before:
+                pass
+            case _:
+                where = f"at byte {record.start}, a record {record.opcode}"
+                self._error("order", f"{where} among the data")
+
+    def pass_over(self, opcode: int) -> None:
+        """Take a damaged record: its content is unknown, and is not reported as missing."""
+        self._last, self._expected = opcode or self._last, None
+        self._in_summary = self._in_summary or opcode == Opcode.DATA_END
+
+    def _take_chunk(self, loaded: Loaded) -> None:
+        record, chunk = loaded.record, loaded.chunk
+        assert chunk is not None
+        for part in loaded.parts:
+            if isinstance(part, FileRecord) and part.opcode not in DESCRIPTIONS:
+                raise Damage(record.start, f"a chunk holds a record {part.opcode}")
+        times, self._expected = self._index.take_parts(loaded.parts)
+        where = f"the chunk at byte {record.start}"
+        if (chunk.message_start_time, chunk.message_end_time) != times:
+            what = "states times that differ from those of its messages"
+            self._error("chunk", f"{where} {what}")
+        size = len(loaded.content)
+        if chunk.uncompressed_size != size:
+            what = f"states that it holds {chunk.uncompressed_size} bytes, not {size}"
+            self._error("chunk", f"{where} {what}")
+        if chunk.uncompressed_crc == 0:
+            self._warn_unchecked(where)
+        self._index.add_chunk(chunk, record.start, record.end - record.start)
+
+    def end(self) -> None:
+        """Compare the summary with the data. Call it only if the file is not damaged."""
+        for opcode, expected in self._index.groups().items():
+            what = Opcode(opcode).name.lower().replace("_", " ")
+            if opcode in self._stored:
+                self._compare(opcode, what, self._stored[opcode], expected)
+            elif expected and self._stored:
+                self._warn("summary", f"the summary has no {what}")
+
+    def _check_message_index(self, record: FileRecord, before: int) -> None:
+        channel = int.from_bytes(record.body[:2], "little")
+        if before not in (Opcode.CHUNK, Opcode.MESSAGE_INDEX):
+            where = f"at byte {record.start}, a message index"
+            self._error("order", f"{where} does not follow a chunk")
+        self._index.add_message_index(channel, record.start, record.end - record.start)
+        if self._expected is None:
+            return
+        stored = np.frombuffer(record.body[6:], INDEX_ENTRY)
+        expected = self._expected.get(channel, stored[:0])
+        is_equal = record.body[6:] == expected.tobytes() or np.array_equal(
+            np.sort(stored), np.sort(expected)
+        )
+        if not is_equal or int.from_bytes(record.body[2:6], "little") != stored.nbytes:
+            what = f"the message index of channel {channel} at byte {record.start}"
+            self._error("index", f"{what} does not match its chunk")
+
+    def _take_of_summary(self, record: FileRecord) -> None:
+        if record.opcode == Opcode.FOOTER:
+            self._check_footer(Footer.read(record.stream()), record)
+        elif record.opcode in _SUMMARY:
+            _parse_summary(record.frame())  # raises where it makes no sense
+            length = record.end - record.start
+            self._stored.setdefault(record.opcode, []).append(record.frame())
+            group = SummaryOffset(record.opcode, record.start, 0)
+            self._groups.setdefault(record.opcode, group).group_length += length
+        else:
+            where = f"at byte {record.start}, a record {record.opcode}"
+            self._error("order", f"{where} after the data")
+
+    def _check_footer(self, footer: Footer, record: FileRecord) -> None:
+        if footer.summary_start == 0:
+            detail = "the file has no summary: viewers must scan the whole file"
+            self._warn("index", detail)
+            return
+        if footer.summary_crc == 0:
+            self._warn_unchecked("the summary")
+        begins = min((group.group_start for group in self._groups.values()), default=record.start)
+        if footer.summary_start != begins:
+            detail = f"the footer states a wrong start of the summary, {footer.summary_start}"
+            self._error("summary", detail)
+        self._groups.pop(Opcode.SUMMARY_OFFSET, None)
+        frames = self._stored.get(Opcode.SUMMARY_OFFSET, [])
+        named = [one for frame in frames if (one := _parse_summary(frame)).group_length]
+        if named and named != list(self._groups.values()):
+            self._error("summary", "the summary offsets do not match the summary")
+
+    def _compare(
+        self, opcode: int, what: str, stored: Sequence[bytes], expected: Sequence[bytes]
+    ) -> None:
+        if len(stored) != len(expected):
+            there = f"{len(stored)} records of kind {what}, the data have {len(expected)}"
+            self._error("summary", f"the summary has {there}")
+            return
+        if opcode in DESCRIPTIONS:
+            stored, expected = sorted(stored), sorted(expected)
+        for number, (one, other) in enumerate(zip(stored, expected, strict=True)):
+            if one != other and (wrong := _describe_difference(opcode, one, other)):
+                detail = f"{what} {number} does not match the data: {wrong}"
+                self._error("summary", detail)
+
+    def _warn_unchecked(self, what: str) -> None:
+        self._warn("checksum", f"{what} has no checksum: damage would not be noticed")
+
+
+def _describe_difference(opcode: int, one: bytes, other: bytes) -> str:
+    """Say in what a record differs from the one that was expected; empty: only in its order."""
+    if opcode in DESCRIPTIONS:
+        return "another description"
+    stored, expected = _parse_summary(one), _parse_summary(other)
+    wrong = [
+        f"{part.name} {getattr(stored, part.name)} instead of {getattr(expected, part.name)}"
+        for part in fields(stored)
+        if getattr(stored, part.name) != getattr(expected, part.name)
+    ]
+    # The parsers are lenient: encode the result again and compare it with the bytes.
+    return ", ".join(wrong) or ("" if encode_record(stored) == one else "it has wrong lengths")
+
+
+def _parse_summary(frame: bytes) -> Any:
+    record = record_at(memoryview(frame), 0)
+    return _SUMMARY[record.opcode].read(record.stream())

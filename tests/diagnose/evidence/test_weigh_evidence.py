@@ -1,0 +1,57 @@
+"""From the records of a hidden rig to what is said of it, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hidden.excitations import PROGRAMS
+from hidden.rig import Record, hidden_rig
+
+from pamctl.diagnose.evidence import weigh_evidence
+from pamctl.diagnose.evidence.pool import PAPER_SCALES, list_effects
+from pamctl.diagnose.evidence.sample_masks import find_frozen, find_spikes
+from pamctl.plant.catalogue import CATALOGUE
+
+
+def records_of(effects: dict[str, float], seed: int) -> tuple[list[Record], list[Record]]:
+    rig = hidden_rig(effects, seed=seed)
+    train, held_out = PROGRAMS["brief"](seed)
+    return [rig.run(e).record for e in train], [rig.run(e).record for e in held_out]
+
+
+def test_a_dead_band_is_named_with_its_width() -> None:
+    verdict = weigh_evidence(*records_of({"valve_deadband": 5}, 40711))
+    assert [f.name for f in verdict.findings if f.level == "name"] == ["valve_deadband"]
+    assert verdict.gap["extended"]["position_m"] < 2e-6
+    assert 0.1 < verdict.values["valve_deadband.fill_width_v"] < 0.5
+
+
+def test_of_a_rig_that_lacks_nothing_nothing_is_said() -> None:
+    assert not weigh_evidence(*records_of({}, 40712)).findings
+
+
+def test_every_effect_of_a_muscle_that_data_can_show_is_in_the_pool() -> None:
+    families = {h.family for h in list_effects("muscle", PAPER_SCALES)}
+    assert families == {
+        name
+        for name, effect in CATALOGUE.items()
+        if "muscle" in effect.actuators and not effect.unidentifiable
+    }
+
+
+def test_records_without_an_input_are_refused() -> None:
+    train, _ = records_of({}, 40713)
+    with pytest.raises(ValueError, match="needs valve_v"):
+        weigh_evidence([replace(r, valve_v=None, pressure_pa=None) for r in train])
+
+
+def test_spikes_and_a_frozen_column_are_masked_and_a_fast_ramp_is_not() -> None:
+    rng = np.random.default_rng(6)
+    row = np.cumsum(rng.normal(size=2000)) + rng.normal(size=2000)
+    assert not find_spikes(row).any()
+    row[700] += 500.0
+    row[1000:1100] = row[1000]
+    assert list(np.flatnonzero(find_spikes(row))) == [700]
+    assert list(np.flatnonzero(find_frozen(row))) == list(range(1000, 1100))

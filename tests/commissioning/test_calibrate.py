@@ -563,7 +563,7 @@ def test_whatever_ends_it_while_a_pressure_is_held_the_valve_is_safe(
             letter = process.stderr.read(1)
             assert letter, asked
             asked += letter
-        assert peek_v(ao_path(device())) > 3.0
+        assert peek_v(ao_path(device())) > 1.0  # it is open
         process.send_signal(number)
         _, complaints = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == code

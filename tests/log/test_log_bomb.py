@@ -161,7 +161,10 @@ def test_ticks_of_many_columns_and_few_bytes_are_refused_before_they_fill_the_me
         writer.finish()
     with pytest.raises(LogError, match="more than twice their bytes in the file"):
         read(tmp_path / "a.mcap")
-    assert "MB of memory; `pamctl log cut LOG --out SHORTER.mcap --to-s 600` makes" in capsys.readouterr().err
+    assert (
+        "MB of memory; `pamctl log cut LOG --out SHORTER.mcap --to-s 600` makes"
+        in capsys.readouterr().err
+    )
 
 
 def test_messages_of_channels_that_take_turns_take_no_longer_than_others(tmp_path):

@@ -39,13 +39,10 @@ class FittedNumber:
     low: float
     high: float
     unit: str
-    conditional_on: tuple[str, ...] = ()
-    """Effects that the interval takes for granted, where something else is left or possible."""
 
     def as_dict(self) -> dict[str, object]:
         """Return what the document holds."""
-        known = {"value": self.value, "ci90": [self.low, self.high], "unit": self.unit}
-        return {**known, "conditional_on": [*self.conditional_on]} if self.conditional_on else known
+        return {"value": self.value, "ci90": [self.low, self.high], "unit": self.unit}
 
 
 def look_up_parameter(dotted: str) -> EffectParameter:

@@ -18,6 +18,7 @@ from pamctl.diagnose.deciding.explanations import list_explanations
 from pamctl.diagnose.deciding.forecast import judge_forecasts
 from pamctl.diagnose.diagnosis import Diagnosis, Verdict, decide_verdict
 from pamctl.diagnose.evidence import EvidenceVerdict, weigh_evidence
+from pamctl.diagnose.evidence.run_pieces import TooLittleRecorded
 from pamctl.diagnose.extend import extend_plant
 from pamctl.diagnose.measured.noise.channel_noise import describe_channels
 from pamctl.diagnose.measured.noise.mend import SensorFault, mend_records
@@ -73,11 +74,11 @@ def diagnose(
         }
         accepted += check_sensors(records, noises, plant, accept)
         stated = {c: n.deviation for c, n in noises.items() if n.source == "stated"}
-        cores = jobs or len(os.sched_getaffinity(0))
+        cores = jobs or os.cpu_count() or 1
         found = weigh_evidence(
             train, holdout, plant, without=[*without], noise=stated, jobs=cores, tell=progress
         )
-    except (BadData, ValueError) as error:
+    except (BadData, TooLittleRecorded) as error:
         given = tuple(records)
         return Diagnosis(Verdict.BAD_DATA, plant, plant, str(error), train=given)
     verdict = decide_verdict(found)

@@ -62,10 +62,13 @@ class Finding:
     """Numbers that stand at their range: then no name is said."""
     is_rest: bool
     """Whether it is small beside what was found before it: it mends the model, and is no cause."""
-    rivals: tuple[Hypothesis, ...]
-    """What is not beaten, the nearest first."""
-    judged: tuple[JudgedRival, ...] = ()
+    judged: tuple[JudgedRival, ...]
     """All rivals that were fitted, the nearest first."""
+
+    @property
+    def rivals(self) -> tuple[Hypothesis, ...]:
+        """Return what is not beaten, the nearest first."""
+        return tuple(j.hypothesis for j in self.judged if not j.is_beaten)
 
     @property
     def name(self) -> str:
@@ -102,7 +105,7 @@ def _find_level(search: NameSearch, base: WeighedModel, m: WeighedModel, name: s
     says_name = not mine.is_term and not any(
         pool[n].laws & mine.laws for n in m.names if pool[n].is_term
     )
-    near, judged = [], list[JudgedRival]()
+    judged = list[JudgedRival]()
     for rival in rivals:
         weigher.leave_out(rival)
         its, lead = pool[rival.names[-1]], rival.left_out - m.left_out
@@ -118,8 +121,6 @@ def _find_level(search: NameSearch, base: WeighedModel, m: WeighedModel, name: s
             and rival.total > without.total - KEPT_PROMISE * promised[its.name]
         ):
             beaten &= promised[its.name] < LEFT_SHARE * own.sum()  # its fit failed: it may be true
-        if not beaten:
-            near.append((float(lead.sum()), its))
         is_freer = its.is_term and (its.place == mine.place or its.name in mine.akin)
         judged.append(_judge_rival(its, lead, beaten=bool(beaten), is_freer=is_freer))
         if is_freer:
@@ -148,12 +149,11 @@ def _find_level(search: NameSearch, base: WeighedModel, m: WeighedModel, name: s
     is_rest = not is_first and (
         own.sum() < NAME_SHARE * whole or (little and not says_place) or not enough
     )
-    nearest = tuple(h for _, h in sorted(near, key=lambda n: n[0]))
     return Finding(
         mine, says_place, says_kind,
         says_name and not at_range and enough, float(own.sum()), (float(low), float(high)),
         float(own.sum()) / whole, _list_numbers(weigher, m, name),
-        at_range, bool(is_rest), nearest, tuple(sorted(judged, key=lambda j: j.behind_nats)),
+        at_range, bool(is_rest), tuple(sorted(judged, key=lambda j: j.behind_nats)),
     )  # fmt: skip
 
 

@@ -146,11 +146,12 @@ class NameSearch:
         """
         weigher = self.weigher
         before, rough = float(m.cost.by_block.sum()), list[tuple[float, WeighedModel]]()
-        for score in self.choose(scored, many):
+        chosen = self.choose(scored, many)
+        for score in chosen:
             e = weigher.fit(extend_model(weigher, m, score), ROUGH_STEPS, is_rough=True)
             rough.append((before - float(e.cost.by_block.sum()), e))
         best = max(gain for gain, _ in rough)
-        for k, score in enumerate(self.choose(scored, many)):
+        for k, score in enumerate(chosen):
             if rough[k][0] < best < score.gain:  # it promised more: the dose's tangent misled it
                 e = weigher.fit(extend_model(weigher, m, score), ROUGH_STEPS)
                 rough[k] = max(rough[k], (before - float(e.cost.by_block.sum()), e), key=_gain_of)

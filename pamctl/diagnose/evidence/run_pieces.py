@@ -72,6 +72,10 @@ FAR = 1e4
 """What a simulation shows where the plant leaves the range of its model."""
 
 
+class TooLittleRecorded(ValueError):
+    """The records lack an input, or are shorter than a block; the message says what is needed."""
+
+
 class Recording(Protocol):
     """What is needed of a record: columns in SI of one length, None where nothing was measured."""
 
@@ -129,7 +133,7 @@ class Runs:
         like: Runs | None = None,
         jobs: int = 1,
     ) -> None:
-        """Cut records at gaps into blocks. Raise ValueError where nothing can be simulated.
+        """Cut records at gaps into blocks. Raise TooLittleRecorded where nothing can be simulated.
 
         Held-out records are simulated `like` those that are fitted, `jobs` records side by side.
         """
@@ -146,9 +150,10 @@ class Runs:
         self.steps_s = (FINE_STEP_S, COARSE_STEP_S)
         self.stretches = [s for record in records for s in self._cut(record)]
         if not self.stretches:
-            raise ValueError(f"no record is as long as a block of {self.block * self.period_s:g} s")
+            raise TooLittleRecorded(
+                f"no record is as long as a block of {self.block * self.period_s:g} s"
+            )
         self._lay_out()
-        self.simulated_samples = 0
         self._last: tuple[Any, Array] | None = None
         self._whole = self
 
@@ -284,7 +289,6 @@ class Runs:
         return rows
 
     def _drive(self, p: PlantParameters, step_s: float, command: Mapping[str, float]) -> Array:
-        self.simulated_samples += sum(self.sizes)
         drive = partial(self._drive_stretch, p, step_s=step_s, command=command)
         parts = [*_start_threads(self.jobs).map(drive, self.stretches)]
         return np.nan_to_num(self.pack(parts), nan=FAR, posinf=FAR, neginf=-FAR)
@@ -385,9 +389,9 @@ def hold_out(runs: Runs) -> tuple[Runs, Runs | None]:
 
 
 def _choose_channels(records: Sequence[Recording], actuator: str, imposed: bool) -> tuple[str, ...]:
-    """Return what the simulation predicts; raise ValueError where the records lack an input."""
+    """Return what the simulation predicts; raise TooLittleRecorded where an input is missing."""
     if not records:
-        raise ValueError("no records: one at least is needed")
+        raise TooLittleRecorded("no records: one at least is needed")
     measured = [
         name
         for name in ("valve_v", "pressure_pa", "position_m", "force_n")
@@ -395,7 +399,9 @@ def _choose_channels(records: Sequence[Recording], actuator: str, imposed: bool)
     ]
     if actuator == "direct":
         if "position_m" not in measured or not {"force_n", "pressure_pa"} & {*measured}:
-            raise ValueError("a direct mechanism needs position_m, and force_n or pressure_pa")
+            raise TooLittleRecorded(
+                "a direct mechanism needs position_m, and force_n or pressure_pa"
+            )
         return ("force_n",) if imposed else ("position_m",)
     if "valve_v" in measured:
         wanted = ("pressure_pa",) if actuator == "chamber" else ("position_m", "pressure_pa")
@@ -404,7 +410,9 @@ def _choose_channels(records: Sequence[Recording], actuator: str, imposed: bool)
         both = {"pressure_pa", "position_m"} <= {*measured} and actuator == "muscle"
         channels = ("position_m",) if both else ()
     if not channels:
-        raise ValueError(f"a {actuator} needs valve_v and a sensor, or pressure_pa and position_m")
+        raise TooLittleRecorded(
+            f"a {actuator} needs valve_v and a sensor, or pressure_pa and position_m"
+        )
     return channels
 
 

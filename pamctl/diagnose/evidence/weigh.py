@@ -89,12 +89,6 @@ class EvidenceVerdict:
         )
 
     @property
-    def shifted(self) -> tuple[FittedNumber, ...]:
-        """Those whose interval excludes what the plant file says."""
-        said = self.weigher.base
-        return tuple(n for n in self.recalibrated if not n.low <= said.get(n.name, 0.0) <= n.high)
-
-    @property
     def at_range(self) -> tuple[str, ...]:
         """Free numbers at an end of their range."""
         return tuple(

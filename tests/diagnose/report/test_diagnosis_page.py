@@ -52,9 +52,12 @@ def with_level(found: Diagnosis, *levels: str) -> Diagnosis:
         "name": (True, True, True), "kind": (True, True, False),
         "place": (True, False, False), "set": (False, False, False),
     }  # fmt: skip
-    rivals = tuple(found.evidence.pool[n] for n in ("valve_curve", "exhausting~curve(command)"))
+    near = tuple(
+        replace(first.judged[0], hypothesis=found.evidence.pool[n], is_beaten=False)
+        for n in ("valve_curve", "exhausting~curve(command)")
+    )
     findings = tuple(
-        replace(first, says_place=p, says_kind=k, says_name=n, rivals=() if n else rivals)
+        replace(first, says_place=p, says_kind=k, says_name=n, judged=first.judged if n else near)
         for p, k, n in (at[level] for level in levels)
     )
     return replace(found, evidence=replace(found.evidence, findings=findings))

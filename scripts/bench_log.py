@@ -18,13 +18,14 @@ from typing import Any, get_type_hints
 
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from pamctl.recording.rows import PLAIN_TICK, TickRow, make_rows
 
 from pamctl.log.importing.pipeline import import_log
 from pamctl.log.reader import read
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import TICK_TOPIC
 from pamctl.recording.recorder import await_recorder, spawn_recorder
-from pamctl.recording.ring import PLAIN_TICK, Ring, RingFull, TickRow, make_rows
+from pamctl.recording.ring import Ring, RingFull
 from pamctl.signals import TICK_STAGES, TickRecord
 
 

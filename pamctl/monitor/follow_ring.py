@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from pamctl.log.measured_signals import Signals, signals
 from pamctl.log.reader import Log
-from pamctl.recording.ring import Ring, RowKind
-from pamctl.recording.rows import row_dtype
+from pamctl.recording.ring import Ring
+from pamctl.recording.rows import RowKind, row_dtype
 
 _BEFORE = 4
 """Ticks before the new ones that are read again: a delayed output is that of an earlier tick."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from pamctl.settings.resolve import resolve
-from pamctl.simulate.batch import SimulatedRun, simulate_run
+from pamctl.simulate.closed_loop import SimulatedRun, simulate_run
 
 PLANTS = {"paper": "of Tables I and II", "paper-valve109": "with the valve's 109 Hz"}
 """Shipped plants on which the reproduction runs."""

@@ -9,7 +9,7 @@ import numpy as np
 from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
 from pamctl.reproduce.paper_cases import PLANTS, Case
-from pamctl.simulate.batch import SimulatedRun
+from pamctl.simulate.closed_loop import SimulatedRun
 
 FREQUENCIES = ("0.25", "0.5", "1", "2")
 _ANY_LAW = Case("open loop", "paper-table3-qsmc")

@@ -11,7 +11,7 @@ from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
 from pamctl.reproduce.paper_cases import FITTED_SMC, PRINTED_QSMC, PRINTED_SMC, TUNED, Case
 from pamctl.signals import Phase
-from pamctl.simulate.batch import SimulatedRun
+from pamctl.simulate.closed_loop import SimulatedRun
 
 FIGURES = {
     "fig4": ("tracking-1", "Fig. 4: experiment 1"),

@@ -18,7 +18,7 @@ from hal.configured import Configured
 from hal.faulty import FaultSettings
 from pamctl.control.homing import HomingSettings
 from pamctl.control.motion_limits import EnvelopeSettings
-from pamctl.realtime.loop_settings import LoopSettings
+from pamctl.realtime.clock import LoopSettings
 from pamctl.safety import LimitSettings
 
 SafeVolts = Annotated[

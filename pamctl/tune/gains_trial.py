@@ -16,7 +16,7 @@ import numpy as np
 from pamctl.control.experiment import TrackingSettings
 from pamctl.settings.resolve import RunSettings, resolve
 from pamctl.signals import Phase
-from pamctl.simulate.batch import SimulatedRun, simulate_run
+from pamctl.simulate.closed_loop import SimulatedRun, simulate_run
 from pamctl.simulate.merit import TABLE_IV, compute_merit
 from pamctl.tune.plant_ensemble import Member
 

@@ -11,8 +11,8 @@ import numpy as np
 from pamctl.diagnose.diagnosis import Diagnosis, Verdict
 from pamctl.diagnose.evidence.fit import WeighedModel
 from pamctl.diagnose.evidence.run_pieces import Runs
-from pamctl.diagnose.measured.record import Array
-from pamctl.diagnose.report.phrases import SIGNAL_DISPLAYS
+from pamctl.diagnose.record import Array
+from pamctl.diagnose.report.verdict_words import SIGNAL_DISPLAYS
 from pamctl.log.moments import Moment
 from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot, plot_apart
 from pamctl.report.html_page import Page

@@ -1,22 +1,24 @@
-"""What makes a record doubtful, rule by rule; a rule speaks of the actuator that it knows.
+"""Refuse data that would mislead the diagnosis; say why, and what to do.
 
-A doubt may be wrong: the user overrules it with a reason, which the document keeps.
+Data of which nothing can be computed are refused in any case. What a rule doubts is refused unless
+the user accepts that rule, with a reason, which the document keeps.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from pamctl.diagnose.measured.column_shift import check_time_shifts
-from pamctl.diagnose.measured.noise.mend import SensorFault
-from pamctl.diagnose.measured.noise.sensor_noise import Noise
-from pamctl.diagnose.measured.record import CHANNELS, Array, Record
+from pamctl.diagnose.mend import SensorFault
+from pamctl.diagnose.record import CHANNELS, Array, Record
+from pamctl.diagnose.sensor_noise import Noise
+from pamctl.exit_codes import ExitCode
 from pamctl.log.importing.plausibility import is_switched
 from pamctl.log.record_problems import find_sensor_step
 from pamctl.plant.effects.description import USED_SIGNALS, describe_unused
@@ -307,3 +309,247 @@ def _estimate_noise(values: Array) -> float:
 def find_usual_ends(values: Array) -> tuple[float, float]:
     """Return the range of a signal without its rarest values."""
     return float(np.quantile(values, 0.001)), float(np.quantile(values, 0.999))
+
+
+STEP_SHARE = 0.3
+"""Share of the command's span that counts as a step."""
+LEFT_SHARE = 0.25
+"""A command that moves on by this share of a step has left its level."""
+QUIET_S, BEFORE_S, AFTER_S = 0.3, 0.15, 0.3
+"""The command rests `QUIET_S` before a step. The search for answers begins `BEFORE_S` before the
+step and ends `AFTER_S` after it."""
+FEWEST_AT_REST = 8
+"""With fewer samples before a step, its answer cannot be timed."""
+ANSWER_SHARE = 0.05
+"""An answer has begun when this share of the whole change is reached."""
+LEAST_SHARE = {"pressure_pa": 0.2, "position_m": 0.12}
+"""Smaller changes, as shares of the signal's span, are no answer to a step."""
+ABOVE_NOISE = 5.0
+"""An answer has begun only at this multiple of the scatter at rest."""
+EARLY_S = {"pressure_pa": 3e-3, "position_m": 5e-3}
+"""Noise and late ticks may make an answer seem to begin this long before its cause."""
+EARLY_PERIODS = 1.5
+LATE_S = {"pressure_pa": 0.035, "position_m": 0.1}
+"""The longest delay with the slowest valve; for the position with the strongest friction too."""
+LATE_RISES = 0.5
+"""A slow answer may also begin later: by this multiple of the time from its beginning to half."""
+CAUSE = {"pressure_pa": "valve_v", "position_m": "pressure_pa"}
+
+
+class _Response(NamedTuple):
+    """When a signal began to answer a step; NaN if it does not answer or did not rest."""
+
+    begins_s: float
+    rise_s: float = 0.0
+    """From its beginning to half of its change."""
+
+
+_NONE = _Response(float("nan"))
+
+
+def check_time_shifts(record: Record) -> Iterator[str]:
+    """Yield the reason where a column does not fit the time of its cause."""
+    if record.valve_v is None or record.pressure_pa is None:
+        return
+    if round((QUIET_S - BEFORE_S) / record.period_s) < FEWEST_AT_REST:
+        return
+    steps = _find_steps(record)
+    held_s = [_find_end_s(record, step) for step in steps]
+    causes = [_Response(float(record.t_s[step])) for step in steps]
+    for channel in ("pressure_pa", "position_m"):
+        if channel not in record.channels:
+            continue
+        answers = [_find_response(record, channel, step) for step in steps]
+        pairs = [
+            (answer.begins_s - cause.begins_s, _latest_s(channel, cause, answer))
+            for cause, answer, end_s in zip(causes, answers, held_s, strict=True)
+            if np.isfinite(answer.begins_s - cause.begins_s) and answer.begins_s <= end_s
+        ]
+        causes = answers
+        if not pairs:
+            return
+        early_s = max(EARLY_S[channel], EARLY_PERIODS * record.period_s)
+        late_s = float(np.median([late for late, _ in pairs]))
+        if max(late for late, _ in pairs) < -early_s or all(late > most for late, most in pairs):
+            order = "before" if late_s < 0.0 else "after"
+            yield (
+                f"{record.name}: {channel} answers {abs(late_s) * 1e3:.0f} ms {order} "
+                f"{CAUSE[channel]}, which no valve, tube or sensor does: the columns are shifted "
+                "in time against each other; log them with one clock, or shift them back"
+            )
+
+
+def _latest_s(channel: str, cause: _Response, answer: _Response) -> float:
+    """Return the longest time after its cause at which an answer may begin."""
+    return max(float(np.hypot(LATE_S[channel], LATE_RISES * answer.rise_s)), cause.rise_s)
+
+
+def _find_steps(record: Record) -> list[int]:
+    """Return the samples at which the command steps out of a rest, away from gaps."""
+    command = record["valve_v"]
+    least_v = STEP_SHARE * float(np.ptp(command))
+    quiet, after = (round(s / record.period_s) for s in (QUIET_S, AFTER_S))
+    found = []
+    for part in record.segments:
+        steps = np.abs(np.diff(command[part]))
+        jumps = np.flatnonzero((steps >= least_v) & (steps > 0.0)) + 1 + part.start
+        found += [
+            int(jump)
+            for jump in jumps
+            if jump >= part.start + quiet
+            and jump + after < part.stop
+            and np.ptp(command[jump - quiet : jump]) == 0.0
+        ]
+    return found
+
+
+def _find_end_s(record: Record, step: int) -> float:
+    """Return when the command leaves the level of a step; what follows may answer that instead."""
+    command = record["valve_v"]
+    size = abs(command[step] - command[step - 1])
+    left = np.flatnonzero(np.abs(command[step:] - command[step]) > LEFT_SHARE * size)
+    return float(record.t_s[step + left[0]]) if len(left) else float(record.t_s[-1])
+
+
+def _find_response(record: Record, channel: str, step: int) -> _Response:
+    """Find when a channel begins to answer a step, and how fast."""
+    quiet, before, after = (round(s / record.period_s) for s in (QUIET_S, BEFORE_S, AFTER_S))
+    values: Array = record[channel]
+    rest = values[step - quiet : step - before]
+    earlier, later = np.array_split(rest, 2)
+    rested, drift = float(later.mean()), float(later.mean() - earlier.mean())
+    change = values[step - before : step + after] - rested
+    whole = float(change[np.argmax(np.abs(change))])
+    begun = ANSWER_SHARE * abs(whole)
+    if (
+        abs(whole) <= LEAST_SHARE[channel] * float(np.ptp(values))
+        or begun < ABOVE_NOISE * float(np.std(rest))
+        or abs(drift) > 0.2 * begun
+    ):
+        return _NONE
+    first = int(np.argmax(change / whole > ANSWER_SHARE))
+    if not first:
+        return _NONE
+    half = int(np.argmax(change / whole > 0.5))
+    begins_s = float(record.t_s[step - before + first])
+    return _Response(begins_s, float(record.t_s[step - before + half]) - begins_s)
+
+
+class BadData(Exception):
+    """The measurement cannot be diagnosed; the message says why and what to do."""
+
+    exit_code = ExitCode.BAD_DATA
+
+
+class UnknownRule(Exception):
+    """A rule is to be accepted that does not exist, or without a reason."""
+
+    exit_code = ExitCode.USAGE
+
+
+@dataclass(frozen=True)
+class AcceptedDoubt:
+    """What a rule doubts, and why the user accepts it."""
+
+    rule: str
+    reason: str
+    """The user's words."""
+    doubts: tuple[str, ...]
+    """What the rule says of these data."""
+
+    def as_dict(self) -> dict[str, object]:
+        """Return what the document holds."""
+        return {"rule": self.rule, "reason": self.reason, "doubts": list(self.doubts)}
+
+
+def read_acceptances(texts: Iterable[str]) -> dict[str, str]:
+    """Return reasons by rule from texts such as `gap=the logger paused`; raise `UnknownRule`."""
+    accepted: dict[str, str] = {}
+    for text in texts:
+        rule, _, reason = (part.strip() for part in text.partition("="))
+        if rule not in RULES:
+            near = get_close_matches(rule, RULES, 1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise UnknownRule(
+                f"--accept {text}: there is no rule {rule!r}{hint} (rules: {', '.join(RULES)})"
+            )
+        if not reason:
+            raise UnknownRule(
+                f'--accept {text}: say why, such as --accept {rule}="seen and harmless"; '
+                "the document keeps the reason"
+            )
+        accepted[rule] = reason
+    return accepted
+
+
+def check_measured_runs(
+    records: Sequence[Record], plant: PlantSettings, accepted: Mapping[str, str] | None = None
+) -> tuple[AcceptedDoubt, ...]:
+    """Raise `BadData` with every reason found, a line each; return the doubts that are accepted."""
+    faults = [fault for record in records for fault in _find_faults(record)]
+    faults += _find_different_channels(records)
+    if faults:
+        raise BadData("\n".join(dict.fromkeys(faults)))
+    doubts = [doubt for record in records for doubt in doubt_record(record, plant)]
+    known = accepted or {}
+    if all(doubt.rule in known for doubt in doubts):
+        doubts += doubt_excitation(records, plant)
+    return _judge_doubts(doubts, known)
+
+
+def check_sensors(
+    records: Sequence[Record],
+    noises: Mapping[str, Noise],
+    plant: PlantSettings,
+    accepted: Mapping[str, str] | None = None,
+) -> tuple[AcceptedDoubt, ...]:
+    """Raise `BadData` for clipped and shifted channels; return the doubts that are accepted."""
+    doubts = [doubt for record in records for doubt in doubt_sensors(record, plant, noises)]
+    return _judge_doubts(doubts, accepted or {})
+
+
+def _judge_doubts(
+    doubts: Sequence[Doubt], accepted: Mapping[str, str]
+) -> tuple[AcceptedDoubt, ...]:
+    refused = [d for d in doubts if d.rule not in accepted]
+    if refused:
+        reasons = (
+            f"{doubt.text} (if it is right as it is: --accept {doubt.rule}=REASON)"
+            for doubt in refused
+        )
+        raise BadData("\n".join(dict.fromkeys(reasons)))
+    found: dict[str, list[str]] = {}
+    for doubt in doubts:
+        found.setdefault(doubt.rule, []).append(doubt.text)
+    return tuple(
+        AcceptedDoubt(rule, accepted[rule], tuple(dict.fromkeys(texts)))
+        for rule, texts in found.items()
+    )
+
+
+def _find_faults(record: Record) -> Iterator[str]:
+    """Find what no reason can mend: nothing could be computed."""
+    if len(record) < FEWEST_SAMPLES:
+        yield (
+            f"{record.name}: {len(record)} samples, fewer than {FEWEST_SAMPLES}; "
+            "record a whole excitation"
+        )
+        return
+    for channel in record.channels:
+        wrong = ~np.isfinite(record[channel])
+        if wrong.any():
+            yield (
+                f"{record.name}: {channel} is NaN or infinite in {int(wrong.sum())} rows, "
+                f"the first is row {int(np.argmax(wrong))}; remove or repair them"
+            )
+            return
+    if not np.isfinite(record.t_s).all() or np.any(record.step_s <= 0.0):
+        row = int(np.argmax(~(record.step_s > 0.0))) + 1
+        yield f"{record.name}: t_s does not increase at row {row}; sort or repair the time column"
+
+
+def _find_different_channels(records: Sequence[Record]) -> Iterator[str]:
+    channels = {record.channels for record in records}
+    if len(channels) > 1:
+        listed = "; ".join(sorted({f"{r.name} has {', '.join(r.channels)}" for r in records}))
+        yield f"the records do not hold the same channels: {listed}"

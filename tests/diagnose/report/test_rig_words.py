@@ -12,10 +12,9 @@ import pytest
 from support.made_records import names_of
 
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, summary
-from pamctl.diagnose.experiments import MOTIONS, write_advice
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
-from pamctl.diagnose.report.next_experiment import runs_here
+from pamctl.diagnose.report.next_experiment import MOTIONS, runs_here, write_advice
 from pamctl.diagnose.report.verdict_words import (
     SIGNAL_DISPLAYS,
     advise_next_steps,

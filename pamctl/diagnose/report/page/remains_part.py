@@ -14,7 +14,7 @@ from pamctl.diagnose.report.phrases import SIGNAL_DISPLAYS, describe_noise
 from pamctl.diagnose.report.rig_at_hand import advise_experiment, words_of_rig
 from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
-from pamctl.report.motion_section import mark_moments
+from pamctl.report.run_motion import mark_moments
 
 
 def write_blind_spots(page: Page, diagnosis: Diagnosis) -> None:

@@ -49,7 +49,7 @@ from pamctl.plant.catalogue import CATALOGUE
 from pamctl.report.drawing.levels import Levels
 from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
-from pamctl.report.motion_section import mark_moments
+from pamctl.report.run_motion import mark_moments
 from pamctl.settings.yaml12 import dump_yaml
 
 

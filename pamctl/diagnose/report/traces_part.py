@@ -16,7 +16,7 @@ from pamctl.diagnose.report.verdict_words import SIGNAL_DISPLAYS
 from pamctl.log.moments import Moment
 from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot, plot_apart
 from pamctl.report.html_page import Page
-from pamctl.report.motion_section import mark_moments
+from pamctl.report.run_motion import mark_moments
 
 STRETCH_S = 3.0
 MOST_NOISE = 1e4

@@ -1,4 +1,4 @@
-"""Reference, motion, pressure and command over time."""
+"""A run over time and from inside: motion, filters, and the terms of its law."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
+from pamctl.control.law import Term
 from pamctl.log.moments import Moment
 from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot, plot_apart
 from pamctl.report.html_page import Page
-from pamctl.report.reported_run import ReportedRun, law_name, paper_rows
-from pamctl.report.summary_section import MICRO, rms_of_finite
+from pamctl.report.reported_run import MICRO, ReportedRun, law_name, paper_rows, rms_of_finite
 
 KPA, MM = 1e-3, 1e3
 
@@ -202,3 +202,164 @@ def _draw_column(
             label = _label_run(group, run, alone)
             plot.line(run.t_s[run.shown], values[run.shown], label, colour=run.colour, step=step)
     return drawn
+
+
+CLOSE_S = 0.06
+"""Time before and after the place of the close-up."""
+
+
+def write_filtering(page: Page, runs: Sequence[ReportedRun]) -> None:
+    """Write the effect of LPF_1 and LPF_2 for each run that has a filtered displacement."""
+    filtering = [run for run in runs if _compute_shift_um(run) is not None]
+    if not filtering:
+        return
+    page.section("Filters")
+    for group in group_by_experiment(filtering):
+        page.figure(
+            *plot_runs(group, _plot_shift),
+            caption="The difference that the filter makes to the displacement, lag included.",
+        )
+    for run in filtering:
+        if (close := _plot_close_look(run)) is not None:
+            page.grid(*close, caption=_describe_close_look(run, alone=len(filtering) == 1))
+
+
+def _plot_shift(group: Sequence[ReportedRun]) -> SvgPlot:
+    axis = PlotAxis("LPF_1", "µm")
+    plot = SvgPlot("Filtered minus raw displacement", make_time_axis(group), axis, height_px=120)
+    for run in group:
+        moved = _compute_shift_um(run)
+        label = run.name if len(group) > 1 else ""
+        plot.line(run.t_s[run.shown], moved[run.shown], label, colour=run.colour)  # type: ignore[index]
+    return plot
+
+
+def _compute_shift_um(run: ReportedRun) -> np.ndarray | None:
+    raw, filtered = run.column("position_m", MICRO), run.column("position_filtered_m", MICRO)
+    return None if raw is None or filtered is None else filtered - raw
+
+
+def _describe_close_look(run: ReportedRun, *, alone: bool) -> str:
+    controller = run.log.config.get("controller", {})
+    cutoffs = ", ".join(
+        f"{name} {controller[key]:g} Hz"
+        for name, key in (("LPF_1", "lpf1_hz"), ("LPF_2", "lpf2_hz"))
+        if isinstance(controller.get(key), int | float)
+    )
+    whose = "" if alone else f"{run.name}. "
+    return f"{whose}Close-up of the place where the filter changes the displacement most. {cutoffs}"
+
+
+def _plot_close_look(run: ReportedRun) -> list[SvgPlot] | None:
+    moved_um, error_m = _compute_shift_um(run), run.error_m
+    if moved_um is None or error_m is None:
+        return None
+    moved = np.where(run.tracked, np.abs(moved_um), np.nan)
+    if not np.isfinite(moved).any():
+        return None
+    middle_s = run.t_s[np.nanargmax(moved)]
+    near = (np.abs(run.t_s - middle_s) <= CLOSE_S) & run.shown
+    t_s, axis = run.t_s[near], PlotAxis(make_time_axis([run]).label, "s", tight=True)
+    # Without the reference: the motion would hide a difference of micrometres.
+    error_um = error_m[near] * MICRO
+    close = SvgPlot("Error, close-up", axis, PlotAxis("x \N{MINUS SIGN} x_D", "µm"))
+    close.line(t_s, error_um, "raw", colour=MUTED, step=True)
+    close.line(t_s, error_um + moved_um[near], "after LPF_1")
+    plots = [close]
+    rate = run.column("error_rate_m_per_s", MM)
+    if rate is not None and len(t_s) > 1:
+        raw_rate = np.gradient(error_m[near] * MM, t_s)
+        derivative = SvgPlot("Rate of the error, close-up", axis, PlotAxis("e'", "mm/s"))
+        derivative.line(t_s, raw_rate, "raw difference", colour=MUTED)
+        derivative.line(t_s, rate[near], "after LPF_2")
+        plots.append(derivative)
+    return plots
+
+
+_ERROR = PlotAxis("e", "µm")
+
+
+def write_law(page: Page, runs: Sequence[ReportedRun]) -> None:
+    """Write phase planes and terms of the runs in which a law tracked something."""
+    lawful = [run for run in runs if run.error_m is not None]
+    # Beside runs that tracked, the large error of a run that never did would hide the others.
+    lawful = [run for run in lawful if run.tracked.any()] or lawful
+    if not lawful:
+        return
+    page.section("Law")
+    _write_equations(page, lawful)
+    surfaces = _plot_surfaces(lawful)
+    caption = (
+        "While tracking and resting; a run that came to neither is shown in its approach. The "
+        "stronger the colour, the more often the error was there, on a logarithmic scale."
+    )
+    if surfaces:
+        caption += (
+            " On the sliding surface, where its value is 0, the error dies out as the law's poles "
+            "say. The robust term works on the distance from the surface."
+        )
+    page.grid(*surfaces, *_plot_phase_planes(lawful), caption=caption)
+    _write_terms(page, lawful)
+
+
+def _write_equations(page: Page, runs: Sequence[ReportedRun]) -> None:
+    equations = {run.law.title: run.law.equation for run in runs if run.law.equation}
+    if equations:
+        page.points(*(f"{title}: {equation}" for title, equation in equations.items()))
+
+
+def _plot_surfaces(runs: Sequence[ReportedRun]) -> list[SvgPlot]:
+    """Return a plot for each run whose law has a sliding surface."""
+    plots = []
+    for run in runs:
+        term, s = run.law.terms.surface, run.column("surface_m_per_s2")
+        if term is not None and s is not None:
+            axis = PlotAxis(term.symbol, term.unit)
+            plot = _plot_density("Sliding surface", runs, run, axis, s)
+            plots.append(plot.level(0.0, f"{term.symbol} = 0"))
+    return plots
+
+
+def _plot_phase_planes(runs: Sequence[ReportedRun]) -> list[SvgPlot]:
+    axis, rates = PlotAxis("e'", "mm/s"), [run.column("error_rate_m_per_s", MM) for run in runs]
+    return [
+        _plot_density("Phase plane", runs, run, axis, rate)
+        for run, rate in zip(runs, rates, strict=True)
+        if rate is not None
+    ]
+
+
+def _plot_density(
+    title: str, runs: Sequence[ReportedRun], run: ReportedRun, axis: PlotAxis, values: np.ndarray
+) -> SvgPlot:
+    """Return how often the error and `values`, shape (n,), went together while the law worked."""
+    assert run.error_m is not None
+    plot = SvgPlot(f"{title}{_name_run(runs, run)}", _ERROR, axis, height_px=240)
+    error_um = run.error_m[run.law_at_work] * MICRO
+    return plot.density(error_um, values[run.law_at_work], colour=run.colour)
+
+
+def _name_run(runs: Sequence[ReportedRun], run: ReportedRun) -> str:
+    return f", {run.name}" if len(runs) > 1 else ""
+
+
+def _write_terms(page: Page, runs: Sequence[ReportedRun]) -> None:
+    for group in group_by_experiment(runs):
+        plots = []
+        for run in group:
+            equivalent, robust = run.column("equivalent_v"), run.column("robust_v")
+            if equivalent is None or robust is None:
+                continue
+            title = f"Terms of the command{_name_run(runs, run)}"
+            plot = SvgPlot(title, make_time_axis(group), PlotAxis("u", "V"), height_px=150)
+            over, terms = run.t_s[run.law_at_work], run.law.terms
+            plot.line(over, equivalent[run.law_at_work], _name_term(terms.equivalent))
+            plot.line(over, robust[run.law_at_work], _name_term(terms.robust), colour=1)
+            mark_moments([plot], run.moments)
+            plots.append(plot)
+        if plots:
+            page.figure(*plots, caption="What the command is made of.")
+
+
+def _name_term(term: Term) -> str:
+    return f"{term.symbol}, {term.meaning}" if term.meaning else term.symbol

@@ -11,7 +11,7 @@ there. Imported logs are compared in the signals that they hold.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -29,7 +29,10 @@ from pamctl.plant.drive import (
     find_period_s,
 )
 from pamctl.plant.effects.description import USED_SIGNALS, Actuator, describe_unused
+from pamctl.plant.model import plant_parameters
 from pamctl.plant.parameters import PlantParameters, PlantState, rest_state
+from pamctl.settings.config_files import DEFAULT_NAMES, find_config_file
+from pamctl.settings.resolve import SECTIONS, RawSettings, read_section_file, validate_settings
 from pamctl.signals import Phase
 
 Floats = NDArray[np.float64]
@@ -271,3 +274,25 @@ def _find_start(plant: PlantParameters, part: Signals, *, follows_homing: bool) 
         level(part.position_m, 0.0),
         level(part.pressure_pa, plant.atmospheric_pressure_pa),
     )
+
+
+OWN_PLANT = "the log's own"
+
+
+def compare_plants(log: Log, names: Sequence[str]) -> dict[str, Comparison]:
+    """Compare a log with each plant; by default with the log's own plant, or the default plant.
+
+    Raises `ConfigError` and `LogError`.
+    """
+    if not names and "plant" in log.config:
+        raw = RawSettings(log.config["plant"], {(): f"{log.path}:config.json"})
+        plants = {OWN_PLANT: validate_settings(SECTIONS["plant"], raw, title="plant")}
+    else:
+        plants = {
+            name: read_section_file("plant", find_config_file("plant", name))
+            for name in names or [DEFAULT_NAMES["plant"]]
+        }
+    return {
+        name: compare_model(log, plant_parameters(settings), settings.actuator)
+        for name, settings in plants.items()
+    }

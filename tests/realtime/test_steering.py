@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from pamctl.recording.rows import RowKind
 from support.made_up import meta, tick
 from support.runs import pack_row
 
@@ -21,6 +20,7 @@ from pamctl.realtime.tick import first_state
 from pamctl.realtime.tick_runner import TickRunner
 from pamctl.recording.journal import SessionJournal
 from pamctl.recording.ring import LoopStage, Ring
+from pamctl.recording.rows import RowKind
 from pamctl.settings.build import build_ordered_program, build_tick_setup
 from pamctl.settings.resolve import resolve
 from pamctl.signals import TickRecord

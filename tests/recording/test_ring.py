@@ -15,11 +15,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from pamctl.recording.rows import PAYLOAD_BYTES, RowKind, tick_struct
 from support.made_up import START_MONO_NS, columns, meta, put, tick
 from support.runs import pack_row
 
 from pamctl.recording.ring import RecorderFlag, Ring, RingError, RingFull
+from pamctl.recording.rows import PAYLOAD_BYTES, RowKind, tick_struct
 from pamctl.signals import TICK_FIELDS
 
 ROWS = 64

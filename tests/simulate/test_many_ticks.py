@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from pamctl.recording.rows import ROW_BYTES
 from support.runs import (
     MemoryJournal,
     ScriptedSupervisor,
@@ -21,6 +20,7 @@ from pamctl.kernel.calls import NativeCall, PlainCall
 from pamctl.realtime.loop import ControlLoop
 from pamctl.realtime.program import CuedHelm
 from pamctl.realtime.tick_runner import TickRunner
+from pamctl.recording.rows import ROW_BYTES
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings
 from pamctl.signals import Truth

@@ -6,16 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from pamctl.recording.rows import (
-    COMPENSATED_TICK,
-    PLAIN_TICK,
-    ROW_HEADER,
-    RowKind,
-    TickRow,
-    make_rows,
-    tick_struct,
-)
-
 from hal.backend import Plant
 from hal.faulty import FaultSettings, FaultyRig
 from hal.sim.sim_rig import SimRig, sensor_chain
@@ -26,6 +16,15 @@ from pamctl.plant.simulated import SimulatedPlant
 from pamctl.realtime.clock import VirtualClock
 from pamctl.realtime.loop import ControlLoop
 from pamctl.realtime.tick_runner import TickRunner
+from pamctl.recording.rows import (
+    COMPENSATED_TICK,
+    PLAIN_TICK,
+    ROW_HEADER,
+    RowKind,
+    TickRow,
+    make_rows,
+    tick_struct,
+)
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings, resolve
 from pamctl.signals import (

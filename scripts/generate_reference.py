@@ -26,7 +26,7 @@ from pamctl.cli.app import app
 from pamctl.log import schema as log_schema
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.effects.places import PLACES
-from pamctl.plant.flat import parameters_of
+from pamctl.plant.parameters import parameters_of
 
 ROOT = Path(__file__).resolve().parents[1]
 REFERENCE = ROOT / "pamctl" / "manual" / "reference"

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from pamctl.kernel.c_source import FLOAT, INT, NUMBERS, CSource, CType, Kernel, write_call
-from pamctl.plant.delayed_command import advance_delayed_plant
 from pamctl.plant.parameters import PlantParameters, vented_state
-from pamctl.plant.sensing import sensed_position_m, sensed_pressure_pa
-from pamctl.plant.simulated import LONGEST_STEP_S
-from pamctl.plant.step import advance_plant
+from pamctl.plant.simulated import LONGEST_STEP_S, advance_delayed_plant
+from pamctl.plant.step import advance_plant, sensed_position_m, sensed_pressure_pa
 
 FIRST_NUMBER = 100
 """Value reference of the first number of the plant file."""

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.random import Generator, default_rng
 
 from pamctl.plant.model import PlantSettings, plant_parameters
-from pamctl.plant.paper.muscle import braid_lever_m, force_area_m2
+from pamctl.plant.paper import braid_lever_m, force_area_m2
 
 PARAMETER_TOLERANCE = 0.2
 """Share by which the paper's parameters may be off, either way."""

@@ -18,9 +18,8 @@ from pamctl.plant import drive, effects
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.drive import drive_coupled, drive_mechanics, drive_pressure
 from pamctl.plant.effects.description import EffectParameter
-from pamctl.plant.flat import NEUTRAL, parameters_of
 from pamctl.plant.model import PlantSettings, plant_parameters, settings_of, values_of
-from pamctl.plant.parameters import PlantParameters
+from pamctl.plant.parameters import NEUTRAL, PlantParameters, parameters_of
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.settings.resolve import resolve
 

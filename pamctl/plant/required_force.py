@@ -13,21 +13,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pamctl.kernel.calls import machine
+from pamctl.plant.bristles import Bristles, add_up_n, advance_bristles, bristle_damping
 from pamctl.plant.drive import undo_sensor
-from pamctl.plant.effects.friction.presliding import (
-    Bristles,
-    add_up_n,
-    advance_bristles,
-    bristle_damping,
-)
 from pamctl.plant.mechanism import follow_motion, mechanism_forces
 from pamctl.plant.parameters import PlantParameters, rest_state
-from pamctl.plant.terms.mechanics_terms import follow_motion_term
+from pamctl.plant.term_kernels import follow_motion_term
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from pamctl.plant.paper.friction import AxialForces
+    from pamctl.plant.paper import AxialForces
     from pamctl.plant.parameters import MechanicsState
 
     Array = NDArray[np.float64]

@@ -1,37 +1,16 @@
-"""Before it slides, friction acts as a spring: bristles bend, and keep their force at reversals.
-
-This replaces the set-valued friction at rest. There are four forms: elasto-plastic (a spring on
-a slider), Dahl (the spring softens towards its limit), LuGre (Dahl, with damping of the bristle)
-and Maxwell slip (four springs on sliders side by side, of equal stiffness and unequal limits: it
-softens step by step, and remembers earlier reversals). The Stribeck part of LuGre's model is the
-effect `stribeck`.
-"""
+"""Motion on the bristles of friction, for the effect `presliding`: exact for each of its forms."""
 
 from __future__ import annotations
 
-from math import exp, inf, isinf, sqrt
-from typing import NamedTuple
+from math import exp, expm1, inf, isinf, sqrt
+from typing import TYPE_CHECKING, NamedTuple
 
-from pamctl.plant.axis.glide import travel_weights
-from pamctl.plant.effects.description import AsTerm, EffectDescription, EffectForm, shape, size
+if TYPE_CHECKING:
+    from pamctl.plant.effects.friction import Presliding
 
 ELASTO_PLASTIC, DAHL, LUGRE, MAXWELL_SLIP = 0.0, 1.0, 2.0, 3.0
 ELEMENTS = 4
 """Springs on sliders of the form Maxwell slip."""
-
-
-class Presliding(NamedTuple):
-    """Bristles whose force stays within friction's band [lower, upper]."""
-
-    compliance_m_per_n: float = 0.0
-    """1 / sigma_0; 0 is friction that sticks rigidly."""
-    form: float = ELASTO_PLASTIC
-    bristle_damping_n_s_per_m: float = 0.0
-    """Sigma_1 of LuGre's form."""
-    second_over_first: float = 1.0
-    """What the second element of Maxwell's form can hold, over what the first can."""
-    third_over_first: float = 1.0
-    fourth_over_first: float = 1.0
 
 
 class Bristles(NamedTuple):
@@ -257,83 +236,16 @@ def _slope_of_gain(stiffness: float, left_n: float, way_m: float) -> float:
     return 0.5 * stiffness * (left_n / bent_n) * (left_n / bent_n)
 
 
-DESCRIPTION = EffectDescription(
-    name="presliding",
-    kind=Presliding,
-    block="mechanics",
-    equation="df/dx = sigma_0 within the band (elasto-plastic), or sigma_0 (f_lim - f) / "
-    "(f_upper - f_lower) (Dahl), with sigma_1 dz/dt added (LuGre), or four such springs of "
-    "sigma_0 / 4 with unequal bands (Maxwell slip)",
-    parameters=(
-        size(
-            "compliance_m_per_n",
-            "m/N",
-            2e-4,
-            smallest=1e-6,
-            start=1e-5,
-            meaning="1 / sigma_0, deflection of the bristles per force",
-        ),
-        shape(
-            "form",
-            "",
-            0.0,
-            3.0,
-            usual=0.0,
-            smallest=1.0,
-            meaning="law of the bristle's deflection",
-            choices=("elasto_plastic", "dahl", "lugre", "maxwell_slip"),
-        ),
-        shape(
-            "bristle_damping_n_s_per_m",
-            "N s/m",
-            0.0,
-            2000.0,
-            usual=0.0,
-            smallest=20.0,
-            meaning="sigma_1, in the form lugre only",
-        ),
-        *(
-            shape(
-                f"{name}_over_first",
-                "",
-                0.1,
-                50.0,
-                usual=1.0,
-                smallest=0.3,
-                meaning=f"what the {name} element can hold, over what the first can; in the "
-                "form maxwell_slip only",
-            )
-            for name in ("second", "third", "fourth")
-        ),
-    ),
-    signature="at reversals only: it moves some micrometres before it slides, and the "
-    "force depends on where it reversed; the error grows with pressure",
-    best_experiment="multisine-small",
-    seen_by=("mechanics",),
-    woven=("mechanics",),
-    forms=(
-        EffectForm("elasto-plastic", ("compliance_m_per_n",), {"form": ELASTO_PLASTIC}),
-        EffectForm("Dahl", ("compliance_m_per_n",), {"form": DAHL}),
-        EffectForm(
-            "LuGre",
-            ("compliance_m_per_n", "bristle_damping_n_s_per_m"),
-            {"form": LUGRE, "bristle_damping_n_s_per_m": 20.0},
-        ),
-        EffectForm(
-            "Maxwell slip",
-            (
-                "compliance_m_per_n",
-                "second_over_first",
-                "third_over_first",
-                "fourth_over_first",
-            ),
-            {
-                "form": MAXWELL_SLIP,
-                "second_over_first": 1.5,
-                "third_over_first": 2.3,
-                "fourth_over_first": 3.5,
-            },
-        ),
-    ),
-    as_terms=(AsTerm("force", "hysteresis", "position"),),
-)
+def travel_weights(rate_per_s: float, step_s: float) -> tuple[float, float]:
+    """Return the distance per speed at the start (s) and per constant acceleration (s^2).
+
+    Of v' = a - rate v, after `step_s`; the first is also the speed per acceleration.
+    """
+    decayed = rate_per_s * step_s
+    if decayed < 1e-4:  # the series: the closed form loses its digits
+        by_speed = 1.0 - decayed * (0.5 - decayed / 6.0)
+        by_force = 0.5 - decayed * (1.0 / 6.0 - decayed / 24.0)
+    else:
+        by_speed = -expm1(-decayed) / decayed
+        by_force = (1.0 - by_speed) / decayed
+    return by_speed * step_s, by_force * step_s * step_s

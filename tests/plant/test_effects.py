@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -208,10 +209,12 @@ def test_a_simulated_rig_reads_what_the_sensors_show() -> None:
 # --- descriptions -------------------------------------------------------------------------------
 
 
-def test_every_file_of_an_effect_is_in_the_catalogue() -> None:
+def test_every_record_of_an_effect_is_in_the_catalogue() -> None:
     folder = Path(str(effects.__file__)).parent
-    files = {path.stem for path in folder.glob("*/[!_]*.py")}
-    assert files == {*CATALOGUE}
+    text = "".join(path.read_text("utf-8") for path in folder.glob("*.py"))
+    assert {*re.findall(r"^(\w+) = EffectDescription\(", text, re.M)} == {
+        *map(str.upper, CATALOGUE)
+    }
     assert [name for name, e in CATALOGUE.items() if e.unidentifiable] == ["moving_mass"]
     by_term = {name for name, e in CATALOGUE.items() if any(t.numbers for t in e.as_terms)}
     assert {name for name, e in CATALOGUE.items() if not e.is_searched} == {"drift", *by_term}

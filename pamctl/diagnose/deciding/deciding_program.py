@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pamctl.control.excitation import ProgramSettings
+from pamctl.control.experiment import ProgramSettings
 from pamctl.diagnose.deciding.drawn_programs import (
     Block,
     Part,

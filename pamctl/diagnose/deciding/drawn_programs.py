@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.control.excitation import HeldCommand, ProgramSettings, generate_commands
+from pamctl.control.course import Segment
+from pamctl.control.experiment import ProgramSettings, plan_experiment
 
 SHORTEST_S, LONGEST_S = 5.0, 10.0
 """Length of a program, with the rests at both ends."""
@@ -95,10 +96,10 @@ def draw_programs(
 
 def sample_commands(program: ProgramSettings, period_s: float) -> NDArray[np.float64]:
     """Return the command of each tick (V), shape (n,)."""
-    return sample_levels([*generate_commands(program)], period_s)
+    return sample_levels(plan_experiment(program).segments, period_s)
 
 
-def sample_levels(levels: Sequence[HeldCommand], period_s: float) -> NDArray[np.float64]:
+def sample_levels(levels: Sequence[Segment], period_s: float) -> NDArray[np.float64]:
     """Return the command of each tick (V), shape (n,): a level begins with the tick that is due."""
     due = accumulate(level.duration_s for level in levels)
     ends = [math.ceil(t / period_s - 1e-6) for t in due]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from pamctl.control.excitation import ForecastSettings
+from pamctl.control.experiment import ForecastSettings
 from pamctl.diagnose.deciding.explanations import exchange_name, name_explanation
 from pamctl.diagnose.deciding.separation import BLOCKS
 from pamctl.diagnose.evidence.constants import COARSE_STEP_S

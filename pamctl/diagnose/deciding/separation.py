@@ -16,7 +16,7 @@ from itertools import combinations, permutations
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from pamctl.control.excitation import ProgramSettings
+from pamctl.control.experiment import ProgramSettings
 from pamctl.diagnose.deciding.drawn_programs import sample_commands
 from pamctl.diagnose.deciding.explanations import Explanation
 from pamctl.diagnose.deciding.rig_limits import ProgramRun

@@ -34,14 +34,14 @@ from pamctl.tune import (
     draw_ensemble,
     make_fixed_members,
 )
-from pamctl.tune.gains_search import compute_cost
-from pamctl.tune.gains_trial import SHORT, GainsVerdict
-from pamctl.tune.plant_ensemble import (
+from pamctl.tune.gains_search import compute_cost, find_space
+from pamctl.tune.gains_trial import (
     PARAMETER_TOLERANCE,
+    SHORT,
     UNCERTAIN_PARAMETERS,
+    GainsVerdict,
     holds_the_farthest_point,
 )
-from pamctl.tune.search_space import find_space
 
 PID = resolve(controller="pid").controller
 PAPER = make_fixed_members([("paper", resolve().plant)])

@@ -7,7 +7,7 @@ import pytest
 from support.made_records import COUNT_M, PERIOD_S
 
 from pamctl.diagnose import Record, diagnose
-from pamctl.diagnose.deciding.drawn_programs import (
+from pamctl.diagnose.drawn_programs import (
     make_program,
     make_repeated_part,
     sample_commands,

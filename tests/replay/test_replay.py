@@ -33,7 +33,7 @@ from pamctl.control.course import Course, Segment
 from pamctl.control.filters import low_pass
 from pamctl.control.homing import Homing
 from pamctl.control.law import answer
-from pamctl.control.trajectory import rest_to_rest
+from pamctl.control.waves import rest_to_rest
 from pamctl.log import Log, read
 from pamctl.log.importing.imported_log import write_imported
 from pamctl.log.recover import recover_file

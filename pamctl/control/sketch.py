@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from pamctl.control.course import Cue, Plan, Segment
-from pamctl.control.references.shape import Faded, Shape, Transition
+from pamctl.control.waves import Faded, Shape, Transition
 from pamctl.signals import Phase
 
 APPROACH_M_PER_S = 4e-3
@@ -17,7 +17,7 @@ SHORTEST_FIRST_APPROACH_S = 5.0
 SHORTEST_APPROACH_S = 1.0
 SETTLE_S = 2.0
 """Rest after an approach."""
-MOST_SEGMENTS = 1_000_000
+MOST_SEGMENTS = 2_000_000
 MOST_CUES = 50_000
 
 
@@ -68,6 +68,11 @@ class Sketch:
             self._add(Segment(Phase.OPEN_LOOP, duration_s, math.nan, math.nan, here), here)
         else:
             self._add(Segment(Phase.REST, duration_s, here, here, math.nan), here)
+
+    def hold_valve(self, valve_v: float, duration_s: float) -> None:
+        """Hold a valve command."""
+        self._here = valve_v
+        self.hold(duration_s)
 
     def draw(self, shape: Shape, duration_s: float, end: float, phase: Phase = Phase.TRACK) -> None:
         """Follow a shape that begins here and ends at `end`."""

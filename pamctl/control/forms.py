@@ -1,8 +1,8 @@
-"""The forms of a reference, as an experiment file states them.
+"""The forms of a motion, as an experiment file states them; each form is described once.
 
-Each form is there twice: `kind: sine` moves the muscle, with lengths in mm and in closed loop;
-`kind: valve_sine` moves the valve, in V and in open loop. In a field's name here, `u` stands for
-the one unit or the other: `amplitude_u` is the key `amplitude_mm` or `amplitude_v`.
+`kind: sine` moves the muscle, with lengths in mm and in closed loop; `kind: valve_sine` moves the
+valve, in V and in open loop. A form's class makes both. In a field's name here, `u` stands for the
+one unit or the other: `amplitude_u` is the key `amplitude_mm` or `amplitude_v`.
 """
 
 from __future__ import annotations
@@ -10,16 +10,23 @@ from __future__ import annotations
 import math
 import random
 import re
+from inspect import cleandoc
 from itertools import pairwise
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, cast
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, create_model, model_validator
 
 from hal.configured import Configured
-from pamctl.control.references.sampled import Sampled
-from pamctl.control.references.shape import SpeedChange
-from pamctl.control.references.sketch import Sketch
-from pamctl.control.references.waves import MOST_TONES, Sweep, Tone, Tones, scale_to_peak
+from pamctl.control.sketch import Sketch
+from pamctl.control.waves import (
+    MOST_TONES,
+    Sampled,
+    SpeedChange,
+    Sweep,
+    Tone,
+    Tones,
+    scale_to_peak,
+)
 
 Seconds = Annotated[float, Field(ge=1e-6, le=86_400)]
 Hertz = Annotated[float, Field(ge=1e-5, le=250)]
@@ -50,6 +57,26 @@ _CORNER_RISE = 0.34375
 """How far a corner from +1 to -1 m/s within 1 s rises."""
 
 
+class Drawn(Configured):
+    """An experiment, or a part of one: it draws itself into a course."""
+
+    IS_VALVE: ClassVar[bool | None] = None
+    """Whether it moves the valve, in open loop; None: neither valve nor muscle by itself."""
+    IS_PART: ClassVar[bool] = False
+    """It stands within a sequence only."""
+
+    def draw(self, sketch: Sketch) -> None:
+        """Add itself to a course."""
+        raise NotImplementedError
+
+
+class Form(Drawn):
+    """What all forms share."""
+
+    SI: ClassVar[float] = 1.0
+    """One unit of the keys in m, or in V."""
+
+
 def _name_keys(unit: str) -> ConfigDict:
     """Return the configuration that names the keys in a unit."""
 
@@ -59,27 +86,42 @@ def _name_keys(unit: str) -> ConfigDict:
     return ConfigDict(alias_generator=name_key, serialize_by_alias=True)
 
 
-class Form(Configured):
-    """What all forms share; the keys are in mm."""
-
+class _InMm(Form):
     model_config = _name_keys("mm")
-    SI: ClassVar[float] = 1e-3
-    """One unit of the keys in m, or in V."""
-    IS_VALVE: ClassVar[bool] = False
-
-    def draw(self, sketch: Sketch) -> None:
-        """Add this form to a course."""
-        raise NotImplementedError
+    SI = 1e-3
+    IS_VALVE = False
 
 
-class InVolts(Form):
-    """Of the valve, in open loop; the last base of a form."""
-
+class _InVolts(Form):
     model_config = _name_keys("v")
-    SI = 1.0
     IS_VALVE = True
 
 
+FORMS: dict[str, type[Form]] = {}
+"""The forms in both units, by their kind."""
+_Form = TypeVar("_Form", bound=Form)
+
+
+def _in_both_units(form: type[_Form]) -> type[_Form]:
+    """Make the muscle's and the valve's model of a form."""
+    stem = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", form.__name__.removesuffix("Form")).lower()
+    both = (("", "Muscle", _InMm, "closed"), ("valve_", "Valve", _InVolts, "open"))
+    for prefix, whose, unit, loop in both:
+        name, kind = f"{whose}{form.__name__}", f"{prefix}{stem}"
+        kind_of: Any = Literal[kind]
+        made = create_model(
+            name,
+            __base__=(form, unit),
+            __module__=__name__,
+            __doc__=f"{cleandoc(form.__doc__ or '')} Of the {whose.lower()}, in {loop} loop.",
+            kind=(kind_of, ...),
+        )
+        globals()[name] = made  # pickle looks for it here
+        FORMS[kind] = cast(type[Form], made)
+    return form
+
+
+@_in_both_units
 class SineForm(Form):
     """A sine about an offset; `cycles` at full amplitude."""
 
@@ -100,6 +142,7 @@ class SineForm(Form):
         sketch.draw_wave(wave, self.SI * self.offset_u, self.cycles * period_s, (fade_s, fade_s))
 
 
+@_in_both_units
 class MultisineForm(Form):
     """Many tones at once, all of them multiples of 1 / period_s: for frequency responses.
 
@@ -119,7 +162,7 @@ class MultisineForm(Form):
 
     @model_validator(mode="after")
     def _check_tones(self) -> MultisineForm:
-        _require_rising(self.low_hz, self.high_hz)
+        require_rising(self.low_hz, self.high_hz)
         if not self.list_harmonics():
             raise ValueError(
                 f"no multiple of 1 / period_s ({1 / self.period_s:g} Hz) lies between low_hz "
@@ -149,6 +192,7 @@ class MultisineForm(Form):
         sketch.draw_wave(wave, self.SI * self.offset_u, whole_s, fades_s)
 
 
+@_in_both_units
 class ChirpForm(Form):
     """One tone from one frequency to another, evenly over the octaves or over the frequencies."""
 
@@ -203,6 +247,7 @@ class ChirpForm(Form):
         return min(1.0 / self.start_hz, longest_s), min(1.0 / self.end_hz, longest_s)
 
 
+@_in_both_units
 class RandomForm(Form):
     """Random motion within a band of frequencies; another seed gives another motion."""
 
@@ -216,7 +261,7 @@ class RandomForm(Form):
 
     @model_validator(mode="after")
     def _check_band(self) -> RandomForm:
-        _require_rising(self.low_hz, self.high_hz)
+        require_rising(self.low_hz, self.high_hz)
         return self
 
     def draw(self, sketch: Sketch) -> None:
@@ -236,6 +281,7 @@ class RandomForm(Form):
         sketch.draw_wave(wave, self.SI * self.offset_u, self.duration_s, fades_s)
 
 
+@_in_both_units
 class RoundedSquareForm(Form):
     """Between two levels, with transitions of a given highest jerk; it begins at the lower one."""
 
@@ -277,6 +323,7 @@ class RoundedSquareForm(Form):
         sketch.repeat(self.cycles, draw_cycle)
 
 
+@_in_both_units
 class TriangleForm(Form):
     """Constant speed up and down, with rounded corners; it begins at the lower end."""
 
@@ -324,6 +371,7 @@ class TriangleForm(Form):
         sketch.draw(SpeedChange(under, -speed, 0.0, begin_s), begin_s, low)
 
 
+@_in_both_units
 class RampsForm(Form):
     """At constant speed from level to level, with corners of a given highest jerk."""
 
@@ -366,6 +414,7 @@ class RampsForm(Form):
         sketch.draw(SpeedChange(end, rate, 0.0, corner_s), corner_s, there)
 
 
+@_in_both_units
 class StaircaseForm(Form):
     """Steps from level to level, each smoothed to a given highest jerk; two levels are a step."""
 
@@ -391,6 +440,7 @@ class StaircaseForm(Form):
         sketch.repeat(self.cycles, draw_cycle)
 
 
+@_in_both_units
 class TableForm(Form):
     """Points of a CSV or MAT file, or written here, joined with a continuous third derivative.
 
@@ -443,9 +493,11 @@ class TableForm(Form):
         sketch.repeat(self.cycles, draw_cycle)
 
 
+@_in_both_units
 class MoveForm(Form):
-    """From rest to rest, as the motions of the paper's experiments."""
+    """From rest to rest, as the motions of the paper's experiments; within a sequence."""
 
+    IS_PART = True
     to_u: Level
     duration_s: Seconds
 
@@ -459,6 +511,7 @@ def find_step_s(way: float, jerk: float) -> float:
     return math.cbrt(_STEP_JERK * abs(way) / jerk)
 
 
-def _require_rising(low_hz: float, high_hz: float) -> None:
+def require_rising(low_hz: float, high_hz: float) -> None:
+    """Raise ValueError for a band that is none."""
     if low_hz >= high_hz:
         raise ValueError(f"low_hz {low_hz:g} must lie below high_hz {high_hz:g}")

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from pamctl.control.experiment import ExperimentSettings, plan_experiment
-from pamctl.control.references.forms import ChirpForm, MultisineForm
+from pamctl.control.forms import ChirpForm, MultisineForm
 from pamctl.report.figure import Plot, PlotAxis
 from pamctl.report.report import Figure, Report, Section, Text
 from pamctl.report.reported_run import ReportedRun

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from pamctl.control.excitation import ProgramSettings
+from pamctl.control.experiment import ProgramSettings
 from pamctl.diagnose.drawn_programs import (
     Block,
     Part,

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from hal.calibration import Calibration, CalibrationSettings, Zero, calibration, sensor_v
 from hal.rig import RawSample
-from pamctl.control.course import make_valve_reference
-from pamctl.control.excitation import HeldCommand, ProgramSettings, generate_commands
+from pamctl.control.course import Segment, make_valve_reference
+from pamctl.control.experiment import ProgramSettings, plan_experiment
 from pamctl.diagnose.record import Array, Record
 from pamctl.safety import INITIAL_SAFETY_STATE, Limits, admit
 from pamctl.settings.build import build_tick_setup
@@ -99,10 +99,10 @@ def draw_programs(
 
 def sample_commands(program: ProgramSettings, period_s: float) -> NDArray[np.float64]:
     """Return the command of each tick (V), shape (n,)."""
-    return sample_levels([*generate_commands(program)], period_s)
+    return sample_levels(plan_experiment(program).segments, period_s)
 
 
-def sample_levels(levels: Sequence[HeldCommand], period_s: float) -> NDArray[np.float64]:
+def sample_levels(levels: Sequence[Segment], period_s: float) -> NDArray[np.float64]:
     """Return the command of each tick (V), shape (n,): a level begins with the tick that is due."""
     due = accumulate(level.duration_s for level in levels)
     ends = [math.ceil(t / period_s - 1e-6) for t in due]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from pamctl.control.excitation import ForecastSettings
+from pamctl.control.experiment import ForecastSettings
 from pamctl.diagnose.evidence.constants import COARSE_STEP_S
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
 from pamctl.diagnose.evidence.ladder import Finding

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from pamctl.control.excitation import HeldCommand
 from pamctl.control.experiment import Experiment, plan_experiment
 from pamctl.diagnose.drawn_programs import ProgramRun, RigLimits, read_rig_limits, sample_levels
 from pamctl.exit_codes import ExitCode
@@ -161,8 +160,7 @@ def require_inside(experiment: str, data: Experiment, plan: RigPlan) -> ProgramR
     limits, segments = plan.limits, plan_experiment(data).segments
     if any(s.shape is not None or isnan(s.valve_v) for s in segments):
         return None
-    levels = [HeldCommand(s.valve_v, s.duration_s) for s in segments]
-    commands_v = sample_levels(levels, plan.period_s)
+    commands_v = sample_levels(segments, plan.period_s)
     steps_s = np.full(len(commands_v) - 1, plan.period_s)
     driven = drive_coupled(plant_parameters(plan.start), commands_v, steps_s)
     run = ProgramRun(driven.pressure_pa, driven.position_m)

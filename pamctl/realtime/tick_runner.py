@@ -17,8 +17,7 @@ from typing import NamedTuple, Protocol
 
 from hal.calibration import Zero
 from hal.rig import RawSample
-from pamctl.control.course import Course, make_valve_reference
-from pamctl.control.course_table import NO_COURSE, CoursePlace
+from pamctl.control.course import NO_COURSE, Course, CoursePlace, make_valve_reference
 from pamctl.kernel.calls import Call, PlainCall, prepare
 from pamctl.realtime.clock import Wake
 from pamctl.realtime.run_ticks import (

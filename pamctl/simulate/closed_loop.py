@@ -20,7 +20,7 @@ from hal.calibration import output_v, valve_v
 from hal.converter import quantise_v
 from hal.sim.sim_rig import SensorChain, SimSettings, sensor_chain
 from pamctl.control.course import Course, Segment
-from pamctl.control.experiment import build_segments
+from pamctl.control.experiment import plan_experiment
 from pamctl.kernel.calls import recall
 from pamctl.kernel.layout import Rows
 from pamctl.plant.model import plant_parameters
@@ -209,7 +209,7 @@ def simulate_run(settings: RunSettings) -> SimulatedRun:
     if not isinstance(sim, SimSettings):
         raise ValueError("only a simulated rig can be run as a batch")
     period_s = 1.0 / rig.loop.rate_hz
-    table = _tabulate(build_segments(settings.experiment), period_s, settings.duration_s)
+    table = _tabulate(plan_experiment(settings.experiment).segments, period_s, settings.duration_s)
     run = simulate(
         build_tick_setup(settings),
         plant_parameters(settings.plant),

@@ -14,8 +14,8 @@ from pamctl.diagnose.audit import (
     Inseparable,
     audit_run,
     find_separating_experiment,
-    write_command,
 )
+from pamctl.diagnose.report.next_experiment import write_command
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
 from pamctl.settings.resolve import resolve

@@ -23,9 +23,8 @@ from typing import Any
 
 from pamctl import __version__
 from pamctl.control.experiment import HoldSettings
+from pamctl.daemon.announcements import MonitorDesk
 from pamctl.daemon.gain_history import GainEdit, GainHistory
-from pamctl.daemon.latch import Latch
-from pamctl.daemon.monitor_desk import MonitorDesk
 from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.daemon.recent_columns import read_recent_columns, replace_nan
 from pamctl.daemon.requested_settings import (
@@ -38,7 +37,7 @@ from pamctl.daemon.requested_settings import (
     require_tunable,
 )
 from pamctl.daemon.session import DaemonRun, Session, Workshop
-from pamctl.daemon.shelf import Shelf
+from pamctl.daemon.shelf import Latch, Shelf
 from pamctl.exit_codes import EMERGENCY_STOP, Ending
 from pamctl.log.annotation import NOTHING_SAID, Annotation, annotate_meta
 from pamctl.log.moments import CHANGES, describe_changes

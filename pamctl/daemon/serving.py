@@ -18,14 +18,12 @@ from typing import Any, NamedTuple
 from hal.child import child_command
 from hal.rig import Rig
 from pamctl import __version__
-from pamctl.daemon.announcements import Announcements
-from pamctl.daemon.latch import Latch
+from pamctl.daemon.announcements import Announcements, notify, watchdog_period_s
 from pamctl.daemon.methods import methods_of
-from pamctl.daemon.notify import notify, watchdog_period_s
 from pamctl.daemon.server import Server, find_group, require_no_daemon
 from pamctl.daemon.service import DaemonState, Service
 from pamctl.daemon.session import Workshop
-from pamctl.daemon.shelf import Shelf
+from pamctl.daemon.shelf import Latch, Shelf
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.plant.model import PlantSettings
 from pamctl.processes.backends import SHARED_MEMORY, device_of, require_backend, require_open_files

@@ -28,11 +28,10 @@ from support.processes.killing import kill_as_one
 
 from pamctl.daemon.announcements import Announcements
 from pamctl.daemon.client import DaemonDeclinedError, DaemonUnreachableError
-from pamctl.daemon.latch import Latch
 from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.daemon.service import Service
 from pamctl.daemon.session import Workshop
-from pamctl.daemon.shelf import Shelf
+from pamctl.daemon.shelf import Latch, Shelf
 from pamctl.log import LogError, read
 from pamctl.processes.backends import SHARED_MEMORY, ao_path, build_rig
 from pamctl.processes.run_once import make_run_meta, new_ring_path

@@ -15,6 +15,6 @@ def status(socket: SocketOption = None, as_json: JsonOption = False) -> None:
     if as_json:
         print_json(answer)
         return
-    from pamctl.live.status_text import format_status
+    from pamctl.live.feed import format_status
 
     typer.echo(format_status(answer))

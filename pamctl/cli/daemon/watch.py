@@ -55,15 +55,12 @@ def watch(
     where = socket or default_socket()
     # However it ends, the terminal gets its cursor back.
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
-    if as_json:
-        from pamctl.live.terminal import watch_as_json
-
-        _require_seen(watch_as_json(where, count), count)
-        return
     if not web:
-        from pamctl.live.terminal import watch_in_terminal
+        from pamctl.live.feed import watch_in_terminal
 
-        _require_seen(watch_in_terminal(where, count), count)
+        # Tell a script that asked for some lines or pictures that there was no daemon.
+        if not watch_in_terminal(where, count, as_json=as_json) and count is not None:
+            raise typer.Exit(ExitCode.UNAVAILABLE)
         return
     from pamctl.live.web import serve_page
 
@@ -72,9 +69,3 @@ def watch(
     except OSError as error:
         why = f"port {port}: {error.strerror or error}; choose another with --port"
         raise Failed(ExitCode.UNAVAILABLE, why) from error
-
-
-def _require_seen(seen: bool, count: int | None) -> None:
-    """Tell a script that asked for some lines or pictures that there was no daemon."""
-    if count is not None and not seen:
-        raise typer.Exit(ExitCode.UNAVAILABLE)

@@ -7,6 +7,8 @@ starts the loop. It is confirmed when it is on its way; how it ended is told wit
 from __future__ import annotations
 
 import itertools
+import math
+import re
 import threading
 from collections import deque
 from collections.abc import Mapping
@@ -15,13 +17,12 @@ from concurrent.futures import wait as wait_for_any
 from functools import cache
 from http import HTTPStatus
 from pathlib import Path
-from typing import Annotated, Any, Literal
-
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from typing import Any
 
 from pamctl.control.law_registry import find_law
 from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
-from pamctl.realtime.gain_ramp import DEFAULT_RAMP_S
+from pamctl.daemon.protocol import RequestError, check_params, list_orders
+from pamctl.daemon.rig_session import RigSession
 from pamctl.runs.run_filter import RunFilter, select_runs
 from pamctl.runs.run_index import RunIndex, RunsError
 from pamctl.settings.config_files import config_dir, list_shipped
@@ -36,6 +37,7 @@ _RUN_COLUMNS = (
 )  # fmt: skip
 
 Form = dict[str, Any]
+_KEY = re.compile(r"[a-z][a-z0-9_]{0,60}")
 
 _BOUNDS = {
     "minimum": "low", "exclusiveMinimum": "above", "maximum": "high", "exclusiveMaximum": "below",
@@ -120,90 +122,55 @@ def _numbers_of(experiment: Mapping[str, Any]) -> dict[str, float]:
     }
 
 
-_Key = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,60}$")]
-_Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-
-_Ramp = Annotated[float, Field(strict=True, ge=0, le=60)]
-_Operator = Annotated[str, Field(max_length=100)]
-
-
 class OrderNotUnderstood(ValueError):
     """The order is not one of the page's. The message says what is."""
 
 
-class _Order(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+def translate_order(asked: dict[str, Any]) -> tuple[str, dict[str, Any]]:
+    """Return an order and its parameters, checked by its signature; raise `OrderNotUnderstood`.
 
-
-class _Plain(_Order):
-    do: Literal["estop", "stop", "ack", "disarm"]
-
-
-class _Undo(_Order):
-    do: Literal["undo"]
-    ramp_s: _Ramp = DEFAULT_RAMP_S
-    operator: _Operator = ""
-
-
-class _Goto(_Order):
-    do: Literal["goto"]
-    position_mm: _Number
-
-
-class _Set(_Order):
-    do: Literal["set"]
-    gains: Annotated[dict[_Key, _Number], Field(min_length=1, max_length=32)]
-    ramp_s: _Ramp = DEFAULT_RAMP_S
-    operator: _Operator = ""
-
-
-class _Mark(_Order):
-    do: Literal["mark"]
-    text: Annotated[str, Field(min_length=1, max_length=1000)]
-
-
-class _Start(_Order):
-    do: Literal["start"]
-    experiment: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,60}$")]
-    numbers: Annotated[dict[_Key, _Number], Field(max_length=32)] = {}
-    operator: _Operator = ""
-
-
-_ORDERS: TypeAdapter[_Plain | _Undo | _Goto | _Set | _Mark | _Start] = TypeAdapter(
-    Annotated[_Plain | _Undo | _Goto | _Set | _Mark | _Start, Field(discriminator="do")]
-)
-
-
-def translate_order(order: dict[str, Any]) -> tuple[str, dict[str, Any]]:
-    """Return method and parameters. Raises `OrderNotUnderstood`."""
+    The page gives `{"do": ORDER, ...}` in its own units: millimetres, gains by name, a shipped
+    experiment with some of its numbers.
+    """
+    given = dict(asked)
+    name = given.pop("do", None)
+    orders = {name: told for name, told in list_orders(RigSession).items() if told.on_page}
+    told = orders.get(name) if isinstance(name, str) else None
+    if told is None:
+        raise OrderNotUnderstood(f"do: the page gives {', '.join(orders)}")
     try:
-        asked = _ORDERS.validate_python(order)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "the order"
-        raise OrderNotUnderstood(f"{where}: {first['msg']}") from None
-    match asked:
-        case _Goto():
-            return "goto", {"position_m": asked.position_mm * 1e-3}
-        case _Set():
-            changes = [f"controller.{name}={value!r}" for name, value in asked.gains.items()]
-            return "set", {"changes": changes, "ramp_s": asked.ramp_s, "operator": asked.operator}
-        case _Undo():
-            return "undo", {"ramp_s": asked.ramp_s, "operator": asked.operator}
-        case _Mark():
-            return "mark", {"text": asked.text}
-        case _Start():
-            return "start", _fill_start(asked)
-    return asked.do, {}
-
-
-def _fill_start(asked: _Start) -> dict[str, Any]:
-    changes = tuple(f"{name}={_spell(value)}" for name, value in asked.numbers.items())
-    try:
-        experiment = load_shipped_experiment(asked.experiment, changes)
-    except ConfigError as error:
+        match told.name:
+            case "goto":
+                given["position_m"] = _read_number(given.pop("position_mm", None)) * 1e-3
+            case "set":
+                gains = _read_numbers(given.pop("gains", None))
+                given["changes"] = [f"controller.{key}={gain!r}" for key, gain in gains.items()]
+            case "start":
+                given["name"] = str(given.get("experiment"))
+                numbers = _read_numbers(given.pop("numbers", {}))
+                changes = tuple(f"{key}={_spell(value)}" for key, value in numbers.items())
+                given["experiment"] = load_shipped_experiment(given["name"], changes)
+        check_params(told.params, given)
+    except (ConfigError, RequestError) as error:
         raise OrderNotUnderstood(str(error)) from None
-    return {"experiment": experiment, "name": asked.experiment, "operator": asked.operator}
+    return told.name, given
+
+
+def _read_numbers(numbers: object) -> dict[str, float]:
+    if not isinstance(numbers, dict) or not all(map(_KEY.fullmatch, numbers)):
+        raise OrderNotUnderstood("give numbers by their keys")
+    return {key: _read_number(value) for key, value in numbers.items()}
+
+
+def _read_number(value: object) -> float:
+    try:
+        if isinstance(value, float | int) and not isinstance(value, bool):
+            number = float(value)
+            if math.isfinite(number):
+                return number
+    except OverflowError:
+        pass
+    raise OrderNotUnderstood(f"{value!r:.50} is no number")
 
 
 def _spell(value: float) -> str:

@@ -15,11 +15,10 @@ import tempfile
 from pathlib import Path
 
 from pamctl.log import read
-from pamctl.report.compose import compose_report
 from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
-from pamctl.reproduce.paper_cases import PRINTED_QSMC, TUNED
-from pamctl.reproduce.reproduction import reproduce_paper
+from pamctl.report.run_page import compose_report
+from pamctl.reproduce.reproduction import PRINTED_QSMC, TUNED, reproduce_paper
 from pamctl.signals import Phase
 
 PICTURES = Path(__file__).resolve().parents[1] / ".readme"

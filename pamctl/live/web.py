@@ -48,7 +48,7 @@ from pamctl.live.page_orders import (
 )
 from pamctl.live.scope import ScopeQuestions, ScopeRefusal, TickSource
 from pamctl.live.tick_memory import TickMemory
-from pamctl.report.style import COLOURS
+from pamctl.report.html_page import COLOURS
 
 _KEPT_LOOKS = round(60 * LOOKS_PER_S)
 _FOLLOW_EVERY_S = 0.05
@@ -395,7 +395,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 def _read_part(name: str) -> bytes:
     if name.startswith("uplot"):
-        return (files("pamctl.report.interactive") / "uplot").joinpath(name).read_bytes()
+        return (files("pamctl.report") / "uplot").joinpath(name).read_bytes()
     own = (files("pamctl.live") / "page").joinpath(name).read_bytes()
     return COLOURS.encode() + own if name == "page.css" else own
 

@@ -187,7 +187,7 @@ class Run:
     def report(self, path: str | Path) -> Path:
         """Write the page of `pamctl report`; raise `PamctlError` where it cannot be written."""
         from pamctl.new_file import write_files
-        from pamctl.report.compose import compose_report
+        from pamctl.report.run_page import compose_report
 
         target = Path(path)
         with translate_errors():
@@ -197,9 +197,9 @@ class Run:
     def _repr_html_(self) -> str:
         """Return figures and pictures of the report, which a notebook shows."""
         from pamctl.report.html_page import Page
-        from pamctl.report.motion_section import write_motion
         from pamctl.report.reported_run import name_runs
-        from pamctl.report.summary_section import write_summary
+        from pamctl.report.run_motion import write_motion
+        from pamctl.report.run_page import write_summary
 
         runs = name_runs([self.log])
         page = Page(runs[0].name, self.ending.reason)

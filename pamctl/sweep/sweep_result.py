@@ -16,8 +16,7 @@ import numpy as np
 from pamctl.json_text import to_json
 from pamctl.report.drawing.svg import COLOURS, PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
-from pamctl.runs.run_row import METRICS, RunRow
-from pamctl.runs.varying import SettingValue, is_number, read_value
+from pamctl.runs.run_row import METRICS, RunRow, SettingValue, is_number, read_value
 
 
 class MetricSpread(NamedTuple):

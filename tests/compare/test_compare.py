@@ -13,12 +13,12 @@ from support.command_line import parse_command
 from typer.testing import CliRunner
 
 from pamctl.cli.app import app
-from pamctl.compare.coupled_gap import compare_model, measure_gap, split_regimes
+from pamctl.compare.comparison import compare_model, measure_gap, split_regimes
 from pamctl.log import LogError, read, signals
 from pamctl.log.importing.imported_log import write_imported
 from pamctl.plant.drive import drive_coupled, drive_pressure
-from pamctl.plant.flat import parameters_of
 from pamctl.plant.model import PlantSettings, plant_parameters
+from pamctl.plant.parameters import parameters_of
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 PAPER = parameters_of({})

@@ -16,8 +16,7 @@ from typer.testing import CliRunner
 from pamctl.cli.app import app
 from pamctl.report.drawing.decimate import MOST_POINTS
 from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot
-from pamctl.report.html_page import Page
-from pamctl.report.interactive.embed_plots import embed_plots
+from pamctl.report.html_page import Page, embed_plots
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 TIME = PlotAxis("time", "s", tight=True)

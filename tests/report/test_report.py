@@ -15,10 +15,10 @@ from pamctl.cli.app import app
 from pamctl.log import read
 from pamctl.log.importing.imported_log import write_imported
 from pamctl.log.reader import read_some
-from pamctl.report.compose import compose_report
 from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
 from pamctl.report.reported_run import REPORT_FIELDS, name_runs
+from pamctl.report.run_page import compose_report
 
 HOSTILE = "<script>alert('x')</script>"
 

@@ -13,9 +13,8 @@ from typer.testing import CliRunner
 
 from pamctl.cli.app import app
 from pamctl.log import read
-from pamctl.reproduce import paper_cases as cases
-from pamctl.reproduce.reproduction import PARTS, reproduce_paper
-from pamctl.reproduce.table_iv import is_within_bound
+from pamctl.reproduce import reproduction as cases
+from pamctl.reproduce.reproduction import PARTS, is_within_bound, reproduce_paper
 from pamctl.simulate.merit import TABLE_IV, compute_log_merits
 
 

@@ -43,8 +43,8 @@ def compare(
         raise typer.BadParameter("there is no page; give --plot too", param_hint="--interactive")
     if plot is not None:
         require_place(plot, replaces=PAGE_BEGIN)
-    from pamctl.compare.compare_plants import compare_plants
-    from pamctl.compare.compare_text import format_comparison, make_comparison_document
+    from pamctl.compare.comparison import compare_plants
+    from pamctl.compare.comparison_report import format_comparison, make_comparison_document
     from pamctl.log.measured_signals import SIGNAL_FIELDS, judge_ticks
     from pamctl.log.reader import read, read_some
 
@@ -63,7 +63,7 @@ def compare(
     ((path, models),) = found
     failure = None
     if plot is not None:
-        from pamctl.compare.compare_page import draw_comparison_page
+        from pamctl.compare.comparison_report import draw_comparison_page
 
         page = draw_comparison_page(read(path), models).html(interactive=interactive)
         try:

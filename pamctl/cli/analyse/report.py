@@ -29,8 +29,8 @@ def report(
 ) -> None:
     """Write one self-contained HTML page with figures and plots of these logs."""
     from pamctl.log.reader import read_some
-    from pamctl.report.compose import compose_report, find_doubts
     from pamctl.report.reported_run import REPORT_FIELDS
+    from pamctl.report.run_page import compose_report, find_doubts
 
     logs = [read_some(path, REPORT_FIELDS) for path in paths]
     doubts = [find_doubts(log) for log in logs]

@@ -1,0 +1,248 @@
+"""A comparison as text tables, as one document, and as a page with its plots."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pamctl.compare.comparison import OWN_PLANT, Comparison, ComparisonGap
+from pamctl.log import Log
+from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot, plot_apart
+from pamctl.report.html_page import Page
+from pamctl.report.reported_run import Floats, ReportedRun
+from pamctl.report.run_motion import make_time_axis, mark_moments
+
+_UM, _KPA = 1e6, 1e-3
+
+
+def format_comparison(path: Path, found: Mapping[str, Comparison]) -> str:
+    """Return the gaps of every model as tables."""
+    first = next(iter(found.values()))
+    measured = first.measured
+    width = max(len(name) for name in found) + 2
+    head = f"{'RMS':>12}{'max':>9}"
+    gaps = (
+        f"{name:<{width}}{driven:<16}{a:>12}{b:>9}{c:>12}{d:>9}"
+        for name, driven, a, b, c, d in list_gaps(found)[1]
+    )
+    lines = [
+        f"{path}: {len(measured)} ticks from {measured.t_s[0]:.3f} s on, model minus measurement",
+        "",
+        f"{'':<{width + 16}}{'position um':>21}{'pressure kPa':>21}",
+        f"{'model':<{width}}{'driven':<16}{head}{head}",
+        *gaps,
+        "",
+        "each block alone, driven by the other's measured signal, RMS",
+        "",
+    ]
+    cell = max(21, *(len(name) + 2 for name in found)) if len(found) > 1 else 21
+    names = "".join(f"{name:>{cell}}" for name in found) if len(found) > 1 else ""
+    if names:
+        lines.append(f"{'':<26}{names}")
+    lines.append(f"{'':<18}{'ticks':>8}" + f"{'um':>{cell - 9}}{'kPa':>9}" * len(found))
+    for name, ticks, *rms in list_regimes(found)[1]:
+        pairs = zip(rms[::2], rms[1::2], strict=True)
+        cells = "".join(f"{um:>{cell - 9}}{kpa:>9}" for um, kpa in pairs)
+        lines.append(f"{name:<18}{ticks:>8}{cells}")
+    unused = dict.fromkeys(text for comparison in found.values() for text in comparison.unused)
+    return "\n".join([*lines, "", *unused, f"next: {_suggest_next(path, found)}"])
+
+
+def list_gaps(found: Mapping[str, Comparison]) -> tuple[list[str], list[list[str]]]:
+    """Return header and rows: the gaps of every model, however it is driven."""
+    header = ["model", "driven", "position RMS, µm", "max, µm", "pressure RMS, kPa", "max, kPa"]
+    rows = [
+        [
+            name,
+            way.way,
+            *(_format_cell(value * _UM) for value in comparison.gap(way, "position_m")),
+            *(_format_cell(value * _KPA) for value in comparison.gap(way, "pressure_pa")),
+        ]
+        for name, comparison in found.items()
+        for way in comparison.ways
+    ]
+    return header, rows
+
+
+def list_regimes(found: Mapping[str, Comparison]) -> tuple[list[str], list[list[str]]]:
+    """Return header and rows: the gaps of each block alone in each part of the run, RMS."""
+    header = ["regime", "ticks"]
+    for name in found:
+        of = f"{name}: " if len(found) > 1 else ""
+        header += [f"{of}position, µm", f"{of}pressure, kPa"]
+    rows = []
+    for regimes in zip(*(comparison.regimes() for comparison in found.values()), strict=True):
+        cells = [
+            _format_cell(value)
+            for regime in regimes
+            for value in (regime.position_m.rms * _UM, regime.pressure_pa.rms * _KPA)
+        ]
+        rows.append([regimes[0].name, str(regimes[0].ticks), *cells])
+    return header, rows
+
+
+def _suggest_next(path: Path, found: Mapping[str, Comparison]) -> str:
+    plants = [f" --plant {name}" for name in found if name != OWN_PLANT]
+    log, plant = shlex.quote(str(path)), plants[0] if plants else ""
+    return f"pamctl diagnose {log}{plant} --out diagnosis  # names what the model lacks"
+
+
+def _format_cell(value: float) -> str:
+    return "-" if value != value else f"{value:.{1 if value >= 10 else 3}f}"
+
+
+def make_comparison_document(path: Path, found: Mapping[str, Comparison]) -> dict[str, Any]:
+    """Return the gaps of every model as one document; SI, None where there is no gap."""
+    measured = next(iter(found.values())).measured
+    return {
+        "schema": 1,
+        "path": str(path),
+        "from_t_s": float(measured.t_s[0]),
+        "ticks": len(measured),
+        "plants": [
+            {
+                "plant": name,
+                "unused": [*comparison.unused],
+                "gap": {
+                    way.way.replace(" ", "_"): {
+                        signal: _gap_fields(comparison.gap(way, signal))
+                        for signal in ("position_m", "pressure_pa")
+                    }
+                    for way in comparison.ways
+                },
+                "regimes": [
+                    {
+                        "regime": regime.name,
+                        "ticks": regime.ticks,
+                        "position_m": _gap_fields(regime.position_m),
+                        "pressure_pa": _gap_fields(regime.pressure_pa),
+                    }
+                    for regime in comparison.regimes()
+                ],
+            }
+            for name, comparison in found.items()
+        ],
+        "next": _suggest_next(path, found),
+    }
+
+
+def _gap_fields(gap: ComparisonGap) -> dict[str, float | None]:
+    return {name: None if value != value else value for name, value in gap._asdict().items()}
+
+
+class _Signal(NamedTuple):
+    """A signal that models are held to: how it and its gap are shown."""
+
+    name: str
+    title: str
+    unit: str
+    scale: float
+    gap_unit: str
+    gap_scale: float
+
+
+_SIGNALS = (
+    _Signal("position_m", "Displacement", "mm", 1e3, "µm", 1e6),
+    _Signal("pressure_pa", "Pressure", "kPa", 1e-3, "kPa", 1e-3),
+)
+_ALONE = {"position_m": "Mechanics alone", "pressure_pa": "Pressure block alone"}
+_Models = Mapping[str, Comparison]
+
+
+class _View(NamedTuple):
+    """The time axis of all plots, with its values, and the colour of each model."""
+
+    time: PlotAxis
+    t_s: Floats
+    colours: Mapping[str, int]
+
+
+def draw_comparison_page(log: Log, found: _Models) -> Page:
+    """Draw every model beside the measurement, and the gap between them."""
+    run = ReportedRun(log, log.path.stem)
+    measured = next(iter(found.values())).measured
+    t_s = measured.t_s - measured.t_s[0]
+    axis = PlotAxis(make_time_axis([run]).label, "s", low=0.0, high=float(t_s[-1]), tight=True)
+    view = _View(axis, t_s, {name: colour for colour, name in enumerate(found)})
+    coupled = [
+        plot
+        for signal in _SIGNALS
+        for draw in (_plot_signal, _plot_coupled_gap)
+        for plot in _plot_models(found, partial(draw, view, signal))
+    ]
+    alone = [
+        plot
+        for signal in _SIGNALS
+        for plot in _plot_models(found, partial(_plot_gap_alone, view, signal))
+    ]
+    valve = SvgPlot("Valve command", axis, PlotAxis("command", "V"), height_px=120)
+    if measured.valve_v is not None:
+        coupled.append(valve.line(t_s, measured.valve_v, step=True, colour=MUTED))
+    mark_moments([*coupled, *alone], run.moments)
+
+    page = Page(f"Model against {log.path.name}", ", ".join(found))
+    page.section("The gaps")
+    page.table(*list_gaps(found), caption="Model minus measurement.")
+    page.section("The coupled model, driven by the logged command")
+    page.figure(*coupled, caption="The simulation with the logged command, and its gap.")
+    page.section("Each block alone")
+    page.figure(
+        *alone,
+        caption="Model minus measurement: the mechanics driven by the measured pressure, the "
+        "pressure block by the command and the measured position.",
+    )
+    page.table(*list_regimes(found), caption="Each block alone, by regime, RMS.")
+    return page
+
+
+def _plot_models(found: _Models, draw: Callable[[_Models], SvgPlot]) -> list[SvgPlot]:
+    plots = plot_apart(lambda names: draw({name: found[name] for name in names}), [*found])
+    return [plot for plot in plots if plot.x_data]
+
+
+def _plot_signal(view: _View, signal: _Signal, found: _Models) -> SvgPlot:
+    plot = SvgPlot(signal.title, view.time, PlotAxis(signal.title.lower(), signal.unit))
+    measured = getattr(next(iter(found.values())).measured, signal.name)
+    if measured is not None:
+        plot.line(view.t_s, signal.scale * measured, "measured", colour=MUTED, thick=True)
+    for name, comparison in found.items():
+        model = getattr(comparison.coupled, signal.name)
+        if model is not None:
+            plot.line(view.t_s, signal.scale * model, name, colour=view.colours[name])
+    return plot
+
+
+def _plot_coupled_gap(view: _View, signal: _Signal, found: _Models) -> SvgPlot:
+    models = {name: getattr(one.coupled, signal.name) for name, one in found.items()}
+    return _plot_gap(
+        f"{signal.title}, model \N{MINUS SIGN} measurement", view, signal, found, models
+    )
+
+
+def _plot_gap_alone(view: _View, signal: _Signal, found: _Models) -> SvgPlot:
+    models = {
+        name: one.mechanics.position_m
+        if signal.name == "position_m"
+        else one.pressure_block.pressure_pa
+        for name, one in found.items()
+    }
+    return _plot_gap(_ALONE[signal.name], view, signal, found, models)
+
+
+def _plot_gap(
+    title: str,
+    view: _View,
+    signal: _Signal,
+    found: _Models,
+    models: Mapping[str, Floats | None],
+) -> SvgPlot:
+    plot = SvgPlot(title, view.time, PlotAxis("gap", signal.gap_unit), height_px=130)
+    for name, model in models.items():
+        measured = getattr(found[name].measured, signal.name)
+        if model is not None and measured is not None:
+            gap = signal.gap_scale * (model - measured)
+            plot.line(view.t_s, gap, name, colour=view.colours[name])
+    return plot

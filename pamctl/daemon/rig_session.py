@@ -491,6 +491,7 @@ class RigSession(OrderTaker):
         said: Annotation | None = None,
         records: Mapping[str, Mapping[str, str]] | None = None,
     ) -> Path:
+        from pamctl.control.experiment import HoldSettings
         from pamctl.daemon.requested_settings import (
             hand_over_course,
             load_experiment,
@@ -515,7 +516,7 @@ class RigSession(OrderTaker):
             except RequestRefusedError:
                 self._parked_since_s = time.monotonic()
                 raise
-        self._holds = settings.experiment.kind == "hold"
+        self._holds = isinstance(settings.experiment, HoldSettings)
         self.run_has_end = math.isfinite(course.duration_s)
         if carrier.run is not None:
             self._monitor.begin_run(name, carrier.run.ring.path)

@@ -21,7 +21,7 @@ from pamctl.report.figure import MUTED, Plot, PlotAxis
 from pamctl.report.report import Figure, Points, Report, ReportTable, Section, Text
 from pamctl.settings.resolve import resolve
 from pamctl.signals import Phase
-from pamctl.simulate.batch import SimulatedRun, simulate_run
+from pamctl.simulate.closed_loop import SimulatedRun, simulate_run
 from pamctl.simulate.merit import TABLE_IV
 
 PLANTS = {"paper": "of Tables I and II", "paper-valve109": "with the valve's 109 Hz"}

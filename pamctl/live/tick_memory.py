@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from pamctl.json_text import from_json
 from pamctl.plain_text import clean_document
-from pamctl.recording.ring import Ring, RingError, RowKind
-from pamctl.recording.rows import row_dtype
+from pamctl.recording.ring import Ring, RingError
+from pamctl.recording.rows import RowKind, row_dtype
 
 
 class TickShelf:

@@ -22,7 +22,7 @@ from pamctl.exit_codes import Ending, ExitCode
 from pamctl.json_text import to_json
 from pamctl.log.annotation import SWEEP, Annotation
 from pamctl.log.run_meta import bare_name, make_dated_path
-from pamctl.processes.front import restore_signals
+from pamctl.processes.interrupts import restore_signals
 from pamctl.processes.run_once import run_once
 from pamctl.report.progress_line import ProgressLine
 from pamctl.runs.run_index import RunIndex

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from hal.configured import Configured
+from hal.rig import Configured
 
 
 class LoopSettings(Configured):

@@ -19,9 +19,12 @@ from numpy.typing import NDArray
 from pamctl.log import Log
 from pamctl.new_file import write_files
 from pamctl.realtime.tick import TickState
-from pamctl.replay.read_source import read_replay_source
-from pamctl.replay.replay_source import NotReplayable
-from pamctl.replay.stretch import REPLAYED_FIELDS, replay_stretch
+from pamctl.replay.replay_source import (
+    REPLAYED_FIELDS,
+    NotReplayable,
+    read_replay_source,
+    replay_stretch,
+)
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import (

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.sim.sim_rig import SimSettings, sensor_chain
+from hal.sim import SimSettings, sensor_chain
 from pamctl.control.course import Segment
 from pamctl.control.experiment import plan_experiment
 from pamctl.plant.model import plant_parameters

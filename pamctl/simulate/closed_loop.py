@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from hal.calibration import output_v, valve_v
-from hal.converter import quantise_v
-from hal.sim.sim_rig import SensorChain
+from hal.calibration import output_v, quantise_v, valve_v
+from hal.sim import SensorChain
 from pamctl.control.course import Course, Segment
 from pamctl.kernel.calls import recall
 from pamctl.kernel.layout import Rows

@@ -99,7 +99,7 @@ def test_a_part_is_chosen_by_fields_time_and_stride(log, tmp_path, suffix, read_
 
 
 def test_numbers_that_are_not_finite_survive_a_csv(tmp_path):
-    from pamctl.log.importing.imported_log import write_imported
+    from pamctl.log.importing.pipeline import write_imported
 
     values = np.array([math.nan, math.inf, -math.inf, -0.0, 5e-324])
     write_imported(tmp_path / "a.mcap", np.arange(5.0), {"force_n": values}, {})

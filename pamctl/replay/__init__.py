@@ -103,7 +103,7 @@ def replay_log(
         _load_kernels(recording)
     began_s = time.perf_counter()
     run = TickReplay(recording, begin, Differences(tolerances), plain=plain)
-    for stretch in recording.cut_stretches(begin):
+    for stretch in recording.run_stretches(begin, plain=plain):
         run.take(*stretch)
     if run.skipped == len(recording) - begin:
         raise NotReplayable(

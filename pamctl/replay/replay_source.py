@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -178,6 +178,28 @@ class ReplaySource:
         cuts.update(range(begin, len(self), LONGEST_STRETCH))
         return list(pairwise(sorted(cut for cut in cuts if begin <= cut <= len(self))))
 
+    def run_stretches(
+        self, begin: int, setup: TickSetup | None = None, *, plain: bool = False
+    ) -> Iterator[tuple[int, int, TickState | None, NDArray[np.float64]]]:
+        """Run the ticks from `begin` on; yield the ends of each stretch, the state after it, rows.
+
+        `setup` takes the place of the log's own. The state is None, and there are no rows, where
+        the log lost the state before a stretch.
+        """
+        after = self.keyframes.get(begin - 1)
+        for start, end in self.cut_stretches(begin):
+            state = self.state_at(start, after)
+            if state is None:
+                yield start, end, None, np.empty((len(REPLAYED_FIELDS), 0))
+                after = self.keyframes.get(end - 1)
+                continue
+            used = setup or self.setup_at(start)
+            if type(state.law) is not type(used.armed):
+                state = state._replace(law=used.armed)  # another law's memory means nothing here
+            inputs = self.inputs(start, end)
+            after, rows = replay_stretch(used, self.output, state, inputs, plain=plain)
+            yield start, end, after, rows
+
     def state_at(self, tick: int, after_last: TickState | None) -> TickState | None:
         """Return the state before a tick; None if ticks before it are lost.
 
@@ -256,7 +278,11 @@ class ReplaySource:
 
 def read_replay_source(log: Log) -> ReplaySource:
     """Read from a log what a replay needs; raise NotReplayable."""
-    _refuse_imported(log)
+    if log.is_imported:
+        raise NotReplayable(
+            f"{log.path} is an imported measurement: there is no tick of pamctl to "
+            "replay in it; `pamctl compare` and `pamctl diagnose` work on it"
+        )
     if not len(log):
         raise NotReplayable(f"{log.path} holds no ticks")
     _require_columns(log)
@@ -265,14 +291,21 @@ def read_replay_source(log: Log) -> ReplaySource:
             f"the ticks of {log.path} are not in order, by number or by time; "
             f"`pamctl log check {log.path}` lists all that is wrong"
         )
-    _require_law(log)
+    law, law_source = (
+        str(log.config.get("controller", {}).get("law", "")),
+        log.metadata.get("law", {}),
+    )
+    if absent := law and explain_absent_law(law_source, law):
+        raise NotReplayable(f"{log.path} cannot be replayed here: {absent}")
     settings = _read_settings(log)
-    orders = _read_orders(log)
+    runs = (e for e in log.events if e["event"] == "order" and e["do"] == "run")
+    orders = {_find_tick_after(log, event): event for event in runs}
     # A single run begins with what is configured; one that was ordered, with what was set.
     cut = log.metadata.get(CUT, {})
     gains_set = orders or (cut and log.gains)
     gains = _read_controller(log, log.gains[0]) if gains_set else settings.controller
     keyframes = _read_keyframes(log, settings.model_copy(update={"controller": gains}))
+    lost_first = log.grid.first_tick != 0 and -1 not in keyframes
     return ReplaySource(
         log=log,
         settings=settings,
@@ -285,29 +318,10 @@ def read_replay_source(log: Log) -> ReplaySource:
         keyframe_names=frozenset.intersection(*(frozenset(k["state"]) for k in log.keyframes))
         if log.keyframes
         else frozenset(),
-        law_change=compare_law_source(log.metadata.get("law", {}), _name_law(log)),
+        law_change=compare_law_source(law_source, law),
         cut=cut,
-        losses=_find_losses(log, begins_known=-1 in keyframes),
+        losses=frozenset(log.grid.losses | ({0} if lost_first else set())),
     )
-
-
-def _refuse_imported(log: Log) -> None:
-    if log.is_imported:
-        raise NotReplayable(
-            f"{log.path} is an imported measurement: there is no tick of pamctl to "
-            "replay in it; `pamctl compare` and `pamctl diagnose` work on it"
-        )
-
-
-def _name_law(log: Log) -> str:
-    return str(log.config.get("controller", {}).get("law", ""))
-
-
-def _require_law(log: Log) -> None:
-    name = _name_law(log)
-    absent = name and explain_absent_law(log.metadata.get("law", {}), name)
-    if absent:
-        raise NotReplayable(f"{log.path} cannot be replayed here: {absent}")
 
 
 def _require_columns(log: Log) -> None:
@@ -329,7 +343,10 @@ def _read_settings(log: Log) -> RunSettings:
     if not log.config:
         raise NotReplayable(f"{log.path} carries no configuration (config.json): nothing to replay")
     try:
-        config = _with_earlier_behaviour(log.config)
+        # As it was before it was mended: the pressure model took one step in a late tick.
+        rig = log.config.get("rig", {})
+        limits = {"pressure_model_step_s": 1.0, **rig.get("limits", {})}
+        config = {**log.config, "rig": {**rig, "limits": limits}}
         return from_resolved(to_json(config).decode(), f"{log.path}:config.json")
     except ConfigError as error:
         _require_backend_of(log)
@@ -337,16 +354,6 @@ def _read_settings(log: Log) -> RunSettings:
             f"the configuration in {log.path} does not fit this version; "
             f"{_suggest_version(log)}. What does not fit:\n{error}"
         ) from error
-
-
-def _with_earlier_behaviour(config: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the configuration of an older log with what was fixed when it was written.
-
-    The pressure model of safety took one step in a late tick.
-    """
-    rig = config.get("rig", {})
-    limits = {"pressure_model_step_s": 1.0, **rig.get("limits", {})}
-    return {**config, "rig": {**rig, "limits": limits}}
 
 
 def _require_backend_of(log: Log) -> None:
@@ -390,11 +397,6 @@ def _read_gain_changes(log: Log) -> tuple[GainChange, ...]:
     )
 
 
-def _read_orders(log: Log) -> dict[int, Mapping[str, Any]]:
-    runs = (e for e in log.events if e["event"] == "order" and e["do"] == "run")
-    return {_find_tick_after(log, event): event for event in runs}
-
-
 def _find_tick_after(log: Log, message: Mapping[str, Any]) -> int:
     """Return the first tick after the tick of a message."""
     return log.grid.find_from(message["tick"] + 1)
@@ -424,11 +426,6 @@ def _read_keyframes(log: Log, settings: RunSettings) -> dict[int, TickState]:
         at: thaw_state(like, keyframe["state"])
         for at, keyframe in _index_by_tick(log, log.keyframes).items()
     }
-
-
-def _find_losses(log: Log, *, begins_known: bool) -> frozenset[int]:
-    lost_first = log.grid.first_tick != 0 and not begins_known
-    return frozenset(log.grid.losses | ({0} if lost_first else set()))
 
 
 def find_absent_fields(log: Log) -> list[str]:

@@ -26,7 +26,7 @@ from pamctl.control.law_registry import installed_laws
 from pamctl.realtime.keyframe import freeze_state, keyframe_fields
 from pamctl.realtime.tick import TickState
 from pamctl.replay.program_replay import ProgramAnswer, ProgramReplay
-from pamctl.replay.replay_source import APPLIED_ROW, REPLAYED_FIELDS, ReplaySource, replay_stretch
+from pamctl.replay.replay_source import APPLIED_ROW, REPLAYED_FIELDS, ReplaySource
 from pamctl.safety import INITIAL_SAFETY_STATE
 from pamctl.signals import TICK_FIELDS
 
@@ -247,40 +247,24 @@ class TickReplay:
         """Number of ticks so far whose reference is unknown."""
         self._recording = recording
         self._program = ProgramReplay(recording, begin, plain=plain)
-        self._state = recording.keyframes.get(begin - 1)
-        self._plain = plain
 
-    def take(self, begin: int, end: int) -> None:
-        """Replay a stretch and compare it with the log."""
-        self._state = self._recording.state_at(begin, self._state)
+    def take(self, begin: int, end: int, after: TickState | None, rows: Floats) -> None:
+        """Compare a stretch as `ReplaySource.run_stretches` yields it with the log."""
         answer = self._program.ask(begin, end)
-        if self._state is None:
+        if after is None:
             self.skipped += end - begin
-            self._state = self._recording.keyframes.get(end - 1)
             return
         if answer is None:
             self.unasked += end - begin
         else:
             self._compare_answer(answer, begin, end)
-        self._state, rows = self._replay_stretch(self._state, begin, end)
+        # The output of a failed write is NaN in the log: what was applied is unknown.
+        rows[APPLIED_ROW, np.isnan(self._read_logged("applied_v", begin, end))] = np.nan
         for field, row in zip(REPLAYED_FIELDS, rows, strict=True):
             if field.name in self._recording.log.columns:
                 logged = self._read_logged(field.name, begin, end)
                 self.differences.take(StageField(field.stage, field.name), begin, logged, row)
-        self._compare_keyframe(self._state, end - 1)
-
-    def _replay_stretch(self, state: TickState, begin: int, end: int) -> tuple[TickState, Floats]:
-        recording = self._recording
-        setup = recording.setup_at(begin)
-        inputs = recording.inputs(begin, end)
-        after, rows = replay_stretch(setup, recording.output, state, inputs, plain=self._plain)
-        self._forget_failed_writes(rows, begin, end)
-        return after, rows
-
-    def _forget_failed_writes(self, rows: Floats, begin: int, end: int) -> None:
-        """Set the output of failed writes to NaN, as in the log: what was applied is unknown."""
-        failed = np.isnan(self._read_logged("applied_v", begin, end))
-        rows[APPLIED_ROW, failed] = np.nan
+        self._compare_keyframe(after, end - 1)
 
     def _compare_answer(self, answer: ProgramAnswer, begin: int, end: int) -> None:
         for name, row in zip(_REFERENCE, answer.references, strict=True):
@@ -298,23 +282,18 @@ class TickReplay:
                 )
 
     def _compare_keyframe(self, after: TickState, tick: int) -> None:
+        """Compare what a keyframe holds beside the tick; in an older log it may hold less."""
         keyframe = self._recording.keyframes.get(tick)
         if keyframe is None:
             return
-        names = self._list_memory(after)
-        rows = zip(names, self._read_memory(keyframe), self._read_memory(after), strict=True)
-        for name, logged, ours in rows:
-            place = StageField("keyframe", name)
-            self.differences.take(place, tick, np.array([logged]), np.array([ours]))
-
-    def _list_memory(self, state: TickState) -> list[str]:
-        """Name what the log's keyframes hold beside the tick; an older log may hold less."""
-        known = self._recording.keyframe_names
-        return [n for n in keyframe_fields(state) if n.startswith(_MEMORIES) and n in known]
-
-    def _read_memory(self, state: TickState) -> Floats:
-        numbers = dict(zip(keyframe_fields(state), freeze_state(state), strict=True))
-        return np.array([numbers[name] for name in self._list_memory(state)], dtype=np.float64)
+        logged, ours = (
+            dict(zip(keyframe_fields(state), freeze_state(state), strict=True))
+            for state in (keyframe, after)
+        )
+        for name in ours:
+            if name.startswith(_MEMORIES) and name in self._recording.keyframe_names:
+                pair = (np.array([numbers[name]], np.float64) for numbers in (logged, ours))
+                self.differences.take(StageField("keyframe", name), tick, *pair)
 
     def _read_logged(self, name: str, begin: int, end: int) -> Floats:
         return self._recording.log[name][begin:end].astype(np.float64)

@@ -20,9 +20,9 @@ from hal.rig import RawSample, Rig, open_rig
 from pamctl.control.homing import HomingSettings
 from pamctl.exit_codes import ExitCode
 from pamctl.processes.backends import build_clock, build_rig, hold_device
+from pamctl.processes.guardian_main import keep_watchman
 from pamctl.processes.interrupts import Interrupts
 from pamctl.processes.keep_awake import MASK, keep_awake
-from pamctl.processes.watchman_main import keep_watchman
 from pamctl.realtime.clock import Clock, SleepWatch
 from pamctl.safety import LimitSettings
 from pamctl.settings.resolve import RunSettings

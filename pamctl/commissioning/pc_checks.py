@@ -17,7 +17,7 @@ from hal.rig import Rig
 from pamctl.processes.keep_awake import MASK, can_sleep, keep_awake
 from pamctl.realtime.clock import Clock
 from pamctl.realtime.scheduling import Preparation
-from pamctl.realtime.tick_cost import TickCost
+from pamctl.realtime.tick_runner import TickCost
 
 _MB = 1 << 20
 _RING_BYTES = 64 * _MB

@@ -25,12 +25,10 @@ from pamctl.kernel.calls import PlainCall, recall
 from pamctl.log import Log
 from pamctl.log.schema import CUT
 from pamctl.realtime.gain_ramp import GainRamp
-from pamctl.realtime.keyframe import thaw_state
 from pamctl.realtime.run_ticks import NOWHERE, Guide, LoggedRig, Nothing, run_ticks, start_loop
-from pamctl.realtime.tick import TickSetup, TickState, first_state, rezero_state
+from pamctl.realtime.tick import TickSetup, TickState, first_state, rezero_state, thaw_state
 from pamctl.realtime.tick_runner import UPDATES
-from pamctl.recording.ring import make_rows
-from pamctl.recording.rows import row_dtype
+from pamctl.recording.rows import make_rows, row_dtype
 from pamctl.settings.build import build_tick_setup, output_of
 from pamctl.settings.problems import ConfigError
 from pamctl.settings.resolve import (

@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 from hal.calibration import Zero
 from pamctl.control.filters import UNPRIMED
 from pamctl.control.law_registry import installed_laws
-from pamctl.realtime.keyframe import freeze_state, keyframe_fields
-from pamctl.realtime.tick import TickState
+from pamctl.realtime.tick import TickState, freeze_state, keyframe_fields
 from pamctl.replay.program_replay import ProgramAnswer, ProgramReplay
 from pamctl.replay.replay_source import APPLIED_ROW, REPLAYED_FIELDS, ReplaySource
 from pamctl.safety import INITIAL_SAFETY_STATE

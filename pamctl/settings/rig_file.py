@@ -17,7 +17,7 @@ from hal.calibration import CalibrationSettings
 from hal.faulty import FaultSettings
 from hal.rig import Configured
 from pamctl.control.homing import HomingSettings
-from pamctl.realtime.loop_settings import LoopSettings
+from pamctl.realtime.clock import LoopSettings
 from pamctl.safety import LimitSettings
 
 SafeVolts = Annotated[

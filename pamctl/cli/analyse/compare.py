@@ -64,8 +64,9 @@ def compare(
     failure = None
     if plot is not None:
         from pamctl.compare.comparison_report import draw_comparison_page
+        from pamctl.report.html_page import write_html
 
-        page = draw_comparison_page(read(path), models).html(interactive=interactive)
+        page = write_html(draw_comparison_page(read(path), models), interactive=interactive)
         try:
             write_files({plot: page}, replaces=PAGE_BEGIN)
         except NewFileError as error:

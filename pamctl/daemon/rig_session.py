@@ -458,7 +458,7 @@ class RigSession(OrderTaker):
         undoes: GainEdit | None = None,
     ) -> dict[str, Any]:
         from pamctl.daemon.requested_settings import require_tunable
-        from pamctl.log.moments import CHANGES, describe_changes
+        from pamctl.log.run_meta import CHANGES, describe_changes
         from pamctl.settings.resolve import settings_to_data
 
         carrier = self._carrier

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
-from pamctl.log.moments import spell_controller
+from pamctl.log.run_meta import spell_controller
 from pamctl.report.progress_line import format_progress
 
 _PATIENCE_S = 5.0

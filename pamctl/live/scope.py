@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from pamctl.live.tick_memory import TickMemory
-from pamctl.log.cut import cut_log
+from pamctl.log.edit import cut_log
 from pamctl.log.framing import LogError
 from pamctl.log.reader import read
 from pamctl.plain_text import clean_document

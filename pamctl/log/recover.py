@@ -1,7 +1,8 @@
 """Repair a damaged log: take over every part that is whole, and finish the file.
 
 A whole chunk is copied as it is packed; the index is made anew. `LogCopy` also makes a piece of a
-log (`edit.py`). `resume_log` copies nothing: it goes on behind the last whole chunk of a dead recorder's file.
+log (`edit.py`). `resume_log` copies nothing: it goes on behind the last whole chunk of the file of
+a dead recorder.
 """
 
 from __future__ import annotations

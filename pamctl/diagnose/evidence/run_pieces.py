@@ -33,12 +33,7 @@ from pamctl.diagnose.evidence.measured_motion import (
 )
 from pamctl.diagnose.evidence.measuring_chain import HOME
 from pamctl.diagnose.evidence.pool import CHAIN
-from pamctl.diagnose.evidence.sample_masks import (
-    fill_gone,
-    find_frozen,
-    find_neighbours,
-    find_spikes,
-)
+from pamctl.diagnose.evidence.sample_masks import fill_gone, find_frozen, find_neighbours
 from pamctl.plant.axis.required_force import required_force_n
 from pamctl.plant.drive import (
     NO_RESTARTS,
@@ -202,7 +197,7 @@ class Runs:
         masked = ~np.isfinite(shown)
         shown = np.stack([fill_gone(row, gone) for row, gone in zip(shown, masked, strict=True)])
         for row, gone in zip(shown, masked, strict=True):
-            gone |= find_spikes(row) | find_frozen(row)
+            gone |= find_frozen(row)
         if counts is not None:
             masked |= ~np.asarray(counts, dtype=bool)
         pressures = columns.get("pressure_pa")

@@ -207,9 +207,6 @@ class EffectDescription:
     """How to distinguish it from other effects, by name; each pair appears once."""
     unidentifiable: Callable[[PaperParameters], str] | None = None
     """Says why `diagnose` does not fit its size, from the plant's numbers; None where it does."""
-    is_searched: bool = True
-    """False where the search of `diagnose` leaves it out: it would explain too much, or a fit
-    needs the start that a term gives."""
     as_terms: tuple[AsTerm, ...] = ()
     """The terms that say it without its name."""
     actuators: tuple[Actuator, ...] = ACTUATORS

@@ -68,6 +68,5 @@ DESCRIPTION = EffectDescription(
     seen_by=("pressure",),
     woven=("air",),
     # A fit from a wrong frequency ends in a wrong valley: the terms' search finds the start.
-    is_searched=False,
     as_terms=(AsTerm("supply", "wave", "time", numbers=from_wave),),
 )

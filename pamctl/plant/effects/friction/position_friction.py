@@ -51,7 +51,6 @@ DESCRIPTION = EffectDescription(
     best_experiment="slow-ramps",
     seen_by=("mechanics",),
     woven=("mechanics",),
-    is_searched=False,
     actuators=("muscle",),
     as_terms=(
         AsTerm("braid_friction", "gain", "position", numbers=from_gain),

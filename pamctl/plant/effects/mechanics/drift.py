@@ -73,7 +73,6 @@ DESCRIPTION = EffectDescription(
     seen_by=("pressure", "mechanics"),
     entries=(EffectEntry("opening", apply_gain_drift_v, after=("valve_asymmetry",)),),
     woven=("mechanics",),
-    is_searched=False,
     forms=(
         EffectForm("valve gain", free=("valve_gain_per_s",)),
         EffectForm("stiffness", free=("stiffness_per_s",)),

@@ -75,7 +75,6 @@ DESCRIPTION = EffectDescription(
     best_experiment="slow-ramps",
     seen_by=("mechanics",),
     entries=(EffectEntry("force", loop_force_n, memory=EffectMemory(start_loop, follow_loop)),),
-    is_searched=False,
     actuators=("muscle", "direct"),
     as_terms=(
         AsTerm(

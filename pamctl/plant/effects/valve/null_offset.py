@@ -45,6 +45,5 @@ DESCRIPTION = EffectDescription(
     seen_by=("pressure",),
     entries=(EffectEntry("command", add_offset_v, undo=remove_offset_v),),
     # `diagnose` asks it as a question of the set-up, before any effect.
-    is_searched=False,
     as_terms=(AsTerm("command", "constant", numbers=lambda term: {"offset_v": term["size"]}),),
 )

@@ -68,7 +68,6 @@ DESCRIPTION = EffectDescription(
             after=("valve_saturation", "valve_hysteresis"),
         ),
     ),
-    is_searched=False,
     as_terms=(
         AsTerm(
             "command",

@@ -36,7 +36,7 @@ import numpy as np
 from standin.standin import Card
 
 import pamctl.log
-from pamctl.compare.coupled_gap import compare_model
+from pamctl.compare.comparison import compare_model
 from pamctl.diagnose import diagnose, record_of
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.processes.backends import SHARED_MEMORY

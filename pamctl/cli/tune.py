@@ -16,8 +16,7 @@ from pamctl.settings.resolve import settings_to_data
 
 if TYPE_CHECKING:
     from pamctl.tune.gains_search import BestGains
-    from pamctl.tune.tune_gains import FoundGains
-    from pamctl.tune.tuning_task import TuningTask
+    from pamctl.tune.tune_gains import FoundGains, TuningTask
 
 
 def tune(
@@ -120,9 +119,13 @@ def tune(
 ) -> None:
     """Search gains by simulation, or score given ones; Ctrl-C keeps the best so far."""
     from pamctl.settings.resolve import use_law_file
-    from pamctl.tune.tune_gains import check_gains, search_gains
-    from pamctl.tune.tune_text import format_scores, make_scores_document
-    from pamctl.tune.tuning_task import TuningTask
+    from pamctl.tune.tune_gains import (
+        TuningTask,
+        check_gains,
+        format_scores,
+        make_scores_document,
+        search_gains,
+    )
 
     require_one_place(cluster, jobs)
     if check is not None and out is not None:
@@ -164,7 +167,7 @@ def tune(
 
 
 def _print_result(task: TuningTask, found: FoundGains, *, as_json: bool) -> None:
-    from pamctl.tune.tune_text import format_scores, make_scores_document
+    from pamctl.tune.tune_gains import format_scores, make_scores_document
 
     failure = found.failure
     document = {

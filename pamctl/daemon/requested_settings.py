@@ -8,13 +8,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pamctl.control.course import Course
+from pamctl.control.course import Course, pack_handed_course
 from pamctl.control.experiment import ExperimentSettings, plan_experiment
-from pamctl.control.handed_course import pack_handed_course
 from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.json_text import to_json
 from pamctl.realtime.gain_ramp import GainRampError, require_blendable
-from pamctl.recording.ring import PAYLOAD_BYTES
+from pamctl.recording.rows import PAYLOAD_BYTES
 from pamctl.settings.envelope import find_excesses
 from pamctl.settings.problems import ConfigError
 from pamctl.settings.resolve import (

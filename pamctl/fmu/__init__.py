@@ -1,6 +1,4 @@
 """A plant file as a functional mock-up unit (FMI 3.0): Simulink, Dymola and others can run it.
 
-    c_source, model_description -> archive
-
 Read `archive.py` first.
 """

@@ -41,7 +41,7 @@ from pamctl.live.page_control.page_orders import OrderFailure, PageOrders
 from pamctl.live.page_control.translate_order import OrderNotUnderstood, translate_order
 from pamctl.live.scope.questions import ScopeQuestions
 from pamctl.live.scope.tick_source import ScopeRefusal
-from pamctl.report.style import COLOURS
+from pamctl.report.html_page import COLOURS
 
 LARGEST_BODY = 4096
 MOST_CONNECTIONS = 32
@@ -315,7 +315,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 def _read_part(name: str) -> bytes:
     if name.startswith("uplot"):
-        return (files("pamctl.report.interactive") / "uplot").joinpath(name).read_bytes()
+        return (files("pamctl.report") / "uplot").joinpath(name).read_bytes()
     own = (files("pamctl.live") / "page").joinpath(name).read_bytes()
     return COLOURS.encode() + own if name == "page.css" else own
 

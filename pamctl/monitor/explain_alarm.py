@@ -17,7 +17,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from hal.child import child_command
-from pamctl.diagnose.measured.record import Record
+from pamctl.diagnose.record import Record
 from pamctl.exit_codes import ExitCode
 from pamctl.plant.model import PlantSettings
 
@@ -113,7 +113,7 @@ def hold_constants(before: Record, plant: PlantSettings) -> PlantSettings:
     pressure. They did not move when the block left the model, unless they are what moved.
     """
     from pamctl.diagnose.evidence.weigh import CALIBRATED, prepare_weigher
-    from pamctl.diagnose.measured.noise.mend import mend_records
+    from pamctl.diagnose.mend import mend_records
     from pamctl.diagnose.plant_numbers import with_values
 
     (before,), _ = mend_records([before])

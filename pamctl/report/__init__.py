@@ -1,5 +1,4 @@
 """`pamctl report`: one self-contained HTML page of one log or of several.
 
-`drawing/` draws, `html_page.py` lays out, one file a section.
-Read `compose.py` first.
+`drawing/` draws, `html_page.py` lays out. Read `run_page.py` first.
 """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -30,6 +31,8 @@ REPORT_FIELDS = (
     *("late_s", "read_s", "compute_s", "write_s"),
 )
 """The columns of a log that a report shows, of those that it has."""
+
+MICRO = 1e6
 
 PAPER_EXPERIMENTS = ("tracking-1", "tracking-2")
 
@@ -145,6 +148,12 @@ class ReportedRun:
         return next(
             (name for name in PAPER_EXPERIMENTS if _read_settings(name) == experiment), None
         )
+
+
+def rms_of_finite(values: np.ndarray) -> float:
+    """Return the root mean square of the finite values; NaN if there are none."""
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite**2))) if len(finite) else math.nan
 
 
 def name_runs(logs: Sequence[Log]) -> list[ReportedRun]:

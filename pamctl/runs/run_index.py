@@ -17,6 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from pamctl.exit_codes import ExitCode
+from pamctl.log.annotate import read_annotation, write_annotation
+from pamctl.log.annotation import Annotation
 from pamctl.runs.index_finished import INDEX_NAME
 from pamctl.runs.run_row import RunRow, read_row
 
@@ -214,3 +216,26 @@ def _decode(values: Sequence[Any]) -> RunRow:
     read = {name: json.loads(named[name]) for name in _JSON}
     path, tags = os.fsdecode(named["path"]), tuple(read["tags"])
     return RunRow(**{**named, **read, "path": path, "tags": tags})
+
+
+def edit_annotations(
+    paths: Sequence[Path], edit: Callable[[Annotation], Annotation]
+) -> list[tuple[Path, Annotation]]:
+    """Change what is said of runs; return what is said of each now.
+
+    Every log is read before the first one is written. Raise LogError where one is not a finished
+    log, NewFileError where it cannot be written, AnnotationError where a text cannot be used.
+    """
+    for path in paths:
+        edit(read_annotation(path))
+    return [(path, _edit_one(path, edit)) for path in dict.fromkeys(paths)]
+
+
+def _edit_one(path: Path, edit: Callable[[Annotation], Annotation]) -> Annotation:
+    with RunIndex(path.absolute().parent) as index, index.hold():
+        before = read_annotation(path)
+        said = edit(before)
+        if said != before:
+            write_annotation(path, said)
+            index.put([read_row(path)])
+        return said

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -219,3 +219,32 @@ def _flatten(settings: Mapping[str, Any], above: str = "") -> Iterator[tuple[str
             yield from _flatten(value, f"{above}{name}.")
         elif isinstance(value, str | int) or (isinstance(value, float) and math.isfinite(value)):
             yield f"{above}{name}", clean_text(value) if isinstance(value, str) else value
+
+
+SettingValue = str | int | float | bool | None
+
+
+def read_value(row: RunRow, key: str) -> SettingValue:
+    """Return a setting of a run by its dotted key; None if the run does not have it."""
+    value: SettingValue = row.sweep.get("point", {}).get(key, row.gains.get(key))
+    return value
+
+
+def find_varying_keys(rows: Sequence[RunRow], *, numbers_only: bool = True) -> list[str]:
+    """Return the keys whose values differ: those of sweeps first, then in the order of the file.
+
+    The seed is left out: it differs between repeats.
+    """
+    swept = dict.fromkeys(key for row in rows for key in row.sweep.get("point", {}))
+    keys = [*swept, *dict.fromkeys(k for row in rows for k in row.gains if k not in swept)]
+    return [key for key in keys if key != "seed" and _varies(rows, key, numbers_only=numbers_only)]
+
+
+def _varies(rows: Sequence[RunRow], key: str, *, numbers_only: bool) -> bool:
+    values = {read_value(row, key) for row in rows} - {None}
+    return len(values) > 1 and (not numbers_only or all(map(is_number, values)))
+
+
+def is_number(value: SettingValue) -> bool:
+    """Tell whether a value has a place on an axis."""
+    return isinstance(value, int | float) and not isinstance(value, bool)

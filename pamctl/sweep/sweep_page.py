@@ -11,8 +11,7 @@ import numpy as np
 
 from pamctl.report.drawing.svg import COLOURS, PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
-from pamctl.runs.run_row import METRICS, RunRow
-from pamctl.runs.varying import SettingValue, is_number, read_value
+from pamctl.runs.run_row import METRICS, RunRow, SettingValue, is_number, read_value
 
 _MOST_ROWS = 500
 _LOG_RATIO = 20.0

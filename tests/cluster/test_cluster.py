@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pamctl.cluster import dask_cluster as cluster
-from pamctl.cluster.dask_cluster import ClusterError, connect_to_cluster, describe_versions
+from pamctl.cluster import worker_processes as cluster
+from pamctl.cluster.worker_processes import ClusterError, connect_to_cluster, describe_versions
 from pamctl.settings.resolve import resolve
 from pamctl.tune import GainsSearch, Jury, make_fixed_members
 

@@ -13,7 +13,7 @@ from pydantic import TypeAdapter
 
 from pamctl.control.course import Course
 from pamctl.control.experiment import ExperimentSettings, plan_experiment
-from pamctl.report.frequency_response import find_responses
+from pamctl.report.frequency import find_responses
 from pamctl.report.reported_run import ReportedRun
 from pamctl.signals import Phase
 

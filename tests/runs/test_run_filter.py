@@ -11,8 +11,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pamctl.runs.run_filter import FilterError, RunFilter, read_date, select_runs
 from pamctl.runs.run_index import RunIndex
+from pamctl.runs.run_list import FilterError, RunFilter, read_date, select_runs
 from pamctl.runs.run_row import RunRow
 
 DAY_S = 86400.0

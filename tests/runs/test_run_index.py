@@ -17,9 +17,8 @@ from pamctl.cli.app import app
 from pamctl.log import read
 from pamctl.log.annotate import append_metadata, read_annotation, write_annotation
 from pamctl.log.annotation import make_annotation
-from pamctl.runs.edit_annotation import edit_annotations
 from pamctl.runs.index_finished import INDEX_NAME, index_quietly
-from pamctl.runs.run_index import RunIndex, RunsError
+from pamctl.runs.run_index import RunIndex, RunsError, edit_annotations
 from pamctl.runs.run_row import RunRow, read_row
 from pamctl.simulate.merit import compute_log_merits
 
@@ -120,7 +119,7 @@ def test_only_what_is_new_is_read(folder: Path) -> None:
 A_USER = """
 import os, sys
 from pathlib import Path
-from pamctl.runs.edit_annotation import edit_annotations
+from pamctl.runs.run_index import edit_annotations
 from pamctl.runs.run_index import RunIndex
 
 folder = Path(sys.argv[1])

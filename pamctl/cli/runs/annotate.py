@@ -52,7 +52,7 @@ def note_logs(
 
 
 def _edit(paths: list[Path], edit: Callable[[Annotation], Annotation], *, as_json: bool) -> None:
-    from pamctl.runs.edit_annotation import edit_annotations
+    from pamctl.runs.run_index import edit_annotations
 
     done = edit_annotations(paths, edit)
     if as_json:

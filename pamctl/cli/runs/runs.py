@@ -70,8 +70,8 @@ def list_runs(
         return
     if as_json + as_csv + paths_only > 1:
         raise typer.BadParameter("only one of --json, --csv and --paths")
-    from pamctl.runs.run_filter import RunFilter, read_date, select_runs
     from pamctl.runs.run_index import RunIndex
+    from pamctl.runs.run_list import RunFilter, read_date, select_runs
 
     since_s = None if since is None else read_date(since)
     wanted = RunFilter(tags or (), since_s, where or (), last)
@@ -80,7 +80,7 @@ def list_runs(
         rows = select_runs(index, wanted, with_gains=as_csv or as_json)
         total = index.count()
     rows = [replace(row, path=escape_name(row.path)) for row in rows]
-    from pamctl.runs.runs_text import format_csv, format_runs, list_documents
+    from pamctl.runs.run_list import format_csv, format_runs, list_documents
 
     if paths_only:
         typer.echo("\n".join(str(logs / row.path) for row in rows), nl=bool(rows))

@@ -169,7 +169,7 @@ def _conclude(plan: SweepPlan, end: SweepEnd, *, as_json: bool) -> None:
     points = summarise_points(end.rows)
     saved: dict[str, str | None] = {"page": None, "csv": None}
     if points:
-        from pamctl.runs.varying import find_varying_keys
+        from pamctl.runs.run_row import find_varying_keys
         from pamctl.sweep.sweep_page import write_sweep_page
 
         keys = [key for key in points[0].point if key in find_varying_keys(end.rows)]

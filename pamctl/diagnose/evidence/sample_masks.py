@@ -1,6 +1,6 @@
 """Samples at which a record says nothing: frozen stretches; and what fills them.
 
-Spikes and dropouts are found before (`measured.noise.outliers`), and come in a record's `counts`.
+Spikes and dropouts are found before (`diagnose.mend`), and come in a record's `counts`.
 """
 
 from __future__ import annotations

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from pamctl.control.law_registry import find_law
-from pamctl.runs.run_filter import RunFilter, select_runs
 from pamctl.runs.run_index import RunIndex, RunsError
+from pamctl.runs.run_list import RunFilter, select_runs
 from pamctl.settings.config_files import config_dir, list_shipped
 from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import read_section_file, settings_to_data

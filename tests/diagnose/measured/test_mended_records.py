@@ -9,10 +9,7 @@ import pytest
 from support.made_records import measured
 
 from pamctl.diagnose import Record
-from pamctl.diagnose.measured.noise.hum import remove_hum
-from pamctl.diagnose.measured.noise.mend import mend_records
-from pamctl.diagnose.measured.noise.outliers import AROUND, find_outliers
-from pamctl.diagnose.measured.noise.time_stamps import find_regular_times
+from pamctl.diagnose.mend import AROUND, find_outliers, find_regular_times, mend_records, remove_hum
 
 
 def test_a_sound_record_stays_as_it_is() -> None:
@@ -114,17 +111,6 @@ def test_hum_is_taken_off_and_an_excitation_of_the_same_frequency_is_not() -> No
     answer = 1e5 + 2e3 * command + 3e4 * np.sin(t_s)
     answer += np.random.default_rng(3).normal(0.0, 300.0, len(t_s))
     assert remove_hum(answer, 1e-3, command)[1] == []
-
-
-@pytest.mark.parametrize("samples", [9, 15])
-def test_a_reading_that_is_held_in_spite_of_its_noise_does_not_count(samples: int) -> None:
-    record = measured("fit", 7)
-    values = record["pressure_pa"].copy()
-    values[1500 : 1500 + samples] = values[1499]
-    values[1490] += 20e3  # a spike close by does not hide it
-    spikes, dropouts = find_outliers(replace(record, pressure_pa=values), "pressure_pa")
-    assert [*np.flatnonzero(spikes)] == [1490]
-    assert [*np.flatnonzero(dropouts)] == [*range(1500, 1500 + samples)]
 
 
 def test_two_spikes_side_by_side_of_either_sign_do_not_count() -> None:

@@ -1,0 +1,512 @@
+"""What sensors and software added to a record: taken off, or left out; and what is known of it.
+
+Stamps that scatter give way to the regular grid. Spikes and dropouts are bridged and do not count.
+Mains hum is taken off. The zeros that homing gave the pressure sensor are aligned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import isfinite, sqrt
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from pamctl.diagnose.record import CHANNELS, REST_V, Array, Record, estimate_white_noise
+from pamctl.log.record_problems import find_sensor_step
+
+Rows = NDArray[np.bool_]
+FaultKind = Literal["jitter", "outliers", "dropouts", "hum", "unused"]
+SENSORS = {channel: unit for channel, unit in CHANNELS.items() if channel != "valve_v"}
+SOURCES = {
+    "stated": "as stated",
+    "residual": "from what changes from sample to sample of what is left",
+    "differences": "from differences of the samples",
+}
+
+
+class SensorFault(NamedTuple):
+    """What is wrong with a channel beside its noise."""
+
+    channel: str
+    """The channel; `t_s` for the time stamps."""
+    kind: FaultKind
+    says: str
+    """What was found, with the number and its unit, and what was done about it."""
+
+
+@dataclass(frozen=True)
+class ChannelNoise:
+    """What is known of one channel; the time stamps, `t_s`, and unused channels have faults only.
+
+    Numbers are in SI.
+    """
+
+    deviation: float | None = None
+    """Standard deviation of a reading, with the converter's rounding."""
+    resolution: float = 0.0
+    """Step of the converter; 0 where none is visible."""
+    source: str = ""
+    """Of `SOURCES`."""
+    faults: tuple[SensorFault, ...] = ()
+
+    def as_dict(self, channel: str) -> dict[str, Any]:
+        """Return plain values for the document."""
+        entry: dict[str, Any] = {}
+        says = [fault.says for fault in self.faults]
+        if self.deviation is not None:
+            unit = CHANNELS[channel]
+            how = SOURCES[self.source]
+            says.insert(0, f"{channel}: noise {self.deviation:.3g} {unit}, {how}")
+            entry = {
+                "deviation": self.deviation,
+                "unit": unit,
+                "resolution": self.resolution,
+                "source": self.source,
+                "is_known": True,
+            }
+        return {**entry, "faults": [*dict.fromkeys(f.kind for f in self.faults)], "says": says}
+
+
+def describe_channels(
+    records: Sequence[Record], left: Mapping[str, float], faults: Sequence[SensorFault]
+) -> dict[str, ChannelNoise]:
+    """Return what is known of each channel.
+
+    `left` is the noise of the channels that a model explains, as the fitted model leaves it, in SI.
+    """
+    found = {}
+    sensors = [c for c in records[0].channels if c in SENSORS]
+    for name in dict.fromkeys([*sensors, *(fault.channel for fault in faults)]):
+        mine = tuple(f for f in faults if f.channel == name)
+        if name not in sensors:
+            found[name] = ChannelNoise(faults=mine)
+            continue
+        step = float(np.median([find_sensor_step(r[name]) for r in records]))
+        stated = [r.stated_noise[name] for r in records if name in r.stated_noise]
+        if stated:
+            size, source = sqrt(np.mean(np.square(stated))), "stated"
+        elif name in left:
+            size, source = left[name], "residual"
+        else:
+            size = float(np.median([estimate_white_noise(r[name]) for r in records]))
+            source = "differences"
+        found[name] = ChannelNoise(size, step, source, mine)
+    return found
+
+
+def pool_stated_noise(records: Sequence[Record]) -> dict[str, float]:
+    """Return the stated standard deviation of each channel over records, without the rounding."""
+    pooled = {}
+    for channel in SENSORS:
+        stated = [r.stated_noise[channel] for r in records if channel in r.stated_noise]
+        if stated and channel in records[0].channels:
+            step = float(np.median([find_sensor_step(r[channel]) for r in records]))
+            white2 = float(np.mean(np.square(stated))) - step**2 / 12.0
+            pooled[channel] = sqrt(max(white2, 0.0))
+    return pooled
+
+
+def parse_noise(texts: Iterable[str]) -> dict[str, float]:
+    """Return standard deviations in SI from texts such as `position_m=2e-6`.
+
+    Raise ValueError with what is wrong.
+    """
+    stated: dict[str, float] = {}
+    for text in texts:
+        channel, equals, number = text.partition("=")
+        channel = channel.strip()
+        if channel not in SENSORS or not equals:
+            listed = ", ".join(f"{name}=... ({unit})" for name, unit in SENSORS.items())
+            raise ValueError(f"{text!r} states no channel's noise; give {listed}")
+        if channel in stated:
+            raise ValueError(f"{channel} is stated twice")
+        try:
+            deviation = float(number)
+        except ValueError:
+            deviation = float("nan")
+        if not isfinite(deviation) or deviation < 0.0:
+            raise ValueError(
+                f"{channel} is {number.strip()!r}, but must be a number of {SENSORS[channel]} that "
+                "is 0 or more: the standard deviation of a reading"
+            )
+        stated[channel] = deviation
+    return stated
+
+
+def mend_records(records: Sequence[Record]) -> tuple[list[Record], list[SensorFault]]:
+    """Return the records of a rig without what can be mended, and what was found.
+
+    A record that cannot be used at all is returned as it is: the checks of the data refuse it.
+    """
+    mended, faults = [*records], list[SensorFault]()
+    usable = [k for k, record in enumerate(records) if _is_usable(record)]
+    grids = find_regular_times([records[k] for k in usable])
+    for k, times in zip(usable, grids, strict=True):
+        record = records[k]
+        if times is not None:
+            scatter_s = float(np.std(record.t_s - times))
+            says = f"{record.name}: the time stamps scatter by {scatter_s * 1e3:.3g} ms while the "
+            says += "samples are regular; the regular grid is used"
+            faults.append(SensorFault("t_s", "jitter", says))
+            record = replace(record, t_s=times)
+        mended[k], found = _mend_channels(record)
+        faults += found
+    return mended, faults
+
+
+def _is_usable(record: Record) -> bool:
+    usable = len(record) >= 100 and bool(np.all(record.step_s > 0.0))
+    return usable and all(np.isfinite(record[c]).all() for c in record.channels)
+
+
+def _mend_channels(record: Record) -> tuple[Record, list[SensorFault]]:
+    """Bridge outliers and dropouts, and take off hum."""
+    faults: list[SensorFault] = []
+    counts = np.ones(len(record), np.bool_)
+    mended: dict[str, Any] = {}
+    for channel in (c for c in record.channels if c in SENSORS):
+        spikes, dropouts = find_outliers(record, channel)
+        counts &= ~(spikes | dropouts)
+        kinds: tuple[tuple[FaultKind, Rows], ...] = (("outliers", spikes), ("dropouts", dropouts))
+        for kind, lost in kinds:
+            if lost.any():
+                says = f"{record.name}: {channel} has {int(lost.sum())} samples that are {kind}, "
+                says += f"the first in row {int(np.argmax(lost))}; they do not count"
+                faults.append(SensorFault(channel, kind, says))
+        values = bridge(record[channel], spikes | dropouts)
+        for part in _cut_even_stretches(record):
+            command = None if record.valve_v is None else record.valve_v[part]
+            values[part], hums = remove_hum(values[part], record.period_s, command)
+            for hum in hums:
+                says = f"{record.name}: {channel} has {hum.frequency_hz:.0f} Hz of hum, amplitude "
+                says += f"{hum.amplitude:.3g} {CHANNELS[channel]}; it is taken off"
+                faults.append(SensorFault(channel, "hum", says))
+        mended[channel] = values
+    return replace(record, **mended, counts=None if counts.all() else counts), faults
+
+
+# --- time stamps ---------------------------------------------------------------------------------
+
+LEAST_SCATTER = 0.02
+"""Scatter of the stamps, in periods, below which it does not matter."""
+MISSED, LONGEST_STEP = 1.6, 2.5
+"""A step of more periods misses a sample; a longer one is a gap, and the grid begins anew."""
+FARTHEST = 4.0
+"""Periods that a stamp may be from the grid; clocks that run apart have no common grid."""
+SAMPLES, ORDER = 7, 3
+"""Samples of a stretch, and order of the polynomial that a smooth signal follows over it."""
+BETTER, SURE = 1.3, 4.0
+"""What the stamps leave over what the grid leaves, in squares; and by how many of its own standard
+errors the difference must be away from zero."""
+
+
+def find_regular_times(records: Sequence[Record]) -> list[Array | None]:
+    """Return for each record the times of a regular grid, or None where its stamps are to be used.
+
+    A card samples by its own clock, and a program reads the time when it fetches the sample. A
+    signal that moves then looks noisy on its stamps and smooth on a regular grid. One program
+    stamped all records: a grid is also used where a slow or noisy signal does not tell.
+    """
+    grids = [_fit_grid(record) for record in records]
+    verdicts = [
+        {0}
+        if grid_s is None
+        else {_compare(r[c], r.t_s, grid_s) for c in r.channels if c != "valve_v"}
+        for r, grid_s in zip(records, grids, strict=True)
+    ]
+    is_sure = any(1 in v and -1 not in v for v in verdicts)
+    return [
+        grid_s if is_sure and -1 not in v else None
+        for grid_s, v in zip(grids, verdicts, strict=True)
+    ]
+
+
+def _cut_even_stretches(record: Record) -> list[slice]:
+    """Return the stretches without a missed sample."""
+    cuts = np.flatnonzero(record.step_s > MISSED * record.period_s) + 1
+    return [slice(a, b) for a, b in pairwise([0, *cuts.tolist(), len(record)])]
+
+
+def _fit_grid(record: Record) -> Array | None:
+    """Return the grid that a record's stamps scatter about; None where they do not."""
+    period_s = record.period_s
+    cuts = np.flatnonzero(record.step_s > LONGEST_STEP * period_s) + 1
+    parts = []
+    for part in np.split(record.t_s, cuts):
+        index = np.arange(len(part), dtype=np.float64)
+        if len(part) < 8 * SAMPLES:
+            parts.append(part)
+            continue
+        line = np.polynomial.Polynomial.fit(index, part, 1)(index)
+        if float(np.abs(part - line).max()) > FARTHEST * period_s:
+            return None
+        parts.append(line)
+    grid_s = np.concatenate(parts)
+    scatters = float(np.std(record.t_s - grid_s)) >= LEAST_SCATTER * period_s
+    return grid_s if scatters and np.all(np.diff(grid_s) > 0.0) else None
+
+
+def _compare(values: Array, t_s: Array, grid_s: Array) -> int:
+    """Return 1 where the grid explains a channel better, -1 where the stamps do, otherwise 0."""
+    by_stamps, by_grid = _leave(values, t_s), _leave(values, grid_s)
+    difference = by_stamps - by_grid
+    error = float(difference.std()) / np.sqrt(max(len(difference), 1))
+    if abs(float(difference.mean())) < SURE * error:
+        return 0
+    stamps, grid = float(by_stamps.sum()), float(by_grid.sum())
+    return int(stamps > BETTER * grid) - int(grid > BETTER * stamps)
+
+
+def _leave(values: Array, t_s: Array) -> Array:
+    """Return the squares that a polynomial leaves of each stretch, shape (stretches,)."""
+    count = len(values) // SAMPLES
+    times, parts = (a[: count * SAMPLES].reshape(count, SAMPLES) for a in (t_s, values))
+    scaled = (times - times.mean(axis=1, keepdims=True)) / np.ptp(times, axis=1, keepdims=True)
+    basis = np.linalg.qr(np.stack([scaled**n for n in range(ORDER + 1)], axis=2))[0]
+    left = parts - np.einsum("kso,ko->ks", basis, np.einsum("kso,ks->ko", basis, parts))
+    return np.asarray(np.sum(left**2, axis=1))
+
+
+# --- spikes and dropouts -------------------------------------------------------------------------
+
+LONGEST_DROPOUT = 20
+"""Samples that a dropout may last; a longer one is not mended here."""
+MOST = 0.02
+"""Share of the samples that may be outliers. More are not single, but the signal."""
+JUMP, BACK = 9.0, 0.25
+"""An outlier is this many local deviations away; and how far from its level before it the signal
+may be afterwards, as a share of the jump."""
+JUMP_SHARE, NO_ANSWER = 0.2, 0.3
+"""Share of its span by which a command jumps; and that no rig goes and comes back at once if the
+command jumped only once."""
+ANSWER = 4
+"""Samples after a jump of the command in which a rig may begin to answer it by a jump."""
+AROUND = 8
+"""Samples before and after an outlier that show how busy the signal is."""
+
+
+def find_outliers(record: Record, channel: str) -> tuple[Rows, Rows]:
+    """Return the spikes and the dropouts of a channel as masks of its samples, shape (n,).
+
+    No rig can have made them, since it would have to return: a spike is back a moment later, and
+    so is a reading of zero or of full scale. A step, a click of dry friction or a burst of noise is
+    not back, or is as busy before and after.
+    """
+    values = record[channel]
+    spikes, dropouts = np.zeros(len(values), np.bool_), np.zeros(len(values), np.bool_)
+    for start, stop in _find_excursions(values, record.valve_v):
+        same = stop - start > 1 and np.ptp(values[start:stop]) == 0.0
+        (dropouts if same or values[start] == 0.0 else spikes)[start:stop] = True
+    same_value = spikes & np.isin(values, values[dropouts])
+    spikes, dropouts = spikes & ~same_value, dropouts | same_value
+    for found in (spikes, dropouts):
+        if found.mean() > MOST:
+            found[:] = False
+    return spikes, dropouts
+
+
+def bridge(values: Array, lost: Rows) -> Array:
+    """Return the values with straight lines, in the converter's steps, across the lost samples."""
+    mended = values.copy()
+    if lost.any() and not lost.all():
+        index, kept = np.arange(len(values)), values[~lost]
+        mended[lost] = np.interp(index[lost], index[~lost], kept)
+        if step := find_sensor_step(kept):
+            mended[lost] = kept[0] + np.round((mended[lost] - kept[0]) / step) * step
+    return mended
+
+
+def _find_excursions(values: Array, command: Array | None) -> Iterator[tuple[int, int]]:
+    """Yield [start, stop) of what jumps away and comes back at once."""
+    commands = np.zeros(len(values), np.intp)
+    if command is not None:
+        least = JUMP_SHARE * max(float(np.ptp(command)), 1e-9)
+        commands = np.cumsum(np.abs(np.diff(command, prepend=command[0])) >= least)
+    steps = np.diff(values)
+    steps -= median_filter(steps, 2 * AROUND + 1, mode="nearest")  # the motion's own
+    sizes = np.abs(steps)
+    # The usual step around, without the jump itself: a median hardly sees it.
+    usual = np.maximum(
+        median_filter(sizes, 2 * AROUND + 1, mode="nearest") / 0.6745,
+        max(float(np.median(sizes)) / 0.6745, find_sensor_step(values)),
+    )
+    done, span = 0, float(np.ptp(values))
+    for jump in np.flatnonzero(sizes > JUMP * usual).tolist():
+        start = jump + 1
+        if start <= done or start < AROUND:
+            continue
+        stop = _find_return(values, start, float(sizes[jump]), float(usual[jump]))
+        if stop is None:
+            continue
+        # A rig may answer a jump of the command by one. It does not go far and come back by itself.
+        before = commands[start - ANSWER]
+        pulsed = commands[stop] - before > 1
+        if commands[start] > before and (pulsed or sizes[jump] < NO_ANSWER * span):
+            continue
+        done = stop
+        yield start, stop
+
+
+def _find_return(values: Array, start: int, jump: float, usual: float) -> int | None:
+    """Return where a signal that jumped at `start` is back; None if it is not."""
+    before = values[start - AROUND : start]
+    slope = float(np.median(np.diff(before)))
+    for stop in range(start + 1, min(start + LONGEST_DROPOUT, len(values) - AROUND) + 1):
+        expected = before[-1] + slope * (stop - start + 1)
+        off = abs(values[stop] - expected)
+        if off > max(BACK * jump, 3.0 * usual) or off > 0.5 * jump:
+            continue
+        if float(np.abs(values[start:stop] - expected).min()) < 0.5 * jump:
+            return None
+        # The largest step around but for two: another outlier may be close by.
+        around = (before, values[stop : stop + AROUND])
+        busy = max(float(np.sort(np.abs(np.diff(part) - slope))[-3]) for part in around)
+        return stop if busy < 0.4 * jump else None
+    return None
+
+
+# --- mains hum -----------------------------------------------------------------------------------
+
+MAINS_HZ = (50.0, 60.0)
+WINDOW_S, FEWEST_WINDOWS = 1.0, 4
+"""Its amplitude and phase are measured in windows of this length, half over the next."""
+BESIDE_HZ = 5.0
+"""So far beside the mains a line is compared with what is there without it."""
+LINE = 3.0
+"""A line stands out of the amplitudes beside it by this factor."""
+STEADY = 0.25
+"""Scatter of its phasor over its size: a motion has no such steady line, and a chirp passes by."""
+LARGEST = 0.05
+"""Share of the channel's span that hum may have; more would be an excitation."""
+COMMANDED = 1e-2
+"""Share of the command's span that a sinusoid in it must have; a step has less at such rates."""
+
+
+class Hum(NamedTuple):
+    """A sinusoid found in a channel."""
+
+    frequency_hz: float
+    """Of the mains."""
+    amplitude: float
+    """In the channel's unit."""
+
+
+def remove_hum(values: Array, period_s: float, command: Array | None) -> tuple[Array, list[Hum]]:
+    """Return evenly sampled values without mains hum, and the hum that was there.
+
+    It belongs to the sensor's cable and not to the rig. A line that the command has too is the
+    rig's.
+    """
+    found: list[Hum] = []
+    length = round(WINDOW_S / period_s)
+    centres = np.arange(length // 2, len(values) - length // 2, max(length // 2, 1))
+    if len(centres) < 2 * FEWEST_WINDOWS or period_s * MAINS_HZ[-1] > 0.4:
+        return values, found
+    for mains_hz in MAINS_HZ:
+        line = _measure_phasors(values, centres, length, period_s * mains_hz)
+        beside = [
+            np.abs(_measure_phasors(values, centres, length, period_s * (mains_hz + side)))
+            for side in (-BESIDE_HZ, BESIDE_HZ)
+        ]
+        # Mains are off by some tenths of a hertz: the phasor turns from window to window.
+        turn = float(np.angle(np.sum(line[1:] * np.conj(line[:-1]))))
+        still = line * np.exp(-1j * turn * np.arange(len(line)))
+        quiet = np.mean(beside, axis=0)
+        weights = 1.0 / np.maximum(quiet, 1e-3 * float(np.median(quiet)) + 1e-300) ** 2
+        mean = complex(np.sum(weights * still) / weights.sum())
+        size = abs(mean)
+        scatter = float(np.sqrt(np.sum(weights * np.abs(still - mean) ** 2) / weights.sum()))
+        loud = size > LINE * float(np.sqrt(np.sum(weights * quiet**2) / weights.sum()))
+        if not loud or scatter > STEADY * size or size > LARGEST * float(np.ptp(values)):
+            continue
+        if command is not None and np.ptp(command) > 0.0:
+            asked = np.abs(_measure_phasors(command, centres, length, period_s * mains_hz))
+            if float(np.median(asked)) > COMMANDED * float(np.ptp(command)):
+                continue
+        index = np.arange(len(values), dtype=np.float64)
+        phase = np.angle(mean) + turn * (index - centres[0]) / (centres[1] - centres[0])
+        values = values - size * np.cos(2.0 * np.pi * period_s * mains_hz * index + phase)
+        found.append(Hum(mains_hz, size))
+    return values, found
+
+
+def _measure_phasors(values: Array, centres: NDArray[np.intp], length: int, share: float) -> Any:
+    """Return the phasor at a frequency, in cycles a sample, around each centre; complex."""
+    taper = np.hanning(length)
+    wave = np.exp(-2j * np.pi * share * np.arange(len(values)))
+    parts = [slice(c - length // 2, c - length // 2 + length) for c in centres]
+    curved = [_flatten_part(values[part]) for part in parts]
+    return np.array(
+        [2.0 * np.sum(taper * v * wave[part]) / taper.sum()
+         for v, part in zip(curved, parts, strict=True)]
+    )  # fmt: skip
+
+
+def _flatten_part(part: Array) -> Array:
+    """Return a window without its slow motion, which would leak into a line."""
+    at = np.linspace(-1.0, 1.0, len(part))
+    return part - np.polynomial.chebyshev.Chebyshev.fit(at, part, 5)(at)
+
+
+# --- the pressure sensor's zero ------------------------------------------------------------------
+
+HOMED_PA = 250.0
+"""Homing leaves the zero within this; records that differ by more differ for another reason."""
+PIECE_S, FEWEST_PIECES = 0.05, 4
+"""Length of the pieces of a rest that are compared at the same time after the start."""
+FEWEST_SAMPLES = 100
+SURE_DRIFT = 3.0
+"""A rest whose difference from the others drifts by this many sigma is no rest."""
+
+
+def align_resting_pressure(records: Sequence[Record]) -> list[Record]:
+    """Return the records with their pressure sensors' zeros aligned at rest; others as they are.
+
+    Homing takes the zero from noisy readings, and from air that has nearly left: records of one rig
+    differ by some tens of pascals. What the records share at the same time after the start, such as
+    a leak that fills the muscle, is not changed, and the offset that they share stays: it may be
+    physical. Only rests under the same command are compared. A difference counts by how much it
+    exceeds its own uncertainty; one beyond `HOMED_PA`, or one that drifts, is left.
+    """
+    aligned, groups = [*records], dict[int, list[tuple[int, Array]]]()
+    for k, record in enumerate(records):
+        pieces = _average_rest(record)
+        if len(pieces) >= FEWEST_PIECES:
+            groups.setdefault(round(record["valve_v"][0] / REST_V), []).append((k, pieces))
+    for group in groups.values():
+        length = min(len(pieces) for _, pieces in group)
+        table = np.array([pieces[:length] for _, pieces in group])
+        off = table - table.mean(axis=0)
+        zeros = off.mean(axis=1) - np.median(off.mean(axis=1))
+        for (k, _), zero_pa, row in zip(group, zeros, off, strict=True):
+            # Neighbours show the noise alone, also where the pressure drifts.
+            uncertain_pa = float(np.sqrt(0.5 * np.mean(np.diff(row) ** 2) / length))
+            early, late = np.array_split(row, 2)
+            drifts = abs(late.mean() - early.mean()) > SURE_DRIFT * 2.0 * uncertain_pa + 1e-9
+            if zero_pa == 0.0 or drifts or abs(zero_pa) > HOMED_PA:
+                continue
+            excess_pa = zero_pa * max(1.0 - (uncertain_pa / zero_pa) ** 2, 0.0)
+            if excess_pa:
+                pressure_pa = records[k]["pressure_pa"] - excess_pa
+                aligned[k] = replace(records[k], pressure_pa=pressure_pa)
+    return aligned
+
+
+def _average_rest(record: Record) -> Array:
+    """Return the mean pressure of each piece before the command changes; empty for no rest."""
+    if record.valve_v is None or record.pressure_pa is None or record.valve_v[0] > REST_V:
+        return np.zeros(0)
+    moved = np.abs(record.valve_v - record.valve_v[0]) > REST_V
+    rest = int(np.argmax(moved)) if moved.any() else len(record)
+    if rest < FEWEST_SAMPLES:
+        return np.zeros(0)
+    piece = ((record.t_s[:rest] - record.t_s[0]) / PIECE_S + 1e-6).astype(int)
+    counts = np.bincount(piece)
+    means = np.bincount(piece, weights=record.pressure_pa[:rest]) / np.maximum(counts, 1)
+    whole = counts > 0.5 * counts[0]  # the last piece may be a stub
+    return np.asarray(means[: int(np.argmin(whole))] if not whole.all() else means)

@@ -129,14 +129,6 @@ def test_full_scale_squares_cannot_show_a_dead_band() -> None:
     assert "valve_deadband" in audit_run(measured("fit"), PAPER).sees
 
 
-@wrong("nothing is said; a constant zero of 101 kPa is not in the pool")
-def test_an_atmosphere_that_was_added_twice_is_said() -> None:
-    found = diagnose_spoiled(
-        hidden_rig(seed=4), lambda r: replace(r, pressure_pa=r["pressure_pa"] + 101.3e3)
-    )
-    assert "atmosphere" in found.reason or "pressure_pa" in sentence(found)
-
-
 @wrong("a set of changes over time at two places")
 def test_a_leak_that_begins_half_way_is_a_change_over_time_of_the_air() -> None:
     first, *_ = of_hostile("leak_from_half/small/random").findings

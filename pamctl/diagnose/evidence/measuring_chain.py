@@ -15,6 +15,10 @@ from pamctl.plant.effects.description import Actuator
 ATMOSPHERE = "atmospheric_pressure_pa"
 TURNED = "turned"
 """The kind of a column of the wrong sign."""
+ADDED = "added"
+"""The kind of a pressure to which the atmosphere was added twice."""
+SWITCHED = (TURNED, ADDED)
+"""Kinds that are so or not: there is nothing between."""
 
 
 HOME = f"{CHAIN}home."
@@ -69,6 +73,12 @@ def list_of_chain(
         yield _make_clock("valve", "valve", "valve_v")
     if "pressure_pa" in channels:
         air = plant["atmospheric_pressure_pa"]
+        name = f"{CHAIN}added.pressure_pa"
+        added = Unknown(name, air, 0.9 * air, 1.1 * air, 0.01 * air, 0.0, air)
+        yield Hypothesis(
+            "atmosphere_added", "pressure_sensor", ADDED, (Variant({}, (added,)),),
+            "atmosphere_added", setup=(ADDED, "pressure_pa"),
+        )  # fmt: skip
         yield _make_number("atmosphere", "pressure_sensor", f"{CHAIN}atmosphere", air, 0.02, 0.16)
     if actuator == "muscle":
         for name, share in (("rest_length_m", 0.01), ("temperature_k", 0.02)):

@@ -111,7 +111,7 @@ class _Beside:
             for u, n, w in zip(variant.sizes, neutral, usual, strict=True)
         )
         dose = min(dose, 0.9 * room)
-        if any(u.low < u.high < (u.neutral or 0.0) for u in variant.sizes):
+        if any(not u.low <= (u.neutral or 0.0) <= u.high for u in variant.sizes):
             dose = 1.0  # a column is turned round or not: there is nothing between
         for again in range(3):
             secants = []

@@ -20,19 +20,18 @@ from hal.backend import (
     ProbeRequest,
     RigKeys,
     RigRequest,
-    describe_rig_error,
     report_rig_error,
 )
 from hal.card import (
     COMEDI_DRIVER,
-    NO_CARD_FIX,
     PCI_DEVICES,
     MSeriesWiring,
     PciCard,
     card_output,
-    describe_holders,
     find_pci_cards,
+    judge_holder,
     judge_input_range,
+    judge_parts,
 )
 from hal.comedi.libcomedi import (
     BUSY,
@@ -156,22 +155,14 @@ def _examine_parts(
 
 
 def judge_kernel_driver(cards: Sequence[PciCard]) -> DoctorFinding:
-    """Say which kernel driver holds NI's cards: only one of NI's own and comedi's can."""
-    name = "card.kernel_driver"
-    wanted = f"a card held by {COMEDI_DRIVER}"
-    if not cards:
-        return DoctorFinding(name, "warning", "no card of NI's on the PCI bus", wanted, NO_CARD_FIX)
-    found = describe_holders(cards)
-    data = {"cards": [card._asdict() for card in cards]}
-    if any(card.driver == COMEDI_DRIVER for card in cards):
-        return DoctorFinding(name, "ok", found, data=data)
+    """Say which kernel driver holds NI's cards, and how to get the kernel's own."""
     held = next((card.driver for card in cards if card.driver), "")
     fix = (
         f"NI's driver {held} holds it, so comedi cannot: `pamctl manual comedi` shows how to switch"
         if held
         else f"sudo modprobe {COMEDI_DRIVER}"
     )
-    return DoctorFinding(name, "fault", found, wanted, fix, data)
+    return judge_holder(cards, COMEDI_DRIVER, lambda driver: driver == COMEDI_DRIVER, fix)
 
 
 def check_permission(device: Path) -> Iterator[DoctorFinding]:
@@ -233,14 +224,10 @@ def judge_locks(file: ComediFile, parts: dict[str, int]) -> DoctorFinding:
             busy[part] = error
         else:
             file.unlock(subdevice)
-    name = "card.reservations"
-    if not busy:
-        return DoctorFinding(name, "ok", "input, counter and output are free")
-    found = "; ".join(describe_rig_error(error) for error in busy.values())
-    fix = next(iter(busy.values())).fix
+    fix = next(iter(busy.values())).fix if busy else ""
     if all(error.code in BUSY for error in busy.values()):
         fix = f"{fix}; sudo fuser -v {file.path} names it"
-    return DoctorFinding(name, "fault", found, "free", fix, {"channels": sorted(busy)})
+    return judge_parts(busy, fix)
 
 
 def _require(settings: ComediSettings) -> None:

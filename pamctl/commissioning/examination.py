@@ -69,7 +69,7 @@ def examine_all(
             with hold_device(settings):
                 yield from probe.examine_output(request)
     except RigError as error:
-        yield _report_unavailable_rig(error)
+        yield report_rig_error("rig.device", error, "the device, for this command alone")
 
 
 def _examine_rig(
@@ -96,11 +96,6 @@ def _examine_rig(
             "a pressure sensor within its range",
             "see sensor.voltage, then run this again",
         )
-
-
-def _report_unavailable_rig(error: RigError) -> DoctorFinding:
-    """Say that the rig is not available, or was lost on the way."""
-    return report_rig_error("rig.device", error, "the device, for this command alone")
 
 
 def make_probe_request(settings: RunSettings) -> ProbeRequest[Any]:

@@ -141,7 +141,8 @@ def _follow_time(changes: list[tuple[int, dict[str, Any]]], length: int) -> Floa
     before: Any = None
     for at, properties in changes:
         offset_s = float(properties.get("wf_start_offset", 0.0))
-        start = _as_datetime(properties.get("wf_start_time"))
+        start: Any = properties.get("wf_start_time")
+        start = start.as_datetime64("ns") if hasattr(start, "as_datetime64") else start
         begin_s = t_s[at - 1] + step_s if at else offset_s
         step_s = float(properties.get("wf_increment", step_s))
         if start is not None:
@@ -151,10 +152,6 @@ def _follow_time(changes: list[tuple[int, dict[str, Any]]], length: int) -> Floa
             before = start
         t_s[at:] = begin_s + step_s * np.arange(length - at)
     return t_s
-
-
-def _as_datetime(stamp: Any) -> Any:
-    return stamp.as_datetime64("ns") if hasattr(stamp, "as_datetime64") else stamp
 
 
 def _add_times(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Annotated, Self
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
@@ -35,21 +35,19 @@ from hal.card import (
 )
 from hal.comedi.libcomedi import (
     BUSY,
+    CALIBRATE,
     FROM_PHYSICAL,
     PERMIT,
     TO_PHYSICAL,
+    UNCALIBRATED,
+    AnalogChannel,
     ComediFile,
     find_library_path,
+    list_ranges,
     load_library,
+    read_calibration,
 )
 from hal.rig import RigError
-
-if TYPE_CHECKING:
-    from hal.comedi.codes import AnalogChannel
-
-
-UNCALIBRATED = "none"
-"""The `calibration_file` of a rig whose owner accepts the nominal ranges of the card."""
 
 
 class ComediSettings(MSeriesWiring):
@@ -121,7 +119,6 @@ def examine_comedi(request: ProbeRequest[ComediSettings]) -> Iterator[DoctorFind
 def _examine_parts(
     file: ComediFile, request: ProbeRequest[ComediSettings], product: str
 ) -> Iterator[DoctorFinding]:
-    from hal.comedi.codes import list_ranges
     from hal.comedi.comedi_rig import (
         find_counter,
         find_pfi_lines,
@@ -198,8 +195,6 @@ def judge_calibration(
     file: ComediFile, settings: ComediSettings, sensor: AnalogChannel, valve: AnalogChannel
 ) -> DoctorFinding:
     """Check that the calibration file knows both converters."""
-    from hal.comedi.codes import CALIBRATE, read_calibration
-
     name, wanted = "card.calibration", "a file from comedi_soft_calibrate"
     if settings.calibration_file == UNCALIBRATED:
         found = "comedi.calibration_file: none: nominal ranges, wrong by some 5 %"

@@ -8,7 +8,7 @@ from typing import Any
 
 from hal.backend import DoctorFinding, ProbeRequest, report_rig_error
 from hal.rig import RigError
-from pamctl.commissioning.bench import Bench, open_workplace
+from pamctl.commissioning.bench import Bench, NoAnswer, Terminal, open_workplace
 from pamctl.commissioning.pc_checks import (
     examine_pc,
     judge_calls,
@@ -27,7 +27,6 @@ from pamctl.commissioning.rig_checks import (
     measure_at_rest,
     report_unmoved_encoder,
 )
-from pamctl.commissioning.terminal_operator import NoAnswer, Terminal
 from pamctl.processes.backends import SHARED_MEMORY, build_clock, hold_device
 from pamctl.realtime.scheduling import prepare
 from pamctl.realtime.tick import TickSetup

@@ -16,8 +16,13 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from hal.rig import RawSample
-from pamctl.commissioning.bench import Bench, SensorStatistics, open_workplace, summarise_samples
-from pamctl.commissioning.terminal_operator import Terminal
+from pamctl.commissioning.bench import (
+    Bench,
+    SensorStatistics,
+    Terminal,
+    open_workplace,
+    summarise_samples,
+)
 from pamctl.exit_codes import ExitCode
 from pamctl.new_file import NewFileError, require_place, write_files
 from pamctl.processes.backends import require_backend

@@ -208,7 +208,9 @@ def _read_lvm_segment(path: Path, segment: dict[str, Any]) -> dict[str, Floats]:
             is_full = np.isfinite(values).all()
             t_s = values if is_full else _count_lvm_time(path, segment, len(table))
             if not np.array_equal(columns.setdefault(TIME_S, t_s), t_s):
-                raise ImportRefused(f"{path}: its channels have different times; save one")
+                raise ImportRefused(
+                    f"{path}: its channels have different times; save them with one"
+                )
         elif name not in ("X_Value", "Comment"):
             if name in columns:
                 raise ImportRefused(f"{path} has more than one channel {name}; rename one")

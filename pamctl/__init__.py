@@ -17,13 +17,12 @@ _HOMES = {
     name: home
     for home, names in {
         "daemon_rig": "DaemonRig connect",
-        "experiment_form": "ExperimentForm",
+        "experiment_form": "Chirp ExcitationProgram ExperimentForm Gains Hold Mark MotionSequence "
+        "Move Multisine Pause Ramps Random Repeats RoundedSquare Sine Square Staircase Steps Table "
+        "Tracking Triangle ValveChirp ValveMove ValveMultisine ValveRamps ValveRandom "
+        "ValveRoundedSquare ValveSine ValveStaircase ValveTable ValveTriangle",
         "model_search": "find_gains find_missing_effects",
-        "motion_sequence": "Gains Mark MotionSequence Move Pause Repeats ValveMove",
         "pamctl_error": "PamctlError",
-        "reference_forms": "Chirp ExcitationProgram Hold Multisine Ramps Random RoundedSquare Sine "
-        "Square Staircase Steps Table Tracking Triangle ValveChirp ValveMultisine ValveRamps "
-        "ValveRandom ValveRoundedSquare ValveSine ValveStaircase ValveTable ValveTriangle",
         "run": "Run RunMetrics",
         "simulated_rig": "SimulatedRig simulate",
         "steered_rig": "SteeredRig",

@@ -25,15 +25,12 @@ from pamctl.control.course import Course
 from pamctl.control.experiment import ExperimentSettings, plan_experiment
 from pamctl.exit_codes import ExitCode
 from pamctl.kernel.calls import Call, prepare
-from pamctl.plant.delayed_command import advance_delayed_plant
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.parameters import PlantParameters, PlantState, vented_state
-from pamctl.plant.sensing import sensed_position_m, sensed_pressure_pa
-from pamctl.plant.simulated import LONGEST_STEP_S
-from pamctl.plant.step import advance_plant
-from pamctl.session.experiment_form import ExperimentForm
+from pamctl.plant.simulated import LONGEST_STEP_S, advance_delayed_plant
+from pamctl.plant.step import advance_plant, sensed_position_m, sensed_pressure_pa
+from pamctl.session.experiment_form import FORMS, ExperimentForm
 from pamctl.session.pamctl_error import PamctlError, require_package, translate_errors
-from pamctl.session.reference_forms import Random
 from pamctl.session.simulated_rig import AskedSection, resolve_session
 from pamctl.signals import Reference
 
@@ -148,9 +145,10 @@ class MuscleEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def _draw_reference(self) -> ExperimentForm:
         seed = int(self.np_random.integers(1 << 31))
-        return Random(
+        drawn: ExperimentForm = FORMS["random"](
             offset_mm=11.8, amplitude_mm=5.0, high_hz=1.0, duration_s=self._duration_s, seed=seed
         )
+        return drawn
 
     def _write(self) -> None:
         """Keep the commands that have not reached the valve yet: only a delay needs them."""

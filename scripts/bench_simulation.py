@@ -35,13 +35,11 @@ from scipy.integrate import odeint, solve_ivp
 
 from hal.rig import RawSample
 from hal.sim.sim_rig import sensed_counts, sensed_pressure_v, sensor_chain
-from pamctl.control.experiment import build_segments
+from pamctl.control.experiment import plan_experiment
 from pamctl.control.law import Memory, respond
 from pamctl.kernel.calls import machine, prepare
 from pamctl.plant.model import PlantSettings, plant_parameters
-from pamctl.plant.paper.friction import axial_forces
-from pamctl.plant.paper.muscle import force_area_m2, volume_m3
-from pamctl.plant.paper.valve import valve_flow
+from pamctl.plant.paper import axial_forces, force_area_m2, valve_flow, volume_m3
 from pamctl.plant.parameters import PlantParameters, PlantState, vented_state
 from pamctl.plant.step import advance_plant
 from pamctl.realtime.tick import TickState, first_state, step
@@ -216,7 +214,7 @@ class ClosedLoop:
         rig: Any = settings.rig
         self.setup = build_tick_setup(settings)
         self.chain = sensor_chain(rig.sim, rig.calibration)
-        self.reference = tabulate_references(build_segments(settings.experiment), TICK_S)
+        self.reference = tabulate_references(plan_experiment(settings.experiment).segments, TICK_S)
         self.noise = draw_sensor_noise(len(self.reference), 0)
         self.batch = self.simulate()
         self.seconds = len(self.batch["position_m"]) * TICK_S

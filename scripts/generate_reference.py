@@ -13,20 +13,26 @@ import inspect
 import json
 import re
 import sys
+import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import typer
 from measured_table import format_table
 
+import pamctl
 from hal import rig
+from hal.configured import Configured
 from pamctl import exit_codes, safety, signals
 from pamctl.cli.app import app
+from pamctl.control.forms import Drawn
 from pamctl.log import schema as log_schema
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.effects.places import PLACES
-from pamctl.plant.flat import parameters_of
+from pamctl.plant.parameters import parameters_of
+from pamctl.session.experiment_form import FORMS, list_keys, list_models
 
 ROOT = Path(__file__).resolve().parents[1]
 REFERENCE = ROOT / "pamctl" / "manual" / "reference"
@@ -496,6 +502,61 @@ def _first_words(path: Path) -> str:
     return next(line for line in comment if not line.startswith("yaml-language-server"))
 
 
+# --- the stub of the Python API -----------------------------------------------------------
+
+
+def write_stub() -> str:
+    """Return `pamctl/__init__.pyi`: the public names, and the classes that are made at run time."""
+    lines = [
+        "# Written by `python scripts/generate_reference.py`: change the code, not this file.",
+        "from collections.abc import Mapping, Sequence",
+        "from typing import Any, Literal",
+        "",
+        *(f"from pamctl import {name} as {name}" for name in pamctl._MODULES),
+    ]
+    forms = {form.__name__: form for form in FORMS.values()}
+    for name, home in sorted(pamctl._HOMES.items(), key=lambda item: (item[1], item[0])):
+        if name not in forms:
+            lines.append(f"from pamctl.session.{home} import {name} as {name}")
+    lines += ["", "__version__: str", ""]
+    for name, form in sorted(forms.items()):
+        lines += [f"class {name}(ExperimentForm):", *_quote(form.__doc__ or "")]
+        for key, field in list_keys(list_models()[form.KIND]).items():
+            default = "" if field.is_required() else " = ..."
+            lines += [f"    {key}: {_type_in_stub(field.annotation)}{default}"]
+            lines += _quote(field.description or "")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _quote(text: str) -> list[str]:
+    """Return a docstring on as many lines as it needs."""
+    if not text:
+        return []
+    return textwrap.wrap(
+        f'"""{_plain(text)}"""', 100, initial_indent="    ", subsequent_indent="    "
+    )
+
+
+def _type_in_stub(kind: Any) -> str:
+    origin, arguments = get_origin(kind), get_args(kind)
+    if kind is type(None):
+        return "None"
+    if origin is Annotated:
+        return _type_in_stub(arguments[0])
+    if origin is Literal:
+        return f"Literal[{', '.join(map(repr, arguments))}]".replace("'", '"')
+    if origin is tuple:
+        return f"Sequence[{_type_in_stub(arguments[0])}]"
+    if origin is dict:
+        return f"Mapping[{', '.join(map(_type_in_stub, arguments))}]"
+    if origin in (Union, UnionType):
+        return " | ".join(dict.fromkeys(map(_type_in_stub, arguments)))
+    if issubclass(kind, Drawn):
+        return "ExperimentForm"
+    return "Mapping[str, Any]" if issubclass(kind, Configured) else str(kind.__name__)
+
+
 PAGES: dict[str, Callable[[], str]] = {
     "verbs": write_verbs,
     "settings": write_settings,
@@ -512,8 +573,9 @@ def main() -> int:
     parser.add_argument("--check", action="store_true", help="only say which pages differ")
     check = parser.parse_args().check
     differ = []
-    for name, write in PAGES.items():
-        path, text = REFERENCE / f"{name}.md", write().rstrip() + "\n"
+    written = {REFERENCE / f"{name}.md": write for name, write in PAGES.items()}
+    for path, write in {**written, ROOT / "pamctl" / "__init__.pyi": write_stub}.items():
+        name, text = path.stem, write().rstrip() + "\n"
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             differ.append(name)
             if not check:

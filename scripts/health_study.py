@@ -26,9 +26,8 @@ from hidden.excitations import tracking
 from hidden.rig import HiddenRig, hidden_rig
 from monitor_study import plant_of
 
-from pamctl.diagnose.measured.record import Record
-from pamctl.health.fit_run import MISFIT, fit_record
-from pamctl.health.follow_health import FollowedDrift, find_changes
+from pamctl.diagnose.record import Record
+from pamctl.health.follow_health import MISFIT, FollowedDrift, find_changes, fit_record
 from pamctl.health.health_words import list_rivals
 from pamctl.monitor.explain_alarm import explain_record
 

@@ -26,7 +26,7 @@ from hidden.excitations import Excitation, multisine, tracking
 from hidden.rig import HiddenRig, hidden_rig
 
 from pamctl.control.experiment import HoldSettings
-from pamctl.diagnose.measured.record import Record
+from pamctl.diagnose.record import Record
 from pamctl.log.measured_signals import Signals
 from pamctl.monitor.explain_alarm import explain_record
 from pamctl.monitor.watch_run import RunWatch

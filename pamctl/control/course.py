@@ -1,15 +1,20 @@
-"""A course: the reference of every moment from homing to the end, and what else falls due."""
+"""A course: the reference of every moment from homing to the end, and what else falls due.
+
+`Course` steps through segments in plain Python. As a table of numbers a kernel can follow it, and
+packed in pieces another process can take it up at once, however many segments it has.
+"""
 
 from __future__ import annotations
 
 import math
+import pickle
+import struct
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from math import isnan, nan
 from typing import Any, NamedTuple
 
-from pamctl.control.course_table import pack_course
-from pamctl.control.references.shape import Shape
-from pamctl.control.trajectory import rest_to_rest
+from pamctl.control.waves import Shape, rest_to_rest
 from pamctl.signals import Reference
 
 
@@ -155,3 +160,151 @@ class Course:
             return None
         self._next_cue = at + 1
         return self.cues[at]
+
+
+# --- as a table of numbers ----------------------------------------------------------------
+
+SEGMENT_WORDS = 6
+"""Of a row: phase, duration, start, end, valve command, begin.
+
+The begins are summed in the same order as in `Course.at`, so both give the same bits.
+"""
+
+
+class CoursePlace(NamedTuple):
+    """A course as a table of segments, and the segment that it has come to."""
+
+    segments: int
+    """Number of rows of the table; 0: the reference is given from outside."""
+    segment: int
+    begin_s: float
+    """Time of the loop at which the course began."""
+    duration_s: float
+
+
+NO_COURSE = CoursePlace(0, 0, 0.0, 0.0)
+
+
+def find_course_reference(
+    place: CoursePlace, table: Any, t_s: float
+) -> tuple[CoursePlace, Reference]:
+    """Kernel: do what `Course.at` does, on a table. Its segment is `segments` when it is over."""
+    t_s = t_s - place.begin_s
+    index = place.segment
+    if t_s >= place.duration_s - 5e-10:
+        index = place.segments
+    while index < place.segments:
+        at = index * SEGMENT_WORDS
+        if not t_s - table[at + 5] >= table[at + 1] - 5e-10:
+            break
+        index += 1
+    place = CoursePlace(place.segments, index, place.begin_s, place.duration_s)
+    if index == place.segments:
+        return place, Reference(0, nan, nan, nan, nan, nan)
+    at = index * SEGMENT_WORDS
+    phase, valve_v = int(table[at]), table[at + 4]
+    if not isnan(valve_v):
+        return place, Reference(phase, nan, nan, nan, nan, valve_v)
+    x, v, a, j = rest_to_rest(table[at + 2], table[at + 3], table[at + 1], t_s - table[at + 5])
+    return place, Reference(phase, x, v, a, j, nan)
+
+
+def pack_course(segments: Sequence[Segment]) -> array[float] | None:
+    """Return the rows of a table, one after the other; None if a segment has a shape.
+
+    Shapes are evaluated by plain Python only.
+    """
+    if any(segment.shape is not None for segment in segments):
+        return None
+    begin_s, numbers = 0.0, array("d")
+    for phase, duration_s, start_m, end_m, valve_v, _ in segments:
+        numbers.extend((phase, duration_s, start_m, end_m, valve_v, begin_s))
+        begin_s += duration_s
+    return numbers
+
+
+# --- for another process ------------------------------------------------------------------
+
+# number of items | place and size of each | items
+#
+# The items are a head, a text, the segments and the cues, each packed on its own: the process that
+# follows the course unpacks one when it comes to it. Both are of one program and one user.
+_COUNT = struct.Struct("<Q")
+_PLACE = struct.Struct("<QQ")
+_BEFORE_SEGMENTS = 2
+_LONGEST_TABLE = 1 << 13
+"""Numbers; to take up a longer one would take too much of a tick."""
+
+Read = Callable[[int, int], bytes]
+"""Returns so many bytes from a place on: `read(start, size)`."""
+
+
+def pack_handed_course(course: Course, text: bytes) -> bytes:
+    """Pack a course that has not begun, and a text about it."""
+    table = course.table
+    if table is not None and len(table) > _LONGEST_TABLE:
+        table = None
+    head = (len(course.segments), course.duration_s, course.end_reason, table)
+    items = [head, text, *course.segments, *course.cues]
+    places, packed = array("Q"), bytearray()
+    known: dict[int, tuple[int, int]] = {}  # a wave repeats the same segments many thousand times
+    begin = _COUNT.size + len(items) * _PLACE.size
+    for item in items:
+        if id(item) not in known:
+            piece = pickle.dumps(item)
+            known[id(item)] = begin + len(packed), len(piece)
+            packed += piece
+        places.extend(known[id(item)])
+    return b"".join((_COUNT.pack(len(items)), places.tobytes(), packed))
+
+
+class _Items(Sequence[Any]):
+    """Some of the items; the one that was asked for last is kept."""
+
+    def __init__(self, read: Read, begin: int, end: int) -> None:
+        self._read, self._begin, self._end = read, begin, end
+        self._at, self._item = -1, None
+
+    def __len__(self) -> int:
+        return self._end - self._begin
+
+    def __getitem__(self, index: Any) -> Any:
+        at = range(self._begin, self._end)[index]
+        if at != self._at:
+            place = self._read(_COUNT.size + at * _PLACE.size, _PLACE.size)
+            self._at, self._item = at, pickle.loads(self._read(*_PLACE.unpack(place)))
+        return self._item
+
+
+class _StartingAt(Sequence[Segment]):
+    """Segments, of which the first one is another."""
+
+    def __init__(self, first: Segment, segments: Sequence[Segment]) -> None:
+        self._first, self._segments = first, segments
+
+    def __len__(self) -> int:
+        return len(self._segments)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self._segments[index] if index else self._first
+
+    def __iter__(self) -> Iterator[Segment]:
+        return (self[index] for index in range(len(self)))
+
+
+def take_up_course(read: Read, start_m: float) -> tuple[Course, bytes]:
+    """Return the course, begun at a position as `start_at_position` does it, and the text.
+
+    `read` is called as long as the course is followed.
+    """
+    (count,) = _COUNT.unpack(read(0, _COUNT.size))
+    head, text = _Items(read, 0, _BEFORE_SEGMENTS)
+    cues_at = _BEFORE_SEGMENTS + head[0]
+    segments: Sequence[Segment] = _Items(read, _BEFORE_SEGMENTS, cues_at)
+    _, duration_s, end_reason, table = head
+    (first,) = start_at_position((segments[0],), start_m)
+    if first != segments[0]:
+        segments = _StartingAt(first, segments)
+        table = table and pack_course((first,)) + table[SEGMENT_WORDS:]
+    cues = _Items(read, cues_at, count)
+    return Course.restore(segments, duration_s, end_reason, table, cues), text

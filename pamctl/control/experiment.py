@@ -1,34 +1,39 @@
 """Experiments: the motion or the valve commands over time, closed loop or open loop.
 
-An experiment file becomes a list of segments. Time runs from the end of homing.
+An experiment file becomes a course, drawn by its own class. Time runs from the end of homing.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from itertools import pairwise
-from typing import Annotated, Literal
+import random
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Annotated, Literal, Union
 
 from pydantic import Field, model_validator
 
 from hal.configured import Configured
-from pamctl.control.course import Plan, Segment
-from pamctl.control.excitation import ProgramSettings, generate_commands
-from pamctl.control.references.sequence import ReferenceSettings, plan_reference
+from pamctl.control.course import Plan
+from pamctl.control.forms import FORMS, Count, Drawn, Form, Hertz, Seconds, require_rising
+from pamctl.control.sketch import Sketch
 from pamctl.signals import Phase
 
 Duration = Annotated[float, Field(gt=0, le=86_400)]
 ValveVolts = Annotated[float, Field(ge=-5, le=5, description="V; positive fills")]
+Amplitude = Annotated[float, Field(gt=0, le=5, description="V")]
+
+SAMPLE_S = 1e-3
+"""The waves of a program are sampled at this interval: one tick of the usual loop."""
 
 
-class TrackingSettings(Configured):
+class TrackingSettings(Drawn):
     """Square-like motion between two set points (Sec. VI-B), closed loop.
 
     It begins with a smooth approach from the vented muscle and a settling time. The figures of
     merit exclude both.
     """
 
+    IS_VALVE = False
     kind: Literal["tracking"]
     offset_mm: Annotated[float, Field(ge=0, le=100)] = 11.8
     amplitude_mm: Annotated[float, Field(ge=0, le=100)] = 5.4
@@ -47,14 +52,50 @@ class TrackingSettings(Configured):
             )
         return self
 
+    def draw(self, sketch: Sketch) -> None:
+        """Approach the lower point, and go up and down."""
+        low_m = (self.offset_mm - self.amplitude_mm) * 1e-3
+        high_m = (self.offset_mm + self.amplitude_mm) * 1e-3
+        sketch.move(low_m, self.approach_s, Phase.APPROACH)
+        if self.settle_s:
+            sketch.move(low_m, self.settle_s, Phase.APPROACH)
 
-class SquareSettings(Configured):
+        def draw_cycle() -> None:
+            for there_m in (high_m, low_m):
+                if self.rest_s:
+                    sketch.hold(self.rest_s)
+                sketch.move(there_m, self.transition_s)
+
+        sketch.repeat(self.cycles, draw_cycle)
+
+
+class HoldSettings(Drawn):
+    """Go to a position and hold it, closed loop."""
+
+    IS_VALVE = False
+    kind: Literal["hold"]
+    position_mm: Annotated[float, Field(ge=-100, le=100)]
+    transition_s: Duration = 3.0
+    hold_s: Annotated[Duration | None, Field(description="if absent, until the run stops")] = None
+
+    def draw(self, sketch: Sketch) -> None:
+        """Go there, and stay."""
+        sketch.move(self.position_mm * 1e-3, self.transition_s)
+        sketch.hold(self.hold_s or math.inf)
+
+
+class SquareSettings(Drawn):
     """Square wave of the valve command (Sec. VI-A), open loop; it fills first."""
 
+    IS_VALVE = True
     kind: Literal["square"]
     frequency_hz: Annotated[float, Field(gt=0, le=250)]
     amplitude_v: Annotated[float, Field(gt=0, le=5)] = 5.0
     cycles: Annotated[int, Field(ge=1, le=1_000_000)] = 3
+
+    def draw(self, sketch: Sketch) -> None:
+        """Fill, and exhaust for equally long."""
+        _draw_square(sketch, self.amplitude_v, self.frequency_hz, self.cycles)
 
 
 class Step(Configured):
@@ -64,88 +105,326 @@ class Step(Configured):
     hold_s: Duration
 
 
-class StepsSettings(Configured):
+class StepsSettings(Drawn):
     """Any sequence of valve commands, open loop."""
 
+    IS_VALVE = True
     kind: Literal["steps"]
     steps: Annotated[tuple[Step, ...], Field(min_length=1)]
     repeat: Annotated[int, Field(ge=1, le=1_000_000)] = 1
 
+    def draw(self, sketch: Sketch) -> None:
+        """Hold the commands in their order."""
 
-class HoldSettings(Configured):
-    """Go to a position and hold it, closed loop."""
+        def draw_steps() -> None:
+            for step in self.steps:
+                sketch.hold_valve(step.valve_v, step.hold_s)
 
-    kind: Literal["hold"]
-    position_mm: Annotated[float, Field(ge=-100, le=100)]
-    transition_s: Duration = 3.0
-    hold_s: Annotated[Duration | None, Field(description="if absent, until the run stops")] = None
+        sketch.repeat(self.repeat, draw_steps)
 
 
-Experiment = (
-    TrackingSettings
-    | SquareSettings
-    | StepsSettings
-    | ProgramSettings
-    | HoldSettings
-    | ReferenceSettings
-)
+def _draw_square(sketch: Sketch, amplitude_v: float, frequency_hz: float, cycles: int) -> None:
+    half_s = 0.5 / frequency_hz
 
-ExperimentSettings = Annotated[Experiment, Field(discriminator="kind")]
+    def draw_cycle() -> None:
+        sketch.hold_valve(amplitude_v, half_s)
+        sketch.hold_valve(-amplitude_v, half_s)
+
+    sketch.repeat(cycles, draw_cycle)
+
+
+# --- programs: valve commands that reveal effects that a model lacks -----------------------
+
+
+class ProgramPart(Configured):
+    """One wave of a program. Each shows something that the others do not."""
+
+    def draw(self, sketch: Sketch, drawn: random.Random) -> None:
+        """Add the commands; `drawn` gives the phases of tones."""
+        raise NotImplementedError
+
+
+class HeldPart(ProgramPart):
+    """One command, held: a long one shows creep, and a fill before it leaks."""
+
+    wave: Literal["hold"]
+    valve_v: ValveVolts
+    duration_s: Seconds
+
+    def draw(self, sketch: Sketch, drawn: random.Random) -> None:
+        """Hold it."""
+        sketch.hold_valve(self.valve_v, self.duration_s)
+
+
+class SquarePart(ProgramPart):
+    """Full strokes, which show the flow and the spool; the first one fills."""
+
+    wave: Literal["square"]
+    frequency_hz: Hertz
+    amplitude_v: Amplitude = 5.0
+    cycles: Count = 3
+
+    def draw(self, sketch: Sketch, drawn: random.Random) -> None:
+        """Fill, and exhaust for equally long."""
+        _draw_square(sketch, self.amplitude_v, self.frequency_hz, self.cycles)
+
+
+class StaircasePart(ProgramPart):
+    """Small pulses to both sides of null show a dead band; the valve is closed after each."""
+
+    wave: Literal["staircase"]
+    levels_v: Annotated[tuple[Amplitude, ...], Field(min_length=1)]
+    hold_s: Seconds = 0.15
+
+    def draw(self, sketch: Sketch, drawn: random.Random) -> None:
+        """Go to both sides of null by each level."""
+        for level_v in self.levels_v:
+            for valve_v in (level_v, 0.0, -level_v, 0.0):
+                sketch.hold_valve(valve_v, self.hold_s)
+
+
+class _Band(ProgramPart):
+    low_hz: Hertz
+    high_hz: Hertz
+
+    @model_validator(mode="after")
+    def _check_frequencies(self) -> _Band:
+        require_rising(self.low_hz, self.high_hz)
+        return self
+
+    def _draw_samples(self, sketch: Sketch, values_v: Iterable[float]) -> None:
+        for value_v in values_v:
+            sketch.hold_valve(min(max(value_v, -5.0), 5.0), SAMPLE_S)
+
+
+class MultisinePart(_Band):
+    """Many tones at once, spread evenly over the octaves, with phases drawn from the seed.
+
+    They show effects that depend on amplitude.
+    """
+
+    wave: Literal["multisine"]
+    amplitude_v: Annotated[float, Field(gt=0, le=5, description="highest peak")]
+    duration_s: Seconds
+    tones: Annotated[int, Field(ge=1, le=200)] = 30
+    bias_v: ValveVolts = 0.0
+
+    def draw(self, sketch: Sketch, drawn: random.Random) -> None:
+        """Sample the tones, scaled to their peak."""
+        ratio = (self.high_hz / self.low_hz) ** (1.0 / max(self.tones - 1, 1))
+        tones = [
+            (math.tau * self.low_hz * ratio**i, drawn.uniform(0.0, math.tau))
+            for i in range(self.tones)
+        ]
+        wave = [
+            sum(math.sin(w * t_s + phase) for w, phase in tones)
+            for t_s in _sample_times(self.duration_s)
+        ]
+        peak = max(map(abs, wave)) or 1.0
+        self._draw_samples(
+            sketch, (self.bias_v + self.amplitude_v * value / peak for value in wave)
+        )
+
+
+class ChirpPart(_Band):
+    """One tone that rises evenly over the octaves: it distinguishes a delay from a lag."""
+
+    wave: Literal["chirp"]
+    amplitude_v: Amplitude
+    duration_s: Seconds
+
+    def draw(self, sketch: Sketch, drawn: random.Random) -> None:
+        """Sample the tone."""
+        growth = math.log(self.high_hz / self.low_hz) / self.duration_s
+        phases = (
+            math.tau * self.low_hz * math.expm1(growth * t_s) / growth
+            for t_s in _sample_times(self.duration_s)
+        )
+        self._draw_samples(sketch, (self.amplitude_v * math.sin(phase) for phase in phases))
+
+
+def _sample_times(duration_s: float) -> Iterator[float]:
+    return (i * SAMPLE_S for i in range(max(round(duration_s / SAMPLE_S), 1)))
+
+
+class PairForecast(Configured):
+    """What the wrong one of two explanations should leave of a run."""
+
+    true: Annotated[str, Field(min_length=1, max_length=300)]
+    refuted: Annotated[str, Field(min_length=1, max_length=300)]
+    block: Annotated[str, Field(description="the block that shows it best")]
+    residual_over_floor: Annotated[float, Field(gt=0)]
+
+
+class ForecastSettings(Configured):
+    """What the diagnosis that wrote a program expects of it; a later diagnosis judges it."""
+
+    pairs: Annotated[tuple[PairForecast, ...], Field(min_length=1)]
+    pressure_kpa: Annotated[float, Field(ge=0, description="highest absolute pressure expected")]
+    low_mm: Annotated[float, Field(description="lowest position expected")]
+    high_mm: Annotated[float, Field(description="highest position expected")]
+
+
+class ProgramSettings(Drawn):
+    """Parts of an excitation, one after the other, in open loop."""
+
+    IS_VALVE = True
+    kind: Literal["program"]
+    seed: Annotated[int, Field(ge=0, description="seed of the multisines' phases")] = 1
+    parts: Annotated[
+        tuple[
+            Annotated[
+                HeldPart | SquarePart | StaircasePart | MultisinePart | ChirpPart,
+                Field(discriminator="wave"),
+            ],
+            ...,
+        ],
+        Field(min_length=1),
+    ]
+    forecast: Annotated[
+        ForecastSettings | None,
+        Field(description="written by `pamctl diagnose`; it moves nothing"),
+    ] = None
+
+    def draw(self, sketch: Sketch) -> None:
+        """Add the parts, each with tones of its own."""
+        for index, part in enumerate(self.parts):
+            part.draw(sketch, random.Random(f"{self.seed} {index}"))
+
+
+# --- sequences ------------------------------------------------------------------------------
+
+
+class PausePart(Drawn):
+    """Stay where the part before has ended."""
+
+    IS_PART = True
+    kind: Literal["pause"]
+    duration_s: Seconds
+
+    def draw(self, sketch: Sketch) -> None:
+        """Stay."""
+        sketch.hold(self.duration_s)
+
+
+class MarkPart(Drawn):
+    """A remark for the log."""
+
+    IS_PART = True
+    kind: Literal["mark"]
+    text: Annotated[str, Field(min_length=1, max_length=200)]
+
+    def draw(self, sketch: Sketch) -> None:
+        """Put the remark."""
+        sketch.mark(self.text)
+
+
+class GainsPart(Drawn):
+    """Keys of the controller that change on a ramp; after the run they are as before it."""
+
+    IS_PART = True
+    kind: Literal["gains"]
+    set: Annotated[
+        dict[str, float | int | bool | str],
+        Field(min_length=1, description="keys of the controller, such as lambda_per_s: 20"),
+    ]
+    ramp_s: Annotated[float, Field(ge=0, le=60)] = 0.5
+
+    def draw(self, sketch: Sketch) -> None:
+        """Change them."""
+        sketch.change_gains(self.set, self.ramp_s)
+
+
+class RepeatPart(Drawn):
+    """Parts that are run several times."""
+
+    IS_PART = True
+    kind: Literal["repeat"]
+    times: Count
+    parts: Parts
+
+    def draw(self, sketch: Sketch) -> None:
+        """Draw the parts so many times."""
+        sketch.repeat(self.times, lambda: _draw_parts(sketch, self.parts))
+
+
+if TYPE_CHECKING:
+    Part = Form | PausePart | MarkPart | GainsPart | RepeatPart
+else:  # made at run time
+    _MODELS = (*FORMS.values(), PausePart, MarkPart, GainsPart, RepeatPart)
+    Part = Annotated[Union[_MODELS], Field(discriminator="kind")]  # noqa: UP007
+Parts = Annotated[tuple[Part, ...], Field(min_length=1, max_length=1000)]
+
+
+class SequenceSettings(Drawn):
+    """Parts one after the other: of the muscle, or of the valve.
+
+    Between two parts the muscle moves at 4 mm/s to where the next one begins, and settles.
+    """
+
+    kind: Literal["sequence"]
+    parts: Parts
+
+    @model_validator(mode="after")
+    def _check_parts(self) -> SequenceSettings:
+        moved = {part.IS_VALVE for part in _walk(self.parts)} - {None}
+        if not moved:
+            raise ValueError("no part moves anything")
+        if len(moved) > 1:
+            raise ValueError(
+                "some parts move the muscle and others the valve (kind: valve_...): nobody knows "
+                "where the muscle is after open loop; make two experiments of them"
+            )
+        return self
+
+    def draw(self, sketch: Sketch) -> None:
+        """Draw the parts in their order."""
+        _draw_parts(sketch, self.parts)
+
+    def find_gain_changes(self) -> tuple[GainsPart, ...]:
+        """Return the gain changes in their order; repeated ones once."""
+        return tuple(part for part in _walk(self.parts) if isinstance(part, GainsPart))
+
+
+def _draw_parts(sketch: Sketch, parts: Iterable[Drawn]) -> None:
+    for part in parts:
+        part.draw(sketch)
+
+
+def _walk(parts: Iterable[Drawn]) -> Iterator[Drawn]:
+    """Yield the parts, and those in repeats in their place."""
+    for part in parts:
+        if isinstance(part, RepeatPart):
+            yield from _walk(part.parts)
+        else:
+            yield part
+
+
+RepeatPart.model_rebuild()
+
+# --- every experiment ------------------------------------------------------------------------
+
+if TYPE_CHECKING:
+    Experiment = (
+        TrackingSettings
+        | SquareSettings
+        | StepsSettings
+        | ProgramSettings
+        | HoldSettings
+        | SequenceSettings
+        | Form
+    )
+    ExperimentSettings = Experiment
+else:
+    _PAPER = (TrackingSettings, SquareSettings, StepsSettings, ProgramSettings, HoldSettings)
+    _STANDING = tuple(form for form in FORMS.values() if not form.IS_PART)
+    Experiment = Union[(*_PAPER, *_STANDING, SequenceSettings)]
+    ExperimentSettings = Annotated[Experiment, Field(discriminator="kind")]
 
 
 def plan_experiment(settings: Experiment) -> Plan:
-    """Turn an experiment file into its course, and what falls due beside it.
-
-    Raises ValueError where repeats make it too long.
-    """
-    if isinstance(settings, ReferenceSettings):
-        return plan_reference(settings)
-    return Plan(build_segments(settings))
-
-
-def build_segments(settings: Experiment) -> tuple[Segment, ...]:
-    """Turn an experiment file into its segments."""
-    match settings:
-        case TrackingSettings():
-            return tuple(_tracking_segments(settings))
-        case SquareSettings():
-            half_s = 0.5 / settings.frequency_hz
-            wave = (
-                _command_segment(settings.amplitude_v, half_s),
-                _command_segment(-settings.amplitude_v, half_s),
-            )
-            return wave * settings.cycles
-        case StepsSettings():
-            return (
-                tuple(_command_segment(s.valve_v, s.hold_s) for s in settings.steps)
-                * settings.repeat
-            )
-        case ProgramSettings():
-            return tuple(_command_segment(*command) for command in generate_commands(settings))
-        case HoldSettings():
-            return tuple(_hold_segments(settings))
-        case _:
-            return plan_reference(settings).segments
-
-
-def _tracking_segments(settings: TrackingSettings) -> Iterator[Segment]:
-    low_m = (settings.offset_mm - settings.amplitude_mm) * 1e-3
-    high_m = (settings.offset_mm + settings.amplitude_mm) * 1e-3
-    yield Segment(Phase.APPROACH, settings.approach_s, 0.0, low_m, math.nan)
-    if settings.settle_s:
-        yield Segment(Phase.APPROACH, settings.settle_s, low_m, low_m, math.nan)
-    for _ in range(settings.cycles):
-        for here_m, there_m in pairwise((low_m, high_m, low_m)):
-            if settings.rest_s:
-                yield Segment(Phase.REST, settings.rest_s, here_m, here_m, math.nan)
-            yield Segment(Phase.TRACK, settings.transition_s, here_m, there_m, math.nan)
-
-
-def _hold_segments(settings: HoldSettings) -> Iterator[Segment]:
-    there_m = settings.position_mm * 1e-3
-    yield Segment(Phase.TRACK, settings.transition_s, 0.0, there_m, math.nan)
-    yield Segment(Phase.REST, settings.hold_s or math.inf, there_m, there_m, math.nan)
-
-
-def _command_segment(valve_v: float, duration_s: float) -> Segment:
-    return Segment(Phase.OPEN_LOOP, duration_s, math.nan, math.nan, valve_v)
+    """Return the course of an experiment; raise ValueError where repeats make it too long."""
+    parts = settings.parts if isinstance(settings, SequenceSettings) else (settings,)
+    sketch = Sketch(is_valve=any(part.IS_VALVE for part in _walk(parts)))
+    settings.draw(sketch)
+    return sketch.finish()

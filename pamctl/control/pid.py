@@ -16,7 +16,7 @@ from pamctl.control.law import (
     SearchSpace,
     Term,
 )
-from pamctl.control.surface import Absement, clamp_value, prevent_windup
+from pamctl.control.sliding import Absement, clamp_value, prevent_windup
 from pamctl.signals import Command, Estimate, Reference
 
 

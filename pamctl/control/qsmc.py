@@ -6,42 +6,26 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
-from pamctl.control.law import (
-    UNITS_PER_METRE,
-    GainAxis,
-    Law,
-    LawSettings,
-    LawTerms,
-    SearchSpace,
-    Term,
-    read_numbers,
-)
-from pamctl.control.sliding_search import (
+from pamctl.control.law import GainAxis, Law, SearchSpace, read_numbers
+from pamctl.control.sliding import (
     FIXED_SLIDING,
     LPF1_BOUNDS,
     LPF2_BOUNDS,
     REACHING_AXES,
+    SLIDING_BLENDED,
+    SLIDING_TERMS,
     STIFFNESS_BOUNDS,
+    Absement,
+    SlidingGains,
+    SlidingSettings,
+    clamp_value,
+    prevent_windup,
+    reaching_term,
+    sliding_gains,
     sliding_gains_at,
     sliding_numbers_of,
 )
-from pamctl.control.surface import Absement, clamp_value, prevent_windup, reaching_term
 from pamctl.signals import Command, Estimate, Reference
-
-
-class SlidingSettings(LawSettings):
-    """Gains of Eq. 10 to 18, in `length_unit`."""
-
-    lambda_per_s: Annotated[
-        float, Field(gt=0, le=1e4, description="the printed number, without 2 pi")
-    ]
-    q: Annotated[float, Field(gt=0, le=5, description="exponent of lambda, Eq. 10")]
-    eta: Annotated[float, Field(ge=0, description="gain of the robust term, Eq. 15")]
-    phi: Annotated[float, Field(gt=0, description="boundary layer of s, length/s^2")]
-    reaching_law: Annotated[
-        Literal["eta_abs_s", "eta"],
-        Field(description="Eq. 15 as printed, eta |s| sat(s/phi), or eta sat(s/phi)"),
-    ] = "eta_abs_s"
 
 
 class QsmcSettings(SlidingSettings):
@@ -51,35 +35,11 @@ class QsmcSettings(SlidingSettings):
     kp_v_s3_per_length: Annotated[float, Field(gt=0, description="K_p of Eq. 17")]
 
 
-class SlidingGains(NamedTuple):
-    """Gains of the sliding surface for the kernels."""
-
-    units_per_m: float
-    pole_per_s: float
-    """lambda^q: the error poles of the surface."""
-    eta: float
-    phi: float
-    literal_reaching: bool
-    limit_v: float
-
-
 class QsmcGains(NamedTuple):
     """Gains of Eq. 17 for the kernel."""
 
     sliding: SlidingGains
     kp_v_s3_per_length: float
-
-
-def sliding_gains(settings: SlidingSettings) -> SlidingGains:
-    """Turn settings into the numbers that the kernels use."""
-    return SlidingGains(
-        units_per_m=UNITS_PER_METRE[settings.length_unit],
-        pole_per_s=settings.lambda_per_s**settings.q,
-        eta=settings.eta,
-        phi=settings.phi,
-        literal_reaching=settings.reaching_law == "eta_abs_s",
-        limit_v=settings.command_limit_v,
-    )
 
 
 def qsmc_gains(settings: QsmcSettings) -> QsmcGains:
@@ -111,14 +71,6 @@ def qsmc(
         prevent_windup(memory, absement_m_s, estimate.error_m, wanted_v - command_v),
     )
 
-
-SLIDING_BLENDED = frozenset({"lambda_per_s", "q", "eta", "phi"})
-"""Not `length_unit` and `reaching_law`: between two of those there is no law."""
-SLIDING_TERMS = LawTerms(
-    surface=Term("s", "m/s²", "sliding surface of Eq. 11"),
-    equivalent=Term("u_eq", "V", "equivalent control"),
-    robust=Term("u_rb", "V", "robust term of Eq. 15"),
-)
 
 _SEARCH_TERMS = (1.75, "kp_v_s3_per_length", 1.0)
 

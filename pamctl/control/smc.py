@@ -42,27 +42,32 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import Field
 
 from pamctl.control.law import GainAxis, Law, SearchSpace, read_numbers
-from pamctl.control.qsmc import (
-    SLIDING_BLENDED,
-    SLIDING_TERMS,
-    SlidingGains,
-    SlidingSettings,
-    sliding_gains,
-)
-from pamctl.control.sliding_search import (
+from pamctl.control.sliding import (
     FIXED_SLIDING,
     LPF1_BOUNDS,
     LPF2_BOUNDS,
     REACHING_AXES,
+    SLIDING_BLENDED,
+    SLIDING_TERMS,
     STIFFNESS_BOUNDS,
+    Absement,
+    SlidingGains,
+    SlidingSettings,
+    clamp_value,
+    prevent_windup,
+    reaching_term,
+    sliding_gains,
     sliding_gains_at,
     sliding_numbers_of,
 )
-from pamctl.control.surface import Absement, clamp_value, prevent_windup, reaching_term
 from pamctl.plant.model import PlantSettings, plant_parameters
-from pamctl.plant.paper.muscle import braid_lever_m, force_area_m2, volume_m3
-from pamctl.plant.paper.valve import orifice_flow
-from pamctl.plant.parameters import PaperParameters
+from pamctl.plant.paper import (
+    PaperParameters,
+    braid_lever_m,
+    force_area_m2,
+    orifice_flow,
+    volume_m3,
+)
 from pamctl.signals import Command, Estimate, Reference
 
 

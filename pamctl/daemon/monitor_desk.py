@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pamctl.daemon.protocol import RequestRefusedError
-from pamctl.monitor.monitor_handle import MonitorHandle
-from pamctl.monitor.monitor_words import format_alarm, format_monitor
+from pamctl.monitor.monitor_handle import MonitorHandle, format_alarm, format_monitor
 from pamctl.plain_text import LONGEST_REMARK
 from pamctl.plant.model import PlantSettings
 

@@ -8,9 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pamctl.control.course import Course
+from pamctl.control.course import Course, pack_handed_course
 from pamctl.control.experiment import ExperimentSettings, plan_experiment
-from pamctl.control.handed_course import pack_handed_course
 from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.json_text import to_json
 from pamctl.realtime.gain_ramp import GainRampError, require_blendable

@@ -1,17 +1,16 @@
 """Find where simulation and measurement disagree, say what is missing, add it, show the gap shrink.
 
-measured   the records: their columns, what is mended, what must be refused
-evidence   the pool of hypotheses, one likelihood, one search, the ladder of place, kind and name
-deciding   the program that tells apart what is left open
-report     document, sentence, page, plant file
+record            a run's columns; `mend` takes off what sensors added, `refuse` what misleads
+evidence          the pool of hypotheses, one likelihood, one search, the ladder of names
+deciding_program  the program that tells apart what is left open
+report            document, sentence, page, plant file
 
 Read `workflow.py` first, then `evidence/weigh.py`.
 """
 
 from pamctl.diagnose.diagnosis import Diagnosis, Verdict
-from pamctl.diagnose.measured.from_log import record_of
-from pamctl.diagnose.measured.record import Record
-from pamctl.diagnose.report.terminal_summary import summary
+from pamctl.diagnose.record import Record, record_of
+from pamctl.diagnose.report.diagnosis_document import summary
 from pamctl.diagnose.report.verdict_words import sentence
 from pamctl.diagnose.workflow import diagnose
 

@@ -11,8 +11,9 @@ absorbs the dead band.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, permutations
 from math import inf, sqrt
 
 import numpy as np
@@ -27,13 +28,11 @@ from pamctl.diagnose.evidence.weigh import (
     prepare_weigher,
     scales_of,
 )
-from pamctl.diagnose.experiments import find_separating_experiment
-from pamctl.diagnose.measured.noise.mend import mend_records
-from pamctl.diagnose.measured.noise.sensor_noise import estimate_channel_noise
-from pamctl.diagnose.measured.quality_rules import leave_out_unused
-from pamctl.diagnose.measured.record import Array, Record
-from pamctl.diagnose.measured.refuse import BadData, check_measured_runs, check_sensors
+from pamctl.diagnose.mend import mend_records
 from pamctl.diagnose.plant_numbers import look_up_parameter
+from pamctl.diagnose.record import Array, Record
+from pamctl.diagnose.refuse import BadData, check_measured_runs, check_sensors, leave_out_unused
+from pamctl.diagnose.sensor_noise import estimate_channel_noise
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings, plant_parameters, settings_of
 
@@ -304,3 +303,29 @@ def _explain_unasked(name: str, plant: PlantSettings, has_already: set[str]) -> 
     if not _is_part_of(name, plant):
         return f"it is no part of a plant with `actuator: {plant.actuator}`"
     return "the model has it already" if name in has_already else "it changes nothing here"
+
+
+def find_separating_experiment(
+    names: Iterable[str], without: Collection[str] = ()
+) -> dict[str, object]:
+    """Return the experiment that tells these effects apart, and why.
+
+    Experiments in `without` were run already; the name is empty where no other one serves.
+    """
+    wanted = sorted(names)
+    for one, other in permutations(wanted, 2):
+        told = CATALOGUE[one].told_from.get(other)
+        if told and told.experiment not in without:
+            return {"name": told.experiment, "separates": sorted((one, other)), "why": told.why}
+    for effect in map(CATALOGUE.__getitem__, wanted):
+        if effect.best_experiment and effect.best_experiment not in without:
+            why = f"it shows {effect.name} best: {effect.signature}"
+            return {"name": effect.best_experiment, "separates": wanted, "why": why}
+    return {"name": "", "separates": wanted, "why": "no shipped experiment separates them"}
+
+
+def find_showing_experiment(name: str) -> dict[str, object]:
+    """Return the experiment that shows an effect best."""
+    effect = CATALOGUE[name]
+    why = f"these records cannot show {name}: {effect.signature}"
+    return {"name": effect.best_experiment, "separates": [name], "why": why}

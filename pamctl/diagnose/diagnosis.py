@@ -8,14 +8,14 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from pamctl.diagnose.audit import Audit
-from pamctl.diagnose.deciding.deciding_program import DecidingProgram
-from pamctl.diagnose.deciding.forecast import JudgedForecast
+from pamctl.diagnose.deciding_program import DecidingProgram
 from pamctl.diagnose.evidence.ladder import Finding
 from pamctl.diagnose.evidence.weigh import EvidenceVerdict
-from pamctl.diagnose.measured.noise.channel_noise import ChannelNoise
-from pamctl.diagnose.measured.record import Record
-from pamctl.diagnose.measured.refuse import AcceptedDoubt
+from pamctl.diagnose.explanations import JudgedForecast
 from pamctl.diagnose.plant_numbers import FittedNumber, value_of
+from pamctl.diagnose.record import Record
+from pamctl.diagnose.refuse import AcceptedDoubt
+from pamctl.diagnose.sensor_noise import ChannelNoise
 from pamctl.plant.model import PlantSettings
 
 OPEN_TIMES = 1.2

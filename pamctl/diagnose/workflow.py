@@ -13,20 +13,16 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 from pamctl.diagnose.audit import audit_evidence
-from pamctl.diagnose.deciding.deciding_program import choose_deciding_program
-from pamctl.diagnose.deciding.explanations import list_explanations
-from pamctl.diagnose.deciding.forecast import judge_forecasts
+from pamctl.diagnose.deciding_program import choose_deciding_program
 from pamctl.diagnose.diagnosis import Diagnosis, Verdict, decide_verdict
 from pamctl.diagnose.evidence import EvidenceVerdict, weigh_evidence
 from pamctl.diagnose.evidence.run_pieces import TooLittleRecorded
+from pamctl.diagnose.explanations import judge_forecasts, list_explanations
 from pamctl.diagnose.extend import extend_plant
-from pamctl.diagnose.measured.noise.channel_noise import describe_channels
-from pamctl.diagnose.measured.noise.mend import SensorFault, mend_records
-from pamctl.diagnose.measured.noise.sensor_noise import estimate_channel_noise
-from pamctl.diagnose.measured.quality_rules import leave_out_unused
-from pamctl.diagnose.measured.record import Record
-from pamctl.diagnose.measured.refuse import BadData, check_measured_runs, check_sensors
-from pamctl.diagnose.measured.resting_pressure import align_resting_pressure
+from pamctl.diagnose.mend import SensorFault, align_resting_pressure, mend_records
+from pamctl.diagnose.record import Record
+from pamctl.diagnose.refuse import BadData, check_measured_runs, check_sensors, leave_out_unused
+from pamctl.diagnose.sensor_noise import describe_channels, estimate_channel_noise
 from pamctl.plant.model import PlantSettings
 
 Progress = Callable[[str], None]

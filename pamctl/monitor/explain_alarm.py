@@ -17,7 +17,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from hal.child import child_command
-from pamctl.diagnose.measured.record import Record
+from pamctl.diagnose.record import Record
 from pamctl.exit_codes import ExitCode
 from pamctl.plant.model import PlantSettings
 

@@ -1,26 +1,71 @@
 """One window of a run against the model: how far each block is off, and how far noise takes it.
 
-Each block is driven by the other's measured signal, from the measured state, as in the diagnosis.
-The window begins with a run-in that is not judged: valve, bristles and the error of the start
-settle there. The floor is the model's own: it simulates this very window, its output gets the
-sensors' noise, and is judged in the same way.
+Each block is driven by the other's measured signal, from the measured state. The window begins with
+a run-in that is not judged: valve, bristles and the error of the start settle there. The floor is
+the model's own: it simulates this very window, its output gets the sensors' noise, and is judged in
+the same way. A cumulative sum for each block and activity makes windows an alarm.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 from scipy.signal import butter, savgol_filter, sosfiltfilt
 
-from pamctl.diagnose.measured.noise.sensor_noise import Noise
-from pamctl.diagnose.measured.record import Array, Record
-from pamctl.monitor.activity import find_mechanics_activity, find_pressure_activity
+from pamctl.diagnose.record import Array, Record
+from pamctl.diagnose.sensor_noise import Noise
 from pamctl.plant.drive import build_grid, count_steps, drive_mechanics, drive_pressure
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import PlantParameters, rest_state
+
+REST, FILLING, EXHAUST, CHOKED, SWING = "rest", "filling", "exhaust", "choked flow", "swing"
+CONTRACTION, EXTENSION, STROKE = "contraction", "extension", "strokes"
+FLOW_V = 0.3
+"""RMS of a command that moves air (V)."""
+MOVED_NOISES = 20.0
+"""A pressure that moves by this multiple of its noise shows the valve."""
+CHOKED_SHARE = 0.05
+"""Share of a window with choked flow at a large command."""
+LARGE_V = 2.0
+MOVED_STEPS = 30.0
+"""A motion of this many deviations of the encoder's reading shows friction and spring."""
+ONE_WAY = 0.9
+
+
+def find_pressure_activity(
+    record: Record, judged: Array, p: PlantParameters, noise_pa: float
+) -> tuple[str, bool]:
+    """Return what the valve did, and whether that can confirm the pressure block."""
+    pressure_pa, valve_v = record["pressure_pa"][judged], record["valve_v"][judged]
+    low_pa, high_pa = np.quantile(pressure_pa, [0.02, 0.98])
+    moved = high_pa - low_pa > MOVED_NOISES * noise_pa
+    if not moved or float(np.sqrt(np.mean(valve_v**2))) < FLOW_V / 10.0:
+        return REST, False
+    numbers = p.paper
+    ratio = np.where(
+        valve_v > 0.0,
+        pressure_pa / numbers.tank_pressure_pa,
+        numbers.atmospheric_pressure_pa / np.maximum(pressure_pa, 1.0),
+    )
+    choked = (np.abs(valve_v) > LARGE_V) & (ratio < numbers.critical_ratio)
+    return (CHOKED if float(np.mean(choked)) > CHOKED_SHARE else SWING), True
+
+
+def find_mechanics_activity(record: Record, judged: Array, noise_m: float) -> tuple[str, bool]:
+    """Return how the muscle moved, and whether that can confirm the mechanics."""
+    position_m = record["position_m"][judged]
+    span_m = float(np.ptp(position_m))
+    if span_m < MOVED_STEPS * noise_m:
+        return REST, False
+    net_m = float(position_m[-1] - position_m[0])
+    if abs(net_m) < ONE_WAY * span_m:
+        return STROKE, True
+    return (CONTRACTION if net_m > 0.0 else EXTENSION), True
+
 
 PRESSURE, MECHANICS = "pressure", "mechanics"
 
@@ -178,3 +223,83 @@ def _compare(
     allowed = max(SMALLEST_SHARE * floor, SMALLEST[block])
     excess = float(np.log(max(rms, 1e-12) / np.hypot(floor, allowed)))
     return WindowMisfit(block, activity, shows, rms, floor, excess, float(logs.std(ddof=1)))
+
+
+ALLOWANCE = 0.75
+"""A window must be this many deviations over its limit to count."""
+ALARM = 6.0
+"""Sums of faultless rigs stayed below 2.5: see the manual, watch-a-rig-for-changes."""
+MOST_OF_ONE = 6.0
+"""No single window raises the alarm, however far off it is."""
+LEAST_OF_ONE = -3.0
+FULL = 2.0 * ALARM
+"""A sum grows no further: an alarm whose cause is mended ends within some windows."""
+SMALLEST_SPREAD = {PRESSURE: 0.1, MECHANICS: 0.15}
+"""Deviation of a window's logarithm, at least."""
+RESTING = 3.0
+"""Where too little moves to confirm the model, a window counts this many times less: friction holds
+one state for long, and all windows of it are alike."""
+REMEMBERED = 30
+"""Windows of the same activity whose scatter counts."""
+
+
+@dataclass(frozen=True)
+class MisfitAlarm:
+    """A block has left the model."""
+
+    block: str
+    activity: str
+    since_s: float
+    """Start of the first window that counted."""
+    over_floor: float
+    """Misfit over the floor, both as RMS over the windows since then."""
+    rms: float
+    """Misfit, Pa or m."""
+
+
+@dataclass
+class _Sum:
+    value: float = 0.0
+    is_raised: bool = False
+    squares: list[tuple[float, float]] = field(default_factory=list)
+    since_s: float = 0.0
+    spreads: list[float] = field(default_factory=list)
+
+    def take(self, misfit: WindowMisfit, start_s: float) -> None:
+        self.spreads = [*self.spreads[1 - REMEMBERED :], misfit.spread]
+        scatter = float(np.sqrt(np.mean(np.square(self.spreads))))
+        deviations = misfit.excess / max(SMALLEST_SPREAD[misfit.block], scatter)
+        if not misfit.shows:
+            deviations /= RESTING
+        score = float(np.clip(deviations, LEAST_OF_ONE, MOST_OF_ONE)) - ALLOWANCE
+        if self.value <= 0.0:
+            self.squares, self.since_s = [], start_s
+        self.value = float(np.clip(self.value + score, 0.0, FULL))
+        self.squares = [*self.squares[1 - REMEMBERED :], (misfit.rms**2, misfit.floor**2)]
+        self.is_raised = self.value > ALARM or (self.is_raised and self.value > 0.0)
+
+
+class MisfitSums:
+    """The sums of one rig, which go on from run to run."""
+
+    def __init__(self) -> None:
+        self._sums: dict[tuple[str, str], _Sum] = defaultdict(_Sum)
+
+    def take(self, misfit: WindowMisfit, start_s: float) -> None:
+        """Add a window that began at `start_s`, on any clock that goes on from run to run."""
+        self._sums[misfit.block, misfit.activity].take(misfit, start_s)
+
+    def find_alarm(self, block: str) -> MisfitAlarm | None:
+        """Return the alarm of a block: since the first of its activities, of the worst one."""
+        raised = {a: s for (b, a), s in self._sums.items() if b == block and s.is_raised}
+        if not raised:
+            return None
+        activity, worst = max(raised.items(), key=lambda item: _ratio_of(item[1]))
+        rms = float(np.sqrt(np.mean([square for square, _ in worst.squares])))
+        since_s = min(s.since_s for s in raised.values())
+        return MisfitAlarm(block, activity, since_s, _ratio_of(worst), rms)
+
+
+def _ratio_of(one: _Sum) -> float:
+    squares = np.array(one.squares)
+    return float(np.sqrt(squares[:, 0].sum() / max(squares[:, 1].sum(), 1e-30)))

@@ -21,8 +21,7 @@ from typing import Any
 from pamctl.exit_codes import ExitCode
 from pamctl.log.framing import LogError
 from pamctl.monitor.explain_alarm import AlarmExplainer
-from pamctl.monitor.follow_ring import RingFollower
-from pamctl.monitor.watch_run import BlockReport, RunWatch
+from pamctl.monitor.watch_run import BlockReport, RingFollower, RunWatch
 from pamctl.plant.model import PlantSettings
 from pamctl.recording.ring import RingError
 

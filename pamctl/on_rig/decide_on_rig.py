@@ -10,19 +10,113 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import sqrt
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pamctl.control.experiment import plan_experiment
 from pamctl.diagnose import Diagnosis, Verdict, diagnose
-from pamctl.diagnose.measured.record import Record
-from pamctl.on_rig.rig_plan import FULL_PROGRAM, REST_S, RigPlan, require_inside
-from pamctl.on_rig.rig_round import RigRound, compare_repeated_part
+from pamctl.diagnose.drawn_programs import REST_S, STROKES, STROKES_HZ
+from pamctl.diagnose.record import Record
+from pamctl.diagnose.report.diagnosis_page import write_diagnosis
+from pamctl.diagnose.report.finding_words import spell_names
+from pamctl.diagnose.report.verdict_words import sentence
+from pamctl.on_rig.rig_plan import BETWEEN_S, FULL_PROGRAM, RigPlan, require_inside
+from pamctl.report.html_page import Page
 from pamctl.session.pamctl_error import PamctlError, translate_errors
 from pamctl.session.steered_rig import SteeredRig
 from pamctl.settings.config_files import find_config_file
 from pamctl.settings.resolve import read_section_file, settings_to_data
+
+SAME_V = 1e-3
+"""Commands that differ by less are the same."""
+FEWEST_SHARE = 0.9
+"""Share of the ticks that both records must have, with the same command."""
+REPEATED_S = REST_S + STROKES / STROKES_HZ
+
+
+@dataclass(frozen=True)
+class RepeatDifference:
+    """How far the part that all programs share differs from the first time, by channel, in SI."""
+
+    channel: str
+    rms: float
+    noise: float
+    """What two readings of an unchanged rig differ by."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what the document holds."""
+        return {"rms": self.rms, "noise": self.noise}
+
+
+@dataclass(frozen=True)
+class RigRound:
+    """One program on the rig, and the diagnosis of all records so far."""
+
+    number: int
+    program: str
+    why: str
+    log: str
+    rig_time_s: float
+    """Homing, program and rest."""
+    diagnosis: Diagnosis
+    repeated: tuple[RepeatDifference, ...]
+
+    @property
+    def left(self) -> tuple[str, ...]:
+        """The explanations that the data leave open; one where they are decided."""
+        return self.diagnosis.explanations
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what the document holds."""
+        return {
+            "round": self.number,
+            "program": self.program,
+            "why": self.why,
+            "log": self.log,
+            "rig_time_s": round(self.rig_time_s, 3),
+            "verdict": self.diagnosis.verdict.value,
+            "sentence": sentence(self.diagnosis),
+            "explanations_left": [*self.left],
+            "forecasts": [f.as_dict() for f in self.diagnosis.forecasts if f.record == self.log],
+            "repeated_part": {d.channel: d.as_dict() for d in self.repeated},
+        }
+
+
+def compare_repeated_part(
+    first: Record, again: Record, diagnosis: Diagnosis
+) -> tuple[RepeatDifference, ...]:
+    """Return by how much the shared beginning of two records differs; empty if not shared."""
+    if first is again or diagnosis.evidence is None:
+        return ()
+    one, other = _match_ticks(first, again)
+    same = np.abs(first["valve_v"][one] - again["valve_v"][other]) <= SAME_V
+    if len(one) < FEWEST_SHARE * REPEATED_S / first.period_s or same.mean() < FEWEST_SHARE:
+        return ()
+    differences = {
+        channel: again[channel][other][same] - first[channel][one][same]
+        for channel in ("pressure_pa", "position_m")
+    }
+    return tuple(
+        RepeatDifference(
+            channel,
+            float(np.sqrt(np.mean(off**2))),
+            sqrt(2.0) * diagnosis.evidence.noise_rms[channel],
+        )
+        for channel, off in differences.items()
+    )
+
+
+def _match_ticks(first: Record, again: Record) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the samples of both records that belong to the same ticks of the shared part."""
+    ticks, others = (np.rint(r.t_s / first.period_s) for r in (first, again))
+    shared, one, other = np.intersect1d(ticks, others, return_indices=True)
+    within = shared * first.period_s < REPEATED_S
+    return one[within], other[within]
+
 
 MOST_TOGETHER = 2
 """Programs that may refute an explanation together, where none does alone."""
@@ -97,7 +191,7 @@ def decide_on_rig(
         if isinstance(following, str):
             investigation.stopped = following
             return
-        rig.sleep(REST_S)
+        rig.sleep(BETWEEN_S)
         _run_round(rig, investigation, following, progress)
 
 
@@ -111,7 +205,7 @@ def _run_round(
     progress(f"round {number}: {program.name}, {program.lasts_s:.1f} s; {program.why}")
     run = rig.run(program.experiment, name=program.name)
     investigation.records.append(run.to_record())
-    _conclude(investigation, program, run.duration_s + REST_S, progress)
+    _conclude(investigation, program, run.duration_s + BETWEEN_S, progress)
 
 
 def _conclude(
@@ -150,7 +244,7 @@ def _choose_next(investigation: Investigation) -> NextProgram | str:
     budget = investigation.plan.budget
     if investigation.programs >= budget.runs:
         return f"the budget of {budget.runs} programs is spent"
-    needed_s = investigation.rig_time_s + following.lasts_s + REST_S
+    needed_s = investigation.rig_time_s + following.lasts_s + BETWEEN_S
     if needed_s > 60.0 * budget.minutes:
         return f"the budget of {budget.minutes:g} min on the rig would be passed"
     return following
@@ -205,3 +299,60 @@ def _make_full_program(investigation: Investigation, why: str) -> NextProgram | 
 def list_logs(investigation: Investigation) -> Sequence[str]:
     """Return the names of the records, in their order."""
     return [record.name for record in investigation.records]
+
+
+def write_investigation(investigation: Investigation, out: Path) -> list[str]:
+    """Write the folder and return the names in it; nothing where nothing was diagnosed yet.
+
+    Raises NewFileError: then nothing is left.
+    """
+    if investigation.diagnosis is None:
+        return []
+    return write_diagnosis(
+        investigation.diagnosis,
+        out,
+        list_logs(investigation),
+        investigation.records,
+        beside={"on_rig": investigation.as_dict()},
+        story=lambda page: tell_rounds(page, investigation),
+    )
+
+
+def tell_rounds(page: Page, investigation: Investigation) -> None:
+    """Tell round by round what was run, why, what was expected and what came of it."""
+    page.section("On the rig, round by round")
+    page.table(
+        ["round", "program", "on the rig", "verdict", "explanations left"],
+        [
+            [
+                str(each.number),
+                each.program or "given logs",
+                f"{each.rig_time_s:.0f} s",
+                each.diagnosis.verdict.value.replace("_", " "),
+                "; ".join(map(spell_names, each.left)) or "-",
+            ]
+            for each in investigation.rounds
+        ],
+        caption=f"{investigation.rig_time_s:.0f} s on the rig. It stopped there because "
+        f"{investigation.stopped}.",
+    )
+    page.points(*map(_tell_round, investigation.rounds))
+
+
+def _tell_round(each: RigRound) -> str:
+    parts = [f"Round {each.number}, {each.program or 'given logs'}: {each.why}."]
+    for forecast in each.diagnosis.forecasts:
+        if forecast.record == each.log:
+            came = "was not fitted again" if forecast.found is None else f"{forecast.found:.2f}"
+            parts.append(
+                f"Expected: {spell_names(forecast.refuted)} leaves {forecast.expected:.2f} times "
+                f"the sensor's noise in the {forecast.block}; found: {came}."
+            )
+    for repeated in each.repeated:
+        unit, factor = ("Pa", 1.0) if repeated.channel == "pressure_pa" else ("µm", 1e6)
+        parts.append(
+            f"The repeated strokes differ from the first by {factor * repeated.rms:.3g} {unit} RMS"
+            f" in the {'pressure' if unit == 'Pa' else 'position'}; two readings of the sensor "
+            f"differ by {factor * repeated.noise:.3g} {unit}."
+        )
+    return " ".join(parts)

@@ -9,10 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from pamctl.control.excitation import HeldCommand
 from pamctl.control.experiment import Experiment, plan_experiment
-from pamctl.diagnose.deciding.drawn_programs import sample_levels
-from pamctl.diagnose.deciding.rig_limits import ProgramRun, RigLimits, read_rig_limits
+from pamctl.diagnose.drawn_programs import ProgramRun, RigLimits, read_rig_limits, sample_levels
 from pamctl.exit_codes import ExitCode
 from pamctl.log.run_meta import file_safe_name
 from pamctl.plant.drive import drive_coupled
@@ -26,7 +24,7 @@ FULL_PROGRAM = "diagnosis"
 """The shipped program that shows nearly every effect."""
 HOMING_S = 12.0
 """Rig time that homing may take before the first program; later ones need none."""
-REST_S = 2.0
+BETWEEN_S = 2.0
 """Vented rest between two programs."""
 _KPA, _MM = 1e-3, 1e3
 
@@ -83,7 +81,7 @@ class RigPlan:
         )
         yield (
             f"budget: {budget.runs} programs and {budget.minutes:g} min on the rig; between two, "
-            f"the muscle rests vented for {REST_S:g} s"
+            f"the muscle rests vented for {BETWEEN_S:g} s"
         )
 
     def _say_demand(self) -> str:
@@ -108,7 +106,7 @@ class RigPlan:
             "first_s": self.first_s,
             "runs": self.budget.runs,
             "minutes": self.budget.minutes,
-            "rest_s": REST_S,
+            "rest_s": BETWEEN_S,
         }
 
 
@@ -162,8 +160,7 @@ def require_inside(experiment: str, data: Experiment, plan: RigPlan) -> ProgramR
     limits, segments = plan.limits, plan_experiment(data).segments
     if any(s.shape is not None or isnan(s.valve_v) for s in segments):
         return None
-    levels = [HeldCommand(s.valve_v, s.duration_s) for s in segments]
-    commands_v = sample_levels(levels, plan.period_s)
+    commands_v = sample_levels(segments, plan.period_s)
     steps_s = np.full(len(commands_v) - 1, plan.period_s)
     driven = drive_coupled(plant_parameters(plan.start), commands_v, steps_s)
     run = ProgramRun(driven.pressure_pa, driven.position_m)

@@ -22,7 +22,7 @@ from hal.calibration import output_v, valve_v
 from hal.converter import Output, nearest_output_v, quantise_v
 from hal.rig import RawSample
 from hal.sim.sim_rig import SensorChain, sensed_counts, sensed_pressure_v
-from pamctl.control.course_table import NO_COURSE, CoursePlace, find_course_reference
+from pamctl.control.course import NO_COURSE, CoursePlace, find_course_reference
 from pamctl.plant.parameters import PlantParameters, PlantState
 from pamctl.plant.simulated import CommandLine, OnTheWay, advance_muscle, show_muscle
 from pamctl.realtime.clock import Wake
@@ -310,7 +310,7 @@ class Guide(NamedTuple):
     given: Reference
     """The reference of every tick where there is neither course nor table."""
     table: Any
-    """The rows of a course, as `pamctl.control.course_table` packs them; or of each tick."""
+    """The rows of a course, as `pamctl.control.course` packs them; or of each tick."""
     has_each_tick: bool
     """The table has the six numbers of a reference for each tick, one after the other."""
 

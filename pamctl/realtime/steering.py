@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 
 from hal.calibration import Zero
 from hal.rig import RawSample
-from pamctl.control.course import make_valve_reference
-from pamctl.control.handed_course import take_up_course
+from pamctl.control.course import make_valve_reference, take_up_course
 from pamctl.control.law import LawSettings
 from pamctl.control.law_registry import read_controller
 from pamctl.exit_codes import Ending, ExitCode

@@ -14,8 +14,7 @@ from typing import Protocol
 
 from hal.calibration import Zero
 from hal.rig import RawSample
-from pamctl.control.course import Course
-from pamctl.control.course_table import NO_COURSE, CoursePlace
+from pamctl.control.course import NO_COURSE, Course, CoursePlace
 from pamctl.kernel.calls import Call, PlainCall, prepare
 from pamctl.realtime.clock import Wake
 from pamctl.realtime.keyframe import freeze_state

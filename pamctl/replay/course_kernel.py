@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pamctl.control.course_table import CoursePlace, find_course_reference
+from pamctl.control.course import CoursePlace, find_course_reference
 from pamctl.kernel.calls import machine
 from pamctl.signals import Reference
 

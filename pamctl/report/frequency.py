@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from pamctl.control.experiment import ExperimentSettings, plan_experiment
-from pamctl.control.references.forms import ChirpForm, MultisineForm
+from pamctl.control.forms import ChirpForm, MultisineForm
 from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
 from pamctl.report.reported_run import ReportedRun

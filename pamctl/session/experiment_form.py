@@ -1,17 +1,24 @@
-"""What all experiments of a session share: they are checked as an experiment file is."""
+"""The experiments of a session: each kind of an experiment file as a class.
+
+The classes are made from the models of the file, so they have its keys, units, defaults and bounds:
+`kind: valve_sine` is `pamctl.ValveSine`. `pamctl/__init__.pyi` writes them out for type checkers
+and editors; `scripts/generate_reference.py` makes it.
+"""
 
 from __future__ import annotations
 
-import collections.abc
+import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, ClassVar, dataclass_transform
+from typing import Any, ClassVar, dataclass_transform, get_args
 
+from pydantic.fields import FieldInfo
+
+from pamctl.control import experiment
+from pamctl.control.forms import Drawn
 from pamctl.session.pamctl_error import translate_errors
 
-Floats = collections.abc.Sequence[float]
-"""Numbers: a list, a tuple, or `array.tolist()`."""
+_OTHER_NAMES = {"program": "ExcitationProgram", "repeat": "Repeats", "sequence": "MotionSequence"}
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True)
@@ -26,11 +33,6 @@ class ExperimentForm:
     IS_PART: ClassVar[bool] = False
     """It is checked with its sequence."""
 
-    def __init_subclass__(cls, kind: str = "", is_part: bool = False) -> None:
-        """Make a dataclass of a subclass."""
-        cls.KIND, cls.IS_PART = kind, is_part
-        dataclass(frozen=True, kw_only=True)(cls)
-
     def __post_init__(self) -> None:
         """Check the values."""
         if not self.IS_PART:
@@ -38,12 +40,7 @@ class ExperimentForm:
 
     def to_data(self) -> dict[str, Any]:
         """Return the keys of an experiment file; the points of a table's file are read."""
-        return read_experiment(self._write_keys(), type(self).__name__)
-
-    def _write_keys(self) -> dict[str, Any]:
-        fields_of: Any = self  # every subclass is a dataclass
-        keys = {field.name: _make_plain(getattr(self, field.name)) for field in fields(fields_of)}
-        return {"kind": self.KIND, **{key: v for key, v in keys.items() if v is not None}}
+        return read_experiment(_make_plain(self), type(self).__name__)
 
 
 def read_experiment(data: Mapping[str, Any], name: str) -> dict[str, Any]:
@@ -57,10 +54,11 @@ def read_experiment(data: Mapping[str, Any], name: str) -> dict[str, Any]:
         return settings_to_data(validate_settings(SECTIONS["experiment"], raw, title="experiment"))
 
 
-def _make_plain(value: object) -> Any:
+def _make_plain(value: Any) -> Any:
     """Return a value as JSON has it."""
     if isinstance(value, ExperimentForm):
-        return value._write_keys()
+        keys = vars(value).items()
+        return {"kind": value.KIND, **{k: _make_plain(v) for k, v in keys if v is not None}}
     if isinstance(value, Mapping):
         return {str(key): _make_plain(item) for key, item in value.items()}
     if isinstance(value, Path):
@@ -68,6 +66,43 @@ def _make_plain(value: object) -> Any:
     to_list = getattr(value, "tolist", None)  # numbers and arrays of numpy
     if to_list is not None:
         return to_list()
-    if isinstance(value, list | tuple):
-        return [_make_plain(item) for item in value]
-    return value
+    return [_make_plain(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+def list_models() -> dict[str, type[Drawn]]:
+    """Return the model of every kind, experiments and parts of them."""
+    standing = get_args(get_args(experiment.ExperimentSettings)[0])
+    parts = get_args(get_args(experiment.Part)[0])
+    models = dict.fromkeys((*standing, *parts))
+    return {get_args(model.model_fields["kind"].annotation)[0]: model for model in models}
+
+
+def list_keys(model: type[Drawn]) -> dict[str, FieldInfo]:
+    """Return the keys of a file's model, but `kind`."""
+    to_key: Any = model.model_config.get("alias_generator") or str
+    return {to_key(name): field for name, field in model.model_fields.items() if name != "kind"}
+
+
+def _make_form(kind: str, model: type[Drawn]) -> type[ExperimentForm]:
+    fields = [
+        (key, Any, dataclasses.field(default=dataclasses.MISSING if f.is_required() else f.default))
+        for key, f in list_keys(model).items()
+    ]
+    return dataclasses.make_dataclass(
+        _OTHER_NAMES.get(kind, kind.title().replace("_", "")),
+        fields,
+        bases=(ExperimentForm,),
+        namespace={
+            "KIND": kind,
+            "IS_PART": model.IS_PART,
+            "__doc__": model.__doc__,
+            "__module__": __name__,  # pickle looks for it here
+        },
+        frozen=True,
+        kw_only=True,
+    )
+
+
+FORMS: dict[str, Any] = {kind: _make_form(kind, model) for kind, model in list_models().items()}
+"""The classes by their kind in a file."""
+globals().update({form.__name__: form for form in FORMS.values()})

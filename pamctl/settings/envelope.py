@@ -8,19 +8,29 @@ from typing import NamedTuple
 
 from pydantic import ValidationError
 
-from pamctl.control.experiment import plan_experiment
+from pamctl.control.course import Segment, reference_at
+from pamctl.control.experiment import SequenceSettings, plan_experiment
+from pamctl.control.forms import Form
 from pamctl.control.law_registry import read_controller
-from pamctl.control.motion_limits import TimedReference, sample_segments
-from pamctl.control.references.sequence import ReferenceSettings, find_gain_changes
 from pamctl.plant.model import plant_parameters
-from pamctl.plant.paper.muscle import braid_lever_m, force_area_m2, volume_m3
-from pamctl.plant.paper.valve import valve_flow
-from pamctl.plant.parameters import PaperParameters
+from pamctl.plant.paper import PaperParameters, braid_lever_m, force_area_m2, valve_flow, volume_m3
 from pamctl.realtime.gain_ramp import GainRampError, require_blendable
 from pamctl.settings.resolve import RunSettings
+from pamctl.signals import Reference
 
 _MM, _KPA = 1e3, 1e-3
 _INSTANT_S = 1e-6
+_STEP_S = 0.97e-3
+"""Not a whole millisecond: samples of a periodic wave then fall on every part of its period."""
+_MOST_SAMPLES = 50_000
+_FEWEST_SAMPLES = 64
+
+
+class TimedReference(NamedTuple):
+    """A reference, and when it comes first (s from the end of homing)."""
+
+    t_s: float
+    reference: Reference
 
 
 class Demand(NamedTuple):
@@ -49,13 +59,15 @@ def find_excesses(settings: RunSettings) -> list[str]:
     not checked.
     """
     experiment = settings.experiment
-    if not isinstance(experiment, ReferenceSettings):
+    if not isinstance(experiment, Form | SequenceSettings):
         return []
     try:
         segments = plan_experiment(experiment).segments
     except ValueError as error:
         return [str(error)]
-    said = list(_judge_gains(settings, experiment))
+    said: list[str] = []
+    if isinstance(experiment, SequenceSettings):
+        said += _judge_gains(settings, experiment)
     samples = sample_segments(segments, settings.duration_s or math.inf)
     if math.isnan(samples[0].reference.reference_valve_v):
         return [*said, *_judge_motion(settings, samples)]
@@ -160,10 +172,10 @@ def _judge(limit: _Limit, samples: Iterable[tuple[float, float]]) -> Iterator[st
     )
 
 
-def _judge_gains(settings: RunSettings, experiment: ReferenceSettings) -> Iterator[str]:
+def _judge_gains(settings: RunSettings, experiment: SequenceSettings) -> Iterator[str]:
     """Say which gain change of a sequence cannot be made while the muscle moves."""
     before = settings.controller
-    for change in find_gain_changes(experiment):
+    for change in experiment.find_gain_changes():
         keys = {**before.model_dump(mode="json"), **change.set}
         named = ", ".join(f"{key}: {value}" for key, value in change.set.items())
         try:
@@ -179,3 +191,24 @@ def _judge_gains(settings: RunSettings, experiment: ReferenceSettings) -> Iterat
             yield f"changes gains to {named}: {error}"
         else:
             before = after
+
+
+def sample_segments(segments: Sequence[Segment], before_s: float) -> list[TimedReference]:
+    """Evaluate every segment that begins before a time closely; a repeated one, once."""
+    samples: list[TimedReference] = []
+    seen: set[int] = set()
+    begin_s = 0.0
+    for segment in segments:
+        if begin_s >= before_s:
+            break
+        if id(segment) not in seen:
+            seen.add(id(segment))
+            count = round(segment.duration_s / _STEP_S)
+            count = min(max(count, _FEWEST_SAMPLES), _MOST_SAMPLES)
+            step_s = segment.duration_s / count
+            samples += (
+                TimedReference(begin_s + i * step_s, reference_at(segment, i * step_s))
+                for i in range(count + 1)
+            )
+        begin_s += segment.duration_s
+    return samples

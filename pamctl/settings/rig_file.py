@@ -17,7 +17,6 @@ from hal.calibration import CalibrationSettings
 from hal.configured import Configured
 from hal.faulty import FaultSettings
 from pamctl.control.homing import HomingSettings
-from pamctl.control.motion_limits import EnvelopeSettings
 from pamctl.realtime.loop_settings import LoopSettings
 from pamctl.safety import LimitSettings
 
@@ -28,6 +27,16 @@ SafeVolts = Annotated[
 _Faults = Annotated[
     tuple[FaultSettings, ...], Field(description="faults to inject, for rehearsals")
 ]
+
+
+class EnvelopeSettings(Configured):
+    """The fastest motion that an experiment made of forms may ask for.
+
+    Position, pressure and valve command have their limits under `limits`.
+    """
+
+    speed_mm_per_s: Annotated[float, Field(gt=0, le=1e5)] = 500.0
+    acceleration_mm_per_s2: Annotated[float, Field(gt=0, le=1e8)] = 50_000.0
 
 
 class RigFile(Configured):

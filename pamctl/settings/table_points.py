@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.control.references.forms import MOST_ROWS
+from pamctl.control.forms import MOST_ROWS
 from pamctl.log.importing.file_formats import read_table
 from pamctl.log.importing.measured_table import ImportRefused, MeasuredTable, TableColumn
 from pamctl.log.importing.quantities import TIME, UNITS, parse_column_name

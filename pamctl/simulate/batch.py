@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hal.sim.sim_rig import SimSettings, sensor_chain
 from pamctl.control.course import Segment
-from pamctl.control.experiment import build_segments
+from pamctl.control.experiment import plan_experiment
 from pamctl.plant.model import plant_parameters
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.resolve import RunSettings
@@ -56,7 +56,7 @@ def simulate_run(settings: RunSettings) -> SimulatedRun:
     if not isinstance(sim, SimSettings):
         raise ValueError("only a simulated rig can be run as a batch")
     period_s = 1.0 / rig.loop.rate_hz
-    table = _tabulate(build_segments(settings.experiment), period_s, settings.duration_s)
+    table = _tabulate(plan_experiment(settings.experiment).segments, period_s, settings.duration_s)
     run = simulate(
         build_tick_setup(settings),
         plant_parameters(settings.plant),

@@ -17,11 +17,8 @@ import hal
 import pamctl
 from pamctl.cli.app import app
 from pamctl.cli.examples import EXAMPLES
-from pamctl.diagnose.experiments import (
-    find_separating_experiment,
-    find_showing_experiment,
-    write_command,
-)
+from pamctl.diagnose.audit import find_separating_experiment, find_showing_experiment
+from pamctl.diagnose.report.next_experiment import write_command
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.settings.config_files import find_config_file
 from pamctl.settings.resolve import SECTIONS

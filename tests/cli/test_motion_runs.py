@@ -184,9 +184,8 @@ def test_the_limits_of_the_envelope_are_keys_of_the_rig() -> None:
 def test_the_model_needs_the_valve_command_that_the_simulated_muscle_gets(tmp_path: Path) -> None:
     """The demand that refuses is right where it does not: within a tenth of what the law uses."""
     from pamctl.control.experiment import plan_experiment
-    from pamctl.control.motion_limits import sample_segments
     from pamctl.plant.model import plant_parameters
-    from pamctl.settings.envelope import find_demand
+    from pamctl.settings.envelope import find_demand, sample_segments
     from pamctl.settings.resolve import resolve
 
     changes = ["experiment.frequency_hz=2", "experiment.cycles=4", "experiment.amplitude_mm=3"]

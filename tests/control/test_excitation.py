@@ -7,8 +7,7 @@ import pytest
 from pydantic import ValidationError
 from support.runs import run_settings
 
-from pamctl.control.excitation import ProgramSettings, generate_commands
-from pamctl.control.experiment import build_segments
+from pamctl.control.experiment import ProgramSettings, plan_experiment
 from pamctl.settings.config_files import config_dir
 from pamctl.signals import Phase, Reference
 from pamctl.simulate.closed_loop import tabulate_references
@@ -16,7 +15,7 @@ from pamctl.simulate.closed_loop import tabulate_references
 
 def shipped_command(*overrides: str) -> np.ndarray:
     settings = run_settings(*overrides, experiment="diagnosis").experiment
-    table = tabulate_references(build_segments(settings), 1e-3)
+    table = tabulate_references(plan_experiment(settings).segments, 1e-3)
     assert set(table[:, Reference._fields.index("phase")]) == {Phase.OPEN_LOOP}
     return table[:, Reference._fields.index("reference_valve_v")]
 
@@ -46,7 +45,8 @@ def test_it_has_small_commands_about_null_and_power_up_to_100_hz() -> None:
 
 def test_the_shipped_file_says_how_long_it_takes() -> None:
     lasts_s = sum(
-        one.duration_s for one in build_segments(run_settings(experiment="diagnosis").experiment)
+        one.duration_s
+        for one in plan_experiment(run_settings(experiment="diagnosis").experiment).segments
     )
     said = (config_dir() / "experiment" / "diagnosis.yaml").read_text()
     assert f"`pamctl diagnose`: {lasts_s:.0f} s," in said
@@ -55,7 +55,7 @@ def test_the_shipped_file_says_how_long_it_takes() -> None:
 def test_a_multisine_peaks_at_its_amplitude_about_its_bias() -> None:
     part = {"wave": "multisine", "low_hz": 1, "high_hz": 20, "amplitude_v": 2, "duration_s": 5}
     program = ProgramSettings(kind="program", parts=[{**part, "bias_v": 0.5}])
-    wave = np.array([held.valve_v for held in generate_commands(program)])
+    wave = np.array([held.valve_v for held in plan_experiment(program).segments])
     assert np.abs(wave - 0.5).max() == pytest.approx(2.0)
     assert len(wave) == 5000
 
@@ -63,7 +63,7 @@ def test_a_multisine_peaks_at_its_amplitude_about_its_bias() -> None:
 def test_a_chirp_ends_at_its_high_frequency() -> None:
     part = {"wave": "chirp", "low_hz": 2, "high_hz": 50, "amplitude_v": 3, "duration_s": 10}
     wave = np.array(
-        [h.valve_v for h in generate_commands(ProgramSettings(kind="program", parts=[part]))]
+        [h.valve_v for h in plan_experiment(ProgramSettings(kind="program", parts=[part])).segments]
     )
     turns = np.count_nonzero(np.diff(np.sign(wave[-1000:])) != 0)
     assert 2 * 40 < turns < 2 * 50  # from 36 Hz to 50 Hz within the last second

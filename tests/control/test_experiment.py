@@ -17,7 +17,7 @@ from pamctl.control.experiment import (
     Step,
     StepsSettings,
     TrackingSettings,
-    build_segments,
+    plan_experiment,
 )
 from pamctl.signals import Phase, Reference
 
@@ -25,7 +25,7 @@ LOW_M, HIGH_M = 6.4e-3, 17.2e-3
 
 
 def shipped(name: str) -> tuple[Segment, ...]:
-    return build_segments(run_settings(experiment=name).experiment)
+    return plan_experiment(run_settings(experiment=name).experiment).segments
 
 
 def outline(course: tuple[Segment, ...]) -> list[tuple[Phase, float, float, float]]:
@@ -59,19 +59,21 @@ def test_a_square_wave_fills_first_then_exhausts_for_equally_long(name, half_s) 
 
 def test_steps_are_held_in_order_and_repeated() -> None:
     steps = (Step(valve_v=1.0, hold_s=0.5), Step(valve_v=-2.0, hold_s=0.25))
-    course = build_segments(StepsSettings(kind="steps", steps=steps, repeat=2))
+    course = plan_experiment(StepsSettings(kind="steps", steps=steps, repeat=2)).segments
     assert [(s.valve_v, s.duration_s) for s in course] == [(1.0, 0.5), (-2.0, 0.25)] * 2
 
 
 def test_a_settling_time_of_zero_leaves_no_segment() -> None:
-    course = build_segments(TrackingSettings(kind="tracking", settle_s=0.0, cycles=1))
+    course = plan_experiment(TrackingSettings(kind="tracking", settle_s=0.0, cycles=1)).segments
     assert [s.phase for s in course] == [Phase.APPROACH, Phase.TRACK, Phase.TRACK]
 
 
 def test_a_set_point_below_the_vented_muscle_is_refused() -> None:
     with pytest.raises(ValidationError, match=r"amplitude_mm 6 exceeds offset_mm 5"):
         TrackingSettings(kind="tracking", offset_mm=5.0, amplitude_mm=6.0)
-    lowest = build_segments(TrackingSettings(kind="tracking", offset_mm=5.0, amplitude_mm=5.0))
+    lowest = plan_experiment(
+        TrackingSettings(kind="tracking", offset_mm=5.0, amplitude_mm=5.0)
+    ).segments
     assert min(s.start_m for s in lowest) == 0.0
 
 
@@ -157,7 +159,9 @@ def test_a_course_cut_to_whole_ticks_lasts_so_many_ticks(ticks, period_s, first)
 
 @pytest.mark.parametrize("frequency_hz", [0.25, 0.3, 1.0, 3.0, 7.0])
 def test_a_long_square_wave_keeps_its_frequency(frequency_hz: float) -> None:
-    wave = build_segments(SquareSettings(kind="square", frequency_hz=frequency_hz, cycles=20))
+    wave = plan_experiment(
+        SquareSettings(kind="square", frequency_hz=frequency_hz, cycles=20)
+    ).segments
     asked = walked(Course(wave))
     for tick, reference in enumerate(asked):
         halves = tick * 1e-3 * 2 * frequency_hz

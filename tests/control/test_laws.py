@@ -25,8 +25,8 @@ from pamctl.control.law import respond as respond_armed
 from pamctl.control.law_registry import law_of
 from pamctl.control.pid import PidSettings
 from pamctl.control.qsmc import QsmcSettings
+from pamctl.control.sliding import Absement
 from pamctl.control.smc import SmcSettings, linearise_model
-from pamctl.control.surface import Absement
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.realtime.keyframe import freeze_state
 from pamctl.signals import Command, Estimate, Phase, Reference

@@ -14,10 +14,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from pamctl.control.course import Course, Plan, Segment, reference_at
 from pamctl.control.experiment import ExperimentSettings, plan_experiment
-from pamctl.control.references.sampled import Sampled
-from pamctl.control.references.shape import Faded, Shape, SpeedChange
-from pamctl.control.references.sketch import MOST_SEGMENTS
-from pamctl.control.references.waves import Sweep, Tone, Tones
+from pamctl.control.sketch import MOST_SEGMENTS
+from pamctl.control.waves import Faded, Sampled, Shape, SpeedChange, Sweep, Tone, Tones
 from pamctl.signals import Phase, Reference
 
 SETTINGS: TypeAdapter[Any] = TypeAdapter(ExperimentSettings)

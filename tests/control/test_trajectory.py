@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
 
-from pamctl.control.trajectory import Motion, rest_to_rest
+from pamctl.control.waves import Motion, rest_to_rest
 
 positions = st.floats(-0.1, 0.1)
 durations = st.floats(0.05, 100.0)

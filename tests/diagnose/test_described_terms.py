@@ -16,10 +16,9 @@ from hidden.uncatalogued import UNCATALOGUED
 from support.made_records import names_of, numbers_of, to_records
 
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, summary
-from pamctl.diagnose.measured.record import Array
+from pamctl.diagnose.record import Array
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
-from pamctl.diagnose.report.extended_plant_file import format_plant_file
-from pamctl.diagnose.report.page.diagnosis_page import build_diagnosis_page
+from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page, format_plant_file
 from pamctl.plant.model import PlantSettings
 from pamctl.settings.yaml12 import parse_yaml_value
 

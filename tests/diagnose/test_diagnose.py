@@ -12,7 +12,7 @@ from support.made_records import all_but, measured, names_of, pair
 from pamctl.diagnose import Diagnosis, Verdict, diagnose, sentence
 from pamctl.diagnose.audit import audit_run
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
-from pamctl.diagnose.report.extended_plant_file import format_plant_file
+from pamctl.diagnose.report.diagnosis_page import format_plant_file
 from pamctl.plant.model import PlantSettings
 from pamctl.settings.resolve import SECTIONS, RawSettings, validate_settings
 

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from support.made_records import names_of, numbers_of
 
 from pamctl.diagnose import Diagnosis, Record, diagnose
-from pamctl.diagnose.report.open_findings import list_faults
+from pamctl.diagnose.report.finding_words import list_faults
 from pamctl.plant.model import PlantSettings
 
 RATE_HZ, SAMPLES = 600.0, 2400

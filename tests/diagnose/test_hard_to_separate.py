@@ -10,7 +10,7 @@ from hidden.examination.examine import records_of, rig_of, start_plant
 from support.made_records import names_of, numbers_of, to_records
 
 from pamctl.diagnose import Diagnosis, Verdict, diagnose
-from pamctl.diagnose.report.open_findings import list_ambiguous
+from pamctl.diagnose.report.finding_words import list_ambiguous
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
 

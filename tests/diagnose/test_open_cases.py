@@ -23,7 +23,7 @@ from support.made_records import all_but, measured, names_of, numbers_of, pair, 
 from pamctl.diagnose import Record, Verdict, diagnose, sentence
 from pamctl.diagnose.audit import audit_run
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
-from pamctl.diagnose.report.open_findings import list_ambiguous, list_faults
+from pamctl.diagnose.report.finding_words import list_ambiguous, list_faults
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
 

@@ -8,8 +8,14 @@ from functools import cache
 import pytest
 
 from pamctl.diagnose import Record
-from pamctl.diagnose.audit import Audit, BlindSpot, Inseparable, audit_run
-from pamctl.diagnose.experiments import find_separating_experiment, write_command
+from pamctl.diagnose.audit import (
+    Audit,
+    BlindSpot,
+    Inseparable,
+    audit_run,
+    find_separating_experiment,
+)
+from pamctl.diagnose.report.next_experiment import write_command
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
 from pamctl.settings.resolve import resolve

@@ -14,7 +14,7 @@ from support.made_records import names_of, numbers_of
 
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, sentence
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
-from pamctl.diagnose.report.open_findings import list_ambiguous, list_faults
+from pamctl.diagnose.report.finding_words import list_ambiguous, list_faults
 from pamctl.plant.model import PlantSettings
 
 PAPER = PlantSettings()

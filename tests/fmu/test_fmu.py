@@ -19,7 +19,7 @@ from hal.calibration import calibration, output_v, valve_v
 from hal.converter import Converter, quantise_v
 from hal.sim.sim_rig import sensor_chain
 from pamctl.cli.app import app
-from pamctl.control.experiment import build_segments
+from pamctl.control.experiment import plan_experiment
 from pamctl.fmu.archive import write_fmu
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings, plant_parameters, settings_of
@@ -88,7 +88,7 @@ def run_experiment_2() -> tuple[BatchRun, list[float]]:
         overrides=["rig.homing.enabled=false", "rig.calibration.sensor_zero_v=0.215"],
     )  # fmt: skip
     rig: Any = settings.rig
-    asked = tabulate_references(build_segments(settings.experiment), PERIOD_S)
+    asked = tabulate_references(plan_experiment(settings.experiment).segments, PERIOD_S)
     run = simulate(
         build_tick_setup(settings),
         plant_parameters(settings.plant),

@@ -12,11 +12,18 @@ from hidden.excitations import tracking
 from hidden.rig import HiddenRig, hidden_rig
 from support.command_line import run_pamctl
 
-from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.plant_numbers import FittedNumber
-from pamctl.health.find_drift import SIGMAS_OF_CI90, NumberDrift, find_drift
-from pamctl.health.fit_run import MISFIT, FittedRun, fit_record
-from pamctl.health.follow_health import FollowedDrift, find_changes
+from pamctl.diagnose.record import Record
+from pamctl.health.follow_health import (
+    MISFIT,
+    SIGMAS_OF_CI90,
+    FittedRun,
+    FollowedDrift,
+    NumberDrift,
+    find_changes,
+    find_drift,
+    fit_record,
+)
 from pamctl.health.health_words import describe_drift, list_rivals
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 import pamctl.log
 from pamctl.cli.app import app
-from pamctl.diagnose.measured.from_log import record_of
+from pamctl.diagnose.record import record_of
 from pamctl.log.importing.imported_log import write_imported
 
 

@@ -17,9 +17,16 @@ from support.processes.daemons import TRACKING, daemon
 from pamctl.log import read
 from pamctl.log.measured_signals import Signals
 from pamctl.monitor.explain_alarm import hold_constants
-from pamctl.monitor.judge_window import MECHANICS, PRESSURE, WindowMisfit
-from pamctl.monitor.misfit_sums import ALARM, ALLOWANCE, MOST_OF_ONE, MisfitSums
-from pamctl.monitor.monitor_words import format_alarm, format_monitor
+from pamctl.monitor.judge_window import (
+    ALARM,
+    ALLOWANCE,
+    MECHANICS,
+    MOST_OF_ONE,
+    PRESSURE,
+    MisfitSums,
+    WindowMisfit,
+)
+from pamctl.monitor.monitor_handle import format_alarm, format_monitor
 from pamctl.monitor.watch_run import LEARN_S, RunWatch
 from pamctl.settings.resolve import resolve
 from pamctl.signals import Phase

@@ -18,15 +18,14 @@ from support.processes.daemons import daemon
 import pamctl
 from pamctl.cli.analyse.on_rig import OnRigTask, diagnose_on_rig, end_on_signals
 from pamctl.diagnose import Verdict
-from pamctl.diagnose.deciding.explanations import list_explanations
-from pamctl.diagnose.deciding.separation import ProgramTrial
+from pamctl.diagnose.deciding_program import ProgramTrial
 from pamctl.diagnose.evidence.weigh import prepare_weigher
-from pamctl.diagnose.measured.record import Record
+from pamctl.diagnose.explanations import list_explanations
+from pamctl.diagnose.record import Record
 from pamctl.diagnose.report.next_experiment import choose_next_experiment, format_experiment_file
 from pamctl.exit_codes import ExitCode
-from pamctl.on_rig.decide_on_rig import Investigation, decide_on_rig
+from pamctl.on_rig.decide_on_rig import Investigation, decide_on_rig, write_investigation
 from pamctl.on_rig.rig_plan import Budget, make_rig_plan
-from pamctl.on_rig.rig_story import write_investigation
 from pamctl.plant.model import PlantSettings
 from pamctl.session.simulated_rig import SimulatedRig, simulate
 
@@ -257,7 +256,7 @@ _SETTINGS = _read_settings()
 
 
 def test_a_record_of_an_older_log_has_no_forecast() -> None:
-    from pamctl.diagnose.deciding.forecast import read_forecast
+    from pamctl.diagnose.explanations import read_forecast
 
     record = Record("r", np.arange(3) * 1e-3)
     assert read_forecast(record) is None

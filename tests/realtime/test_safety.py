@@ -18,7 +18,7 @@ from hal.calibration import Zero, calibration
 from hal.rig import RawSample
 from hal.sim.sim_rig import sensed_counts, sensed_pressure_v, sensor_chain
 from pamctl.control.course import Course, Segment, make_valve_reference
-from pamctl.control.experiment import build_segments
+from pamctl.control.experiment import plan_experiment
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import PlantParameters, PlantState, vented_state
 from pamctl.plant.step import advance_plant
@@ -569,7 +569,10 @@ def test_tracking_never_trips_a_muscle_near_the_model(name: str) -> None:
     plant = plant_with(**NEAR[name])
     state, muscle = first_state(setup, Zero(chain.zero.sensor_zero_v, 1000.0)), VENTED
     course = Course(
-        [s._replace(duration_s=0.2 * s.duration_s) for s in build_segments(run.experiment)]
+        [
+            s._replace(duration_s=0.2 * s.duration_s)
+            for s in plan_experiment(run.experiment).segments
+        ]
     )
     for tick in range(2500):
         raw = RawSample(
@@ -596,7 +599,7 @@ def test_a_model_pressure_from_nowhere_cannot_raise() -> None:
 
 def test_segments_of_the_shipped_square_drive_the_model_check() -> None:
     """The squares above are those that the shipped experiments hold."""
-    wave = build_segments(run_settings(experiment="square-2").experiment)
+    wave = plan_experiment(run_settings(experiment="square-2").experiment).segments
     assert wave[0] == Segment(Phase.OPEN_LOOP, 0.25, pytest.approx(NAN, nan_ok=True),
                               pytest.approx(NAN, nan_ok=True), 5.0)  # fmt: skip
     assert [square(2.0)(t) for t in (0.1, 0.3)] == [wave[0].valve_v, wave[1].valve_v]

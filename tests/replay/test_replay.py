@@ -33,12 +33,12 @@ from pamctl.control.course import Course, Segment
 from pamctl.control.filters import low_pass
 from pamctl.control.homing import Homing
 from pamctl.control.law import answer
-from pamctl.control.trajectory import rest_to_rest
+from pamctl.control.waves import rest_to_rest
 from pamctl.log import Log, read
 from pamctl.log.importing.imported_log import write_imported
 from pamctl.log.recover import recover_file
 from pamctl.log.schema import CUT
-from pamctl.plant.paper import muscle, valve
+from pamctl.plant import paper
 from pamctl.realtime import tick
 from pamctl.realtime.keyframe import freeze_state
 from pamctl.replay import NotReplayable, list_compared_fields, read_replay_source, replay_log
@@ -313,8 +313,8 @@ def other_libm(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(qsmc, "sliding_gains", gains)
     monkeypatch.setattr(smc, "sliding_gains", gains)
     monkeypatch.setattr(filters, "tan", off(math.tan))
-    monkeypatch.setattr(valve, "pow", off(math.pow))
-    monkeypatch.setattr(muscle, "acos", off(math.acos))
+    monkeypatch.setattr(paper, "pow", off(math.pow))
+    monkeypatch.setattr(paper, "acos", off(math.acos))
 
 
 @pytest.mark.parametrize("name", ["smc", "pid-delayed", "missed"])

@@ -2,74 +2,45 @@
 
 from __future__ import annotations
 
-import dataclasses
-import typing
+import ast
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import pamctl
-from pamctl.control.experiment import (
-    ExperimentSettings,
-    HoldSettings,
-    ProgramSettings,
-    SquareSettings,
-    StepsSettings,
-    TrackingSettings,
-)
-from pamctl.control.references.kinds import MuscleMoveSettings, StandingForm, ValveMoveSettings
-from pamctl.control.references.sequence import (
-    GainsPart,
-    MarkPart,
-    PausePart,
-    RepeatPart,
-    SequenceSettings,
-)
+from pamctl.control.forms import FORMS as FORMS_OF_FILES
 from pamctl.exit_codes import ExitCode
-from pamctl.session import motion_sequence, reference_forms
+from pamctl.session.experiment_form import FORMS, list_keys, list_models
 from pamctl.settings.config_files import list_shipped
 from pamctl.settings.resolve import resolve, settings_to_data
 
-MODELS: list[Any] = [
-    TrackingSettings, SquareSettings, StepsSettings, ProgramSettings, HoldSettings,
-    *typing.get_args(StandingForm), MuscleMoveSettings, ValveMoveSettings,
-    PausePart, MarkPart, GainsPart, RepeatPart, SequenceSettings,
-]  # fmt: skip
-FORMS: dict[str, Any] = {
-    form.KIND: form
-    for module in (reference_forms, motion_sequence)
-    for form in vars(module).values()
-    if isinstance(form, type) and getattr(form, "KIND", "")
-}
-
-
-def kind_of(model: Any) -> str:
-    (kind,) = typing.get_args(model.model_fields["kind"].annotation)
-    return str(kind)
-
 
 def test_every_kind_of_an_experiment_file_has_a_form_that_pamctl_offers() -> None:
-    assert {kind_of(model) for model in MODELS} == {*FORMS}
-    in_files = {
-        kind_of(model)
-        for union in typing.get_args(typing.get_args(ExperimentSettings)[0])
-        for model in (typing.get_args(union) or (union,))
-    }
-    assert in_files == {kind for kind, form in FORMS.items() if not form.IS_PART}
+    paper = {"tracking", "square", "steps", "hold", "program"}
+    parts = {"pause", "mark", "gains", "repeat"}
+    assert {*FORMS} == paper | parts | {"sequence"} | {*FORMS_OF_FILES}
+    assert {k for k, f in FORMS.items() if f.IS_PART} == parts | {"move", "valve_move"}
     assert all(getattr(pamctl, form.__name__) is form for form in FORMS.values())
+    assert {form.__name__ for form in FORMS.values()} < {*pamctl.__all__}
 
 
-@pytest.mark.parametrize("model", MODELS, ids=kind_of)
-def test_a_form_has_the_keys_and_defaults_of_its_kind(model: Any) -> None:
-    to_key = model.model_config.get("alias_generator") or (lambda name: name)
-    wanted = {
-        to_key(name): dataclasses.MISSING if field.is_required() else field.default
-        for name, field in model.model_fields.items()
-        if name != "kind"
+@pytest.mark.parametrize("kind", FORMS)
+def test_the_stub_for_editors_has_the_keys_of_each_form(kind: str) -> None:
+    stub = ast.parse((Path(pamctl.__file__).parent / "__init__.pyi").read_text())
+    (written,) = (
+        node
+        for node in stub.body
+        if isinstance(node, ast.ClassDef) and node.name == FORMS[kind].__name__
+    )
+    keys = {
+        node.target.id: node.value is None
+        for node in written.body
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)
     }
-    form = FORMS[kind_of(model)]
-    assert {field.name: field.default for field in dataclasses.fields(form)} == wanted
+    wanted = {key: f.is_required() for key, f in list_keys(list_models()[kind]).items()}
+    assert keys == wanted
 
 
 @pytest.mark.parametrize("name", list_shipped("experiment"))

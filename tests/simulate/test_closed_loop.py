@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from support.runs import MemoryJournal, ScriptedSupervisor
 
 from hal.sim.sim_rig import sensor_chain
-from pamctl.control.experiment import build_segments
+from pamctl.control.experiment import plan_experiment
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.plant.model import plant_parameters
 from pamctl.processes.backends import build_clock, build_rig
@@ -122,7 +122,7 @@ def batch(
 def assert_same_to_the_bit(settings: RunSettings) -> tuple[Run, BatchRun]:
     real = real_loop(settings)
     asked = tabulate_references(
-        build_segments(settings.experiment), 1.0 / settings.rig.loop.rate_hz
+        plan_experiment(settings.experiment).segments, 1.0 / settings.rig.loop.rate_hz
     )
     compiled = batch(settings, asked, draw_sensor_noise(len(asked), settings.seed))
     for name in Reference._fields:
@@ -202,7 +202,7 @@ def test_deviates_are_those_of_the_simulated_rig_one_by_one(seed: int, counts: l
 def test_finer_steps_of_the_plant_move_the_result_by_less_than_a_micrometre(folder: Path) -> None:
     """Without sensor feedback in the way: the loop's quantised encoder would amplify any bit."""
     settings = settled(folder, "qsmc", "rig.sim.sensor_noise_v=0", experiment="square")
-    asked = tabulate_references(build_segments(settings.experiment), 1e-3)
+    asked = tabulate_references(plan_experiment(settings.experiment).segments, 1e-3)
     still = np.zeros(len(asked))
     rig: Any = settings.rig
     common = (

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from pamctl.control.excitation import ProgramSettings, generate_commands
+from pamctl.control.experiment import ProgramSettings, plan_experiment
 from pamctl.diagnose import Diagnosis, Record
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.drive import drive_coupled
-from pamctl.plant.flat import parameters_of
+from pamctl.plant.parameters import parameters_of
 
 COUNT_M = 25.4e-3 / 8000.0
 PERIOD_S = 1e-3
@@ -49,7 +49,7 @@ PROGRAMS = {
 
 def command_v(program: str) -> np.ndarray:
     """Sample a program's command at 1 kHz."""
-    held = generate_commands(ProgramSettings(kind="program", parts=PROGRAMS[program]))
+    held = plan_experiment(ProgramSettings(kind="program", parts=PROGRAMS[program])).segments
     return np.concatenate([np.full(round(h.duration_s / PERIOD_S), h.valve_v) for h in held])
 
 

@@ -17,7 +17,7 @@ from pamctl.control.law import (
     SearchSpace,
     Term,
 )
-from pamctl.control.surface import clamp_value
+from pamctl.control.sliding import clamp_value
 from pamctl.signals import Command, Estimate, Reference
 
 

@@ -18,10 +18,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.command_line import run_pamctl
 
-from pamctl.control.experiment import build_segments
+from pamctl.control.experiment import plan_experiment
 from pamctl.control.law import respond
 from pamctl.control.law_registry import installed_laws, law_of
-from pamctl.control.surface import Absement
+from pamctl.control.sliding import Absement
 from pamctl.plant.model import PlantSettings
 from pamctl.settings.resolve import check_config_file, resolve, settings_to_data
 from pamctl.signals import Estimate, Phase, Reference
@@ -107,8 +107,12 @@ def test_trials_last_as_long_as_stated_and_the_short_one_rests_as_long_as_the_pa
     """A steady error that is counted too early favours an integral that hunts."""
     experiments = [resolve(experiment=f"tracking-{number}").experiment for number in (1, 2)]
     assert SHORT.rest_s == experiments[0].rest_s  # type: ignore[union-attr]
-    assert GainsTrial("short").duration_s == sum(s.duration_s for s in build_segments(SHORT))
-    both = [s.duration_s for experiment in experiments for s in build_segments(experiment)]
+    assert GainsTrial("short").duration_s == sum(
+        s.duration_s for s in plan_experiment(SHORT).segments
+    )
+    both = [
+        s.duration_s for experiment in experiments for s in plan_experiment(experiment).segments
+    ]
     assert GainsTrial("whole").duration_s == pytest.approx(sum(both))
 
 

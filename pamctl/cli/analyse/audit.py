@@ -52,7 +52,7 @@ def audit(
 
 def _make_record(what: str, plant: str | None) -> Record:
     if Path(what).suffix == ".mcap":
-        from pamctl.diagnose.measured.from_log import record_of
+        from pamctl.diagnose.record import record_of
 
         return record_of(what)
     find_argument_file("experiment", what)  # its error names what the user typed
@@ -71,6 +71,6 @@ def _make_record(what: str, plant: str | None) -> Record:
 
 
 def _write_advice(experiment: str, *, actuator: str, runs_here: bool) -> str:
-    from pamctl.diagnose.experiments import write_advice
+    from pamctl.diagnose.report.next_experiment import write_advice
 
     return write_advice(experiment, actuator, runs_here=runs_here)

@@ -152,10 +152,10 @@ def diagnose(
     assert out is not None  # only --dry-run, which is for --on-rig, goes without
     from pamctl.diagnose import diagnose as find_missing_effects
     from pamctl.diagnose import summary
-    from pamctl.diagnose.measured.from_log import record_of, require_held_out
-    from pamctl.diagnose.measured.refuse import read_acceptances
+    from pamctl.diagnose.record import record_of, require_held_out
+    from pamctl.diagnose.refuse import read_acceptances
     from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
-    from pamctl.diagnose.report.diagnosis_folder import write_diagnosis
+    from pamctl.diagnose.report.diagnosis_page import write_diagnosis
 
     accepted = read_acceptances(accept or [])
     require_held_out(logs, holdout or [])
@@ -222,7 +222,7 @@ def _require_known(names: Sequence[str]) -> None:
 
 
 def _parse_noise(texts: Sequence[str]) -> dict[str, float]:
-    from pamctl.diagnose.measured.noise.stated_noise import parse_noise
+    from pamctl.diagnose.sensor_noise import parse_noise
 
     try:
         return parse_noise(texts)

@@ -39,11 +39,11 @@ def health(
     start = read_section_file("plant", find_config_file("plant", plant or DEFAULT_NAMES["plant"]))
     from pamctl.cluster.worker_processes import start_workers
     from pamctl.health.follow_health import follow_health
-    from pamctl.health.health_page import write_health_page
     from pamctl.health.health_words import (
         build_health_document,
         describe_health,
         format_good_plant,
+        write_health_page,
     )
     from pamctl.json_text import to_json
     from pamctl.runs.run_index import RunIndex

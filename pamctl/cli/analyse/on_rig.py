@@ -37,10 +37,9 @@ class OnRigTask:
 def diagnose_on_rig(task: OnRigTask, *, as_json: bool) -> None:
     """Run the rounds on the daemon's rig; write and print what was found, however they end."""
     from pamctl.commissioning.terminal_operator import Terminal
-    from pamctl.diagnose.measured.from_log import record_of
-    from pamctl.on_rig.decide_on_rig import Investigation
+    from pamctl.diagnose.record import record_of
+    from pamctl.on_rig.decide_on_rig import Investigation, write_investigation
     from pamctl.on_rig.rig_plan import Budget, make_rig_plan
-    from pamctl.on_rig.rig_story import write_investigation
     from pamctl.session.daemon_rig import connect
 
     records = [record_of(path) for path in task.logs]
@@ -119,7 +118,7 @@ def _finish(
     from pamctl.diagnose import summary
     from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
     from pamctl.new_file import NewFileError
-    from pamctl.on_rig.rig_story import write_investigation
+    from pamctl.on_rig.decide_on_rig import write_investigation
 
     assert task.out is not None
     found = investigation.diagnosis

@@ -2,18 +2,78 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
-from pamctl.diagnose.deciding.deciding_program import DecidingProgram
-from pamctl.diagnose.deciding.separation import Separation
+from pamctl.diagnose.audit import find_separating_experiment, find_showing_experiment
+from pamctl.diagnose.deciding_program import DecidingProgram, Separation
 from pamctl.diagnose.diagnosis import Diagnosis, Verdict
-from pamctl.diagnose.experiments import find_separating_experiment, find_showing_experiment
-from pamctl.diagnose.report.finding_words import spell_names
-from pamctl.diagnose.report.open_findings import list_ambiguous
-from pamctl.diagnose.report.rig_at_hand import advise_experiment, runs_here
+from pamctl.diagnose.report.finding_words import list_ambiguous, spell_names
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.settings.yaml12 import dump_yaml
+
+_SQUARES = (
+    "steps of the full command up and down, each held until the pressure rests",
+    "steps of the driving force to and fro, each held until the axis rests",
+)
+MOTIONS: Mapping[str, tuple[str, str]] = {
+    "chirp": (
+        "a sine of the command whose frequency rises until the pressure hardly follows",
+        "a sine of the driving force whose frequency rises until the position hardly follows",
+    ),
+    "diagnosis": (
+        "one long record with steps of several sizes, slow ramps, holds and a sine of rising "
+        "frequency of the command",
+        "one long record with motions at several speeds both ways, reversals, holds and a sine of "
+        "rising frequency, at several pressures where there is a pressure",
+    ),
+    "fill-and-hold": (
+        "fill to several pressures, close the valve, and wait some 10 s each time",
+        "hold the axis still at several loads or pressures, some 10 s each time",
+    ),
+    "long-holds": (
+        "steps of the pressure, each held for a minute",
+        "steps of the driving force, each held for a minute",
+    ),
+    "multisine-small": (
+        "sines of several frequencies at once, with a small command around the valve's null",
+        "sines of several frequencies at once, with a small driving force",
+    ),
+    "null-staircase": (
+        "a staircase of small commands on both sides of the valve's null",
+        "a staircase of small driving forces both ways, from rest",
+    ),
+    "slow-ramps": (
+        "slow ramps of the pressure up and down, with reversals on the way",
+        "slow motions to and fro at several speeds, with reversals on the way",
+    ),
+    "square-1": _SQUARES,
+    "squares-apart": _SQUARES,
+}
+"""What to record instead of an experiment: behind a valve, and on a mechanism without one."""
+
+
+def describe_motion(experiment: str, actuator: str) -> str:
+    """Say what to record where pamctl does not run the rig; empty for no experiment."""
+    if not experiment:
+        return ""
+    named = f"a run like the experiment {experiment}"
+    behind_valve, on_axis = MOTIONS.get(experiment, (named, named))
+    return on_axis if actuator == "direct" else behind_valve
+
+
+def write_advice(experiment: str, actuator: str, *, runs_here: bool) -> str:
+    """Write the command that runs an experiment, or what to record where pamctl does not run it."""
+    if runs_here or not experiment:
+        return write_command(experiment)
+    return f"record: {describe_motion(experiment, actuator)}"
+
+
+def write_command(experiment: str, *, by_daemon: bool = False) -> str:
+    """Write the command that runs an experiment; "none" where there is none."""
+    verb = "start" if by_daemon else "run --experiment"
+    return f"pamctl {verb} {experiment}" if experiment else "none"
+
 
 NEXT_EXPERIMENT = "next-experiment"
 """The name of the program that was chosen; its file is beside the page."""
@@ -113,3 +173,50 @@ def _list_head_lines(chosen: DecidingProgram, logs: Sequence[str]) -> Iterator[s
     )
     why = explain_choice(chosen)
     yield f"{why[:1].upper()}{why[1:]}."
+
+
+class RigWords(NamedTuple):
+    """What texts call a rig and its parts."""
+
+    start_model: str
+    suspects: str
+    """Where to look for what no effect explains."""
+    begin: str
+    """How a record should begin."""
+
+
+_OF_ACTUATOR: Mapping[str, RigWords] = {
+    "muscle": RigWords(
+        "the paper's muscle and valve",
+        "supply, tubing, mounting, sensors",
+        "with the muscle vented and at rest",
+    ),
+    "direct": RigWords(
+        "a mechanism that a measured force drives",
+        "guides, mounting, the drive, sensors",
+        "at rest",
+    ),
+    "chamber": RigWords(
+        "a chamber of constant volume behind a valve",
+        "supply, tubing, leaks, sensors",
+        "with the chamber vented",
+    ),
+}
+
+
+def words_of_rig(diagnosis: Diagnosis) -> RigWords:
+    """Return the words for the actuator of the start model."""
+    return _OF_ACTUATOR[diagnosis.nominal.actuator]
+
+
+def runs_here(diagnosis: Diagnosis) -> bool:
+    """Tell whether `pamctl run` moves this rig: a muscle whose records pamctl made."""
+    imported = any(record.is_imported for record in (*diagnosis.train, *diagnosis.holdout))
+    return diagnosis.nominal.actuator == "muscle" and not imported
+
+
+def advise_experiment(diagnosis: Diagnosis, experiment: str) -> str:
+    """Write the command for an experiment, or what to record on a rig that pamctl does not run."""
+    if diagnosis.is_of_daemon:
+        return write_command(experiment, by_daemon=True)
+    return write_advice(experiment, diagnosis.nominal.actuator, runs_here=runs_here(diagnosis))

@@ -10,15 +10,16 @@ import pytest
 
 from pamctl.control.course import reference_at
 from pamctl.control.experiment import plan_experiment
-from pamctl.diagnose.deciding.drawn_programs import (
+from pamctl.diagnose.drawn_programs import (
     LONGEST_S,
     SHORTEST_S,
     draw_programs,
+    find_rig_limits,
     make_repeated_part,
+    read_rig_limits,
     sample_commands,
 )
-from pamctl.diagnose.deciding.rig_limits import find_rig_limits, read_rig_limits
-from pamctl.diagnose.measured.record import Record
+from pamctl.diagnose.record import Record
 from pamctl.plant.drive import drive_coupled
 from pamctl.plant.model import plant_parameters
 from pamctl.settings.resolve import resolve, settings_to_data

@@ -7,14 +7,14 @@ import pytest
 from support.made_records import COUNT_M, PERIOD_S
 
 from pamctl.diagnose import Record, diagnose
-from pamctl.diagnose.deciding.drawn_programs import (
+from pamctl.diagnose.drawn_programs import (
     make_program,
     make_repeated_part,
     sample_commands,
 )
 from pamctl.plant.drive import drive_coupled
-from pamctl.plant.flat import parameters_of
 from pamctl.plant.model import PlantSettings
+from pamctl.plant.parameters import parameters_of
 
 OFFSET_V = 0.1
 

@@ -9,10 +9,7 @@ import pytest
 from support.made_records import measured
 
 from pamctl.diagnose import Record
-from pamctl.diagnose.measured.noise.hum import remove_hum
-from pamctl.diagnose.measured.noise.mend import mend_records
-from pamctl.diagnose.measured.noise.outliers import AROUND, find_outliers
-from pamctl.diagnose.measured.noise.time_stamps import find_regular_times
+from pamctl.diagnose.mend import AROUND, find_outliers, find_regular_times, mend_records, remove_hum
 
 
 def test_a_sound_record_stays_as_it_is() -> None:

@@ -7,7 +7,7 @@ import pytest
 from support.made_records import PERIOD_S, measured
 
 from pamctl.diagnose import Record
-from pamctl.diagnose.measured.noise.sensor_noise import estimate_channel_noise
+from pamctl.diagnose.sensor_noise import estimate_channel_noise
 from pamctl.log.record_problems import find_sensor_step
 
 RESTED = 800

@@ -11,13 +11,15 @@ from support.made_records import PERIOD_S, measured, pair
 
 import pamctl
 from pamctl.diagnose import Record, Verdict, diagnose
-from pamctl.diagnose.measured.column_shift import check_time_shifts
-from pamctl.diagnose.measured.from_log import record_of
-from pamctl.diagnose.measured.quality_rules import RULES, doubt_excitation, doubt_record
-from pamctl.diagnose.measured.refuse import (
+from pamctl.diagnose.record import record_of
+from pamctl.diagnose.refuse import (
+    RULES,
     BadData,
     UnknownRule,
     check_measured_runs,
+    check_time_shifts,
+    doubt_excitation,
+    doubt_record,
     read_acceptances,
 )
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pamctl.diagnose.measured.record import Record
-from pamctl.diagnose.measured.resting_pressure import align_resting_pressure
+from pamctl.diagnose.mend import align_resting_pressure
+from pamctl.diagnose.record import Record
 
 ATMOSPHERE_PA, NOISE_PA, AMPLITUDE_PA = 101325.0, 150.0, 3e5
 

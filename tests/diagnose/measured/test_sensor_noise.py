@@ -10,11 +10,9 @@ from scipy.signal import butter, filtfilt, lfilter
 from support.made_records import all_but, measured
 
 from pamctl.diagnose import Record, diagnose
-from pamctl.diagnose.measured.from_log import record_of
-from pamctl.diagnose.measured.noise.filtering import find_filtering
-from pamctl.diagnose.measured.noise.sensor_noise import Noise, estimate_channel_noise
-from pamctl.diagnose.measured.noise.stated_noise import parse_noise
+from pamctl.diagnose.record import record_of
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
+from pamctl.diagnose.sensor_noise import Noise, estimate_channel_noise, find_filtering, parse_noise
 from pamctl.log.importing.column_map import ImportMap
 from pamctl.log.importing.pipeline import import_log
 from pamctl.log.record_problems import find_sensor_step

@@ -21,9 +21,9 @@ from pamctl.diagnose import Diagnosis, Verdict, diagnose, sentence, summary
 from pamctl.diagnose.evidence.ladder import Finding
 from pamctl.diagnose.plant_numbers import FittedNumber
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
+from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
 from pamctl.diagnose.report.finding_words import list_numbers
-from pamctl.diagnose.report.page.diagnosis_page import build_diagnosis_page
-from pamctl.diagnose.report.page.traces_part import (
+from pamctl.diagnose.report.traces_part import (
     STRETCH_S,
     ModelStage,
     ShownRun,

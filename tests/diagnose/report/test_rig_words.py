@@ -12,12 +12,15 @@ import pytest
 from support.made_records import names_of
 
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, summary
-from pamctl.diagnose.experiments import MOTIONS, write_advice
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
-from pamctl.diagnose.report.page.diagnosis_page import build_diagnosis_page
-from pamctl.diagnose.report.phrases import SIGNAL_DISPLAYS, format_interval
-from pamctl.diagnose.report.rig_at_hand import runs_here
-from pamctl.diagnose.report.verdict_words import advise_next_steps, sentence
+from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
+from pamctl.diagnose.report.next_experiment import MOTIONS, runs_here, write_advice
+from pamctl.diagnose.report.verdict_words import (
+    SIGNAL_DISPLAYS,
+    advise_next_steps,
+    format_interval,
+    sentence,
+)
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.drive import drive_coupled
 from pamctl.plant.model import PlantSettings, plant_parameters

@@ -1,0 +1,416 @@
+"""Choose the program that decides between the explanations that a diagnosis leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations, permutations
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from pamctl.control.experiment import ProgramSettings
+from pamctl.diagnose.drawn_programs import (
+    Block,
+    Part,
+    ProgramRun,
+    RigLimits,
+    draw_programs,
+    find_rig_limits,
+    make_program,
+    make_repeated_part,
+    make_vent,
+    sample_commands,
+)
+from pamctl.diagnose.evidence.constants import COARSE_STEP_S, NAME_NATS, NU, NUGGET
+from pamctl.diagnose.evidence.fit import STEP, WeighedModel, Weigher, bound_gain
+from pamctl.diagnose.evidence.likelihood import to_haar
+from pamctl.diagnose.evidence.run_pieces import Runs, join_waves
+from pamctl.diagnose.explanations import BLOCKS, Explanation
+from pamctl.diagnose.record import Array, Record
+
+STEPS = 3
+"""Gauss-Newton steps of a forecast: its end moves what is left by some per cent."""
+AGREES = 2.0
+"""A last step that promised so many times less than it left makes no forecast."""
+RIDGE = 1e-6
+SLOW_S = 0.1
+"""Differences that last longer are what a refit of gains and rates takes away."""
+
+
+@dataclass(frozen=True)
+class Separation:
+    """What one explanation leaves of a run where another is true."""
+
+    true: str
+    refuted: str
+    block: str
+    """The block that shows it best."""
+    residual_over_floor: float
+    """RMS over the sensor's noise that the wrong one leaves; about 1 where nothing is separated."""
+    sureness: float
+    """Above 1, the wrong one loses surely more nats than a name must gain, on all records."""
+    is_forecast: bool = True
+    """False where the figure may be off by more than a factor of 2: the refit goes far, or what
+    is refitted is a curve."""
+
+
+class ProgramTrial:
+    """One program, simulated under every explanation."""
+
+    def __init__(
+        self, program: ProgramSettings, explanations: Sequence[Explanation], period_s: float
+    ) -> None:
+        """Simulate the coupled plant of each explanation."""
+        self.program, self.explanations, self.period_s = program, tuple(explanations), period_s
+        self.commands_v = sample_commands(program, period_s)
+        weigher = explanations[0].weigher
+        # The vent at the end goes on to the end of a block.
+        missing = -len(self.commands_v) % weigher.train.block
+        whole_v = np.pad(self.commands_v, (0, missing), mode="edge")
+        self._runs = _make_runs(whole_v, period_s, weigher)
+        self._keep = self._runs.find_kept(weigher.like.level)
+        self._shown: dict[str, Array] = {}
+        self.runs: dict[str, ProgramRun] = {}
+        for e in explanations:
+            plain, _ = join_waves(e.values)
+            self.runs[e.name] = self._cut(self._runs.simulate(plain, COARSE_STEP_S))
+            self._shown[e.name] = self._runs.simulate(e.values, COARSE_STEP_S)
+        self._tangents: dict[str, Array] = {}
+
+    @property
+    def duration_s(self) -> float:
+        """The length of the program."""
+        return len(self.commands_v) * self.period_s
+
+    def _cut(self, rows: Array) -> ProgramRun:
+        flat = rows.reshape(len(rows), -1)[:, : len(self.commands_v)]
+        by_channel = dict(zip(self._runs.channels, flat, strict=True))
+        return ProgramRun(**by_channel)
+
+    @cached_property
+    def rough(self) -> tuple[float, float]:
+        """The least difference of two explanations' signals over the noise, with nothing refitted.
+
+        First all of it, then its fast part: a refit takes the slow part away first. They cost one
+        simulation an explanation, and sort the programs before the dearer figure.
+        """
+        pairs = [self._compare_roughly(a, b) for a, b in combinations(self.explanations, 2)]
+        return min(whole for whole, _ in pairs), min(fast for _, fast in pairs)
+
+    def _compare_roughly(self, a: Explanation, b: Explanation) -> tuple[float, float]:
+        noise = np.sqrt(a.weigher.find_noise2(a.model))[:, None]
+        off = self._shown[a.name] - self._shown[b.name]
+        off = off.reshape(len(off), -1) / noise
+        fast = off - uniform_filter1d(off, max(1, round(SLOW_S / self.period_s)), axis=1)
+        return float(_rms(off).max()), float(_rms(fast).max())
+
+    @cached_property
+    def separations(self) -> tuple[Separation, ...]:
+        """Every explanation against every other that were true; refitted by one straight step."""
+        return self._separate_all(self._step_once)
+
+    @cached_property
+    def forecasts(self) -> tuple[Separation, ...]:
+        """The same, by some steps that are simulated: right also where the numbers go far."""
+        return self._separate_all(self._step_on)
+
+    def _separate_all(
+        self, refit: Callable[[Explanation, Explanation], tuple[Array, bool]]
+    ) -> tuple[Separation, ...]:
+        return tuple(
+            self._separate(true, other, *refit(true, other))
+            for true, other in permutations(self.explanations, 2)
+        )
+
+    def _separate(
+        self, true: Explanation, other: Explanation, left: Array, agrees: bool
+    ) -> Separation:
+        weigher = true.weigher
+        squares = (left**2 * self._keep).sum(axis=(1, 2)) / self._keep.sum(axis=(1, 2))
+        noise2 = weigher.find_noise2(true.model)
+        block = int((squares / noise2).argmax())
+        here2 = weigher.like.mean_squares(true.model.d)[block]
+        over = float(np.sqrt((squares[block] + here2) / noise2[block]))
+        nats = self._count_nats(true.model, left, squares)
+        sure = self._find_sureness(true.model, other.model, nats)
+        name = BLOCKS[self._runs.channels[block]]
+        # A curve's knots follow the reach of the records: with this run it would be another.
+        agrees &= not any(v.is_curve for v in other.model.picked.values())
+        return Separation(true.name, other.name, name, over, sure, agrees)
+
+    def _count_nats(self, true: WeighedModel, left: Array, squares: Array) -> Array:
+        """Return what the wrong one loses in each block, beside noise of the right one's scales."""
+        level = self.explanations[0].weigher.like.level
+        floor2 = NUGGET**2 * squares[:, None]
+        scales2 = np.maximum(true.cost.scales2, floor2)[:, level][:, None, :]
+        beside = true.cost.scales2[:, level][:, None, :] / scales2
+        logs = np.log1p(left**2 / scales2 / (NU + beside))
+        return np.asarray(0.5 * (NU + 1.0) * (logs * self._keep).sum(axis=(0, 2)))
+
+    def _find_sureness(self, true: WeighedModel, wrong: WeighedModel, nats: Array) -> float:
+        """Return how surely the wrong one would be refuted, by this run and the records so far."""
+        gain = np.concatenate([wrong.left_out - true.left_out, nats])
+        return float(bound_gain(gain)[0]) / NAME_NATS
+
+    # --- the refit of the wrong one ---
+
+    def _step_once(self, true: Explanation, other: Explanation) -> tuple[Array, bool]:
+        change = to_haar(self._shown[true.name] - self._shown[other.name])
+        way = self._find_step(true, other, change, np.zeros(len(other.model.x)))
+        flat = change.ravel() + way @ self._find_tangent(other)
+        return flat.reshape(change.shape), True
+
+    def _step_on(self, true: Explanation, other: Explanation) -> tuple[Array, bool]:
+        """Return what is left after some steps, each simulated; and whether the last held."""
+        m = other.model
+        change, moved = (
+            to_haar(self._shown[true.name] - self._shown[other.name]),
+            np.zeros(len(m.x)),
+        )
+        agrees = True
+        for _ in range(STEPS):
+            way = self._find_step(true, other, change, moved)
+            straight = change.ravel() + way @ self._find_tangent(other)
+            d = to_haar(self._shown[true.name] - self._simulate(other, moved + way))
+            promised, found = float(_rms(straight[None])[0]), float(_rms(d.reshape(1, -1))[0])
+            agrees = found <= AGREES * promised
+            if found >= float(_rms(change.reshape(1, -1))[0]):
+                break
+            change, moved = d, moved + way
+        return change, agrees
+
+    def _find_step(
+        self, true: Explanation, other: Explanation, change: Array, moved: Array
+    ) -> Array:
+        """Return a Gauss-Newton step, in scales, on the records so far and the program's run."""
+        m, weigher = other.model, other.weigher
+        assert m.tangent is not None
+        old = m.tangent.reshape(len(m.x), -1)
+        known = (old * m.cost.weights.ravel()) @ old.T
+        squares = (change**2 * self._keep).sum(axis=(1, 2)) / self._keep.sum(axis=(1, 2))
+        scales2 = np.maximum(true.model.cost.scales2, NUGGET**2 * squares[:, None])
+        scales2 = scales2[:, weigher.like.level][:, None, :]
+        weights = ((NU + 1.0) / (NU * scales2 + change**2) * self._keep).ravel()
+        slope = self._find_tangent(other)
+        both = known + (slope * weights) @ slope.T
+        both += RIDGE * np.diag(np.diag(both))
+        pull = (slope * weights) @ change.ravel() + known @ moved
+        way = -np.linalg.pinv(both, hermitian=True) @ pull
+        low, high, scale = (
+            np.array([getattr(n, k) for n in m.numbers]) for k in ("low", "high", "scale")
+        )
+        at = m.x + moved * scale
+        return np.asarray(np.clip(way, (low - at) / scale, (high - at) / scale))
+
+    def _find_tangent(self, other: Explanation) -> Array:
+        """Return the change of an explanation's own residual for a scale of each number."""
+        if other.name not in self._tangents:
+            here, rows = self._shown[other.name], []
+            for i in range(len(other.model.x)):
+                way = np.zeros(len(other.model.x))
+                way[i] = STEP
+                rows.append(to_haar(here - self._simulate(other, way)).ravel() / STEP)
+            self._tangents[other.name] = np.stack(rows)
+        return self._tangents[other.name]
+
+    def _simulate(self, e: Explanation, moved: Array) -> Array:
+        m = e.model
+        x = {n.name: float(v + w * n.scale) for n, v, w in zip(m.numbers, m.x, moved, strict=True)}
+        return self._runs.simulate({**e.values, **x}, COARSE_STEP_S)
+
+
+def _make_runs(commands_v: Array, period_s: float, weigher: Weigher) -> Runs:
+    """Return an empty run of these commands, from the vented rest."""
+    still, vented = np.zeros(len(commands_v)), weigher.base["atmospheric_pressure_pa"]
+    record = Record(
+        "program",
+        period_s * np.arange(len(commands_v), dtype=np.float64),
+        valve_v=commands_v,
+        pressure_pa=still + vented,
+        position_m=still,
+    )
+    return Runs([record], weigher.base, weigher.train)
+
+
+def _rms(rows: Array) -> Array:
+    return np.asarray(np.sqrt((rows**2).mean(axis=1)))
+
+
+PROGRAMS = 100
+FINALISTS = 6
+"""Programs of each rough order whose separation is computed, with a refit by one step."""
+BEST = 6
+"""The best of them; their blocks are mixed anew."""
+MIXED = 24
+MOST_SURE = 5.0
+"""A pair that is surer counts no more: the others need the time."""
+FORECAST = 3
+"""This many programs are forecast, by some steps of the wrong explanations."""
+STROKES = (1.0, 0.6, 0.4, 0.2, 0.1)
+"""Sizes of the strokes that all programs begin with, as shares of the largest command; the largest
+that stays within the limits counts."""
+
+_Tried = tuple[ProgramTrial, tuple[Block, ...]]
+
+
+@dataclass(frozen=True)
+class DecidingProgram:
+    """The chosen program, and what is expected of it."""
+
+    program: ProgramSettings
+    explanations: tuple[str, ...]
+    separations: tuple[Separation, ...]
+    pressure_pa: float
+    """Highest absolute pressure of all explanations."""
+    low_m: float
+    high_m: float
+    duration_s: float
+    drawn: int
+    """Programs that were drawn."""
+    inside: int
+    """Those that stay within the limits."""
+    limits_from: str
+
+    @property
+    def sureness(self) -> float:
+        """The surest refutation; above 1, this program alone should refute an explanation."""
+        return max(s.sureness for s in self.separations)
+
+    @property
+    def promises(self) -> bool:
+        """Some explanation is refuted if another is true."""
+        return self.sureness > 1.0
+
+    @property
+    def nearest(self) -> Separation:
+        """The pair that is separated least, of those with a forecast if there are any."""
+        sure = [s for s in self.separations if s.is_forecast] or self.separations
+        return min(sure, key=lambda s: s.residual_over_floor)
+
+    @property
+    def forecast(self) -> dict[str, Any]:
+        """What a later diagnosis judges: pairs whose figure holds, and what the rig is asked for.
+
+        The key `residual_over_floor` holds RMS over the sensor's noise.
+        """
+        pairs = [
+            {
+                "true": s.true,
+                "refuted": s.refuted,
+                "block": s.block,
+                "residual_over_floor": float(f"{s.residual_over_floor:.4g}"),
+            }
+            for s in self.separations
+            if s.is_forecast
+        ]
+        return {
+            "pairs": pairs,
+            "pressure_kpa": round(1e-3 * self.pressure_pa, 1),
+            "low_mm": round(1e3 * self.low_m, 2),
+            "high_mm": round(1e3 * self.high_m, 2),
+        }
+
+    def to_experiment(self) -> dict[str, Any]:
+        """Return the keys of the experiment file, with the forecast in it if there is one."""
+        keys = self.program.model_dump(mode="json", exclude_none=True)
+        return {**keys, "forecast": self.forecast} if self.forecast["pairs"] else keys
+
+
+def choose_deciding_program(
+    explanations: Sequence[Explanation],
+    records: Sequence[Record],
+    *,
+    programs: int = PROGRAMS,
+    seed: int = 0,
+) -> DecidingProgram | None:
+    """Return the best of `programs` drawn programs.
+
+    None where there is nothing to decide, or no drawn program stays within the limits.
+    """
+    if len(explanations) < 2 or not _are_of_muscle(explanations):
+        return None
+    limits = find_rig_limits(records)
+    period_s = float(np.median(records[0].step_s))
+    begin = choose_repeated_part(explanations, limits, period_s)
+
+    def try_programs(count: int, pool: Sequence[Block] = ()) -> list[_Tried]:
+        drawn = draw_programs(count, limits.command_v, begin, seed, pool)
+        tried = [(ProgramTrial(d.program, explanations, period_s), d.blocks) for d in drawn]
+        return [t for t in tried if all(map(limits.allows, t[0].runs.values()))]
+
+    inside = try_programs(programs)
+    best = _keep_best(_select_finalists(inside), BEST)
+    pool = [block for _, blocks in best for block in blocks]
+    mixed = try_programs(MIXED, pool) if pool else []
+    best = _keep_best([*best, *mixed], BEST)
+    admitted = [trial for trial, _ in best if _is_admitted(trial, limits)]
+    if not admitted:
+        return None
+    chosen = max(admitted[:FORECAST], key=lambda t: _weigh(t.forecasts))
+    return _describe(chosen, programs + MIXED, len(inside) + len(mixed), limits.source)
+
+
+def _select_finalists(inside: Sequence[_Tried]) -> list[_Tried]:
+    """Return the programs that differ most, as a whole or in their fast part."""
+    found: dict[int, _Tried] = {}
+    for part in (0, 1):
+        ranked = sorted(inside, key=lambda t: t[0].rough[part], reverse=True)
+        found |= {id(t): t for t in ranked[:FINALISTS]}
+    return [*found.values()]
+
+
+def _keep_best(tried: Sequence[_Tried], count: int) -> list[_Tried]:
+    return sorted(tried, key=lambda t: _weigh(t[0].separations), reverse=True)[:count]
+
+
+def _weigh(separations: Sequence[Separation]) -> tuple[int, float]:
+    """Return how many pairs are decided, whichever is true; then how surely the mean one is."""
+    pairs: dict[frozenset[str], float] = {}
+    for s in separations:
+        key = frozenset({s.true, s.refuted})
+        pairs[key] = min(s.sureness, pairs.get(key, np.inf))
+    sures = pairs.values()
+    return sum(sure > 1.0 for sure in sures), sum(min(sure, MOST_SURE) for sure in sures)
+
+
+def choose_repeated_part(
+    explanations: Sequence[Explanation], limits: RigLimits, period_s: float
+) -> list[Part]:
+    """Return the part that all programs begin with: the largest strokes that the limits allow."""
+    for share in STROKES:
+        begin = make_repeated_part(share * limits.command_v, limits.command_v)
+        program = make_program([*begin, make_vent(limits.command_v)])
+        runs = ProgramTrial(program, explanations, period_s).runs
+        if all(map(limits.allows, runs.values())):
+            return begin
+    return make_repeated_part(0.0, limits.command_v)
+
+
+def _are_of_muscle(explanations: Sequence[Explanation]) -> bool:
+    """Tell whether a valve drove both blocks: then a program can be simulated whole."""
+    e = explanations[0]
+    channels = {*e.weigher.train.channels}
+    return e.nominal.actuator == "muscle" and channels == {"pressure_pa", "position_m"}
+
+
+def _is_admitted(trial: ProgramTrial, limits: RigLimits) -> bool:
+    return all(limits.admits(trial.commands_v, r, trial.period_s) for r in trial.runs.values())
+
+
+def _describe(trial: ProgramTrial, drawn: int, inside: int, limits_from: str) -> DecidingProgram:
+    runs = trial.runs.values()
+    return DecidingProgram(
+        trial.program,
+        tuple(trial.runs),
+        trial.forecasts,
+        max(float(run.pressure_pa.max()) for run in runs),
+        min(float(run.position_m.min()) for run in runs),
+        max(float(run.position_m.max()) for run in runs),
+        trial.duration_s,
+        drawn,
+        inside,
+        limits_from,
+    )

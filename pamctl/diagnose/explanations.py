@@ -1,0 +1,196 @@
+"""The explanations that a diagnosis leaves, and how good earlier forecasts were."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from pamctl.control.experiment import ForecastSettings
+from pamctl.diagnose.evidence.constants import COARSE_STEP_S
+from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
+from pamctl.diagnose.evidence.ladder import Finding
+from pamctl.diagnose.evidence.name_search import NameSearch
+from pamctl.diagnose.evidence.run_pieces import Runs
+from pamctl.diagnose.evidence.weigh import EvidenceVerdict
+from pamctl.diagnose.extend import assemble_plant
+from pamctl.diagnose.record import Record
+from pamctl.plant.model import PlantSettings
+
+BLOCKS = {"pressure_pa": "pressure", "position_m": "mechanics"}
+"""What a forecast calls the channels."""
+MOST_EXPLANATIONS = 4
+"""The nearest ones; each pair of them is a question to the program."""
+MOST_RIVALS = 3
+"""Rivals of one finding that are fitted."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """One explanation: its name, and the model that was fitted with it."""
+
+    name: str
+    model: WeighedModel
+    weigher: Weigher
+    nominal: PlantSettings
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The model's numbers by flat name, those of the measuring chain included."""
+        return {**self.weigher.base, **self.model.values}
+
+    @cached_property
+    def plant(self) -> PlantSettings:
+        """The whole plant under this explanation."""
+        return assemble_plant(self.nominal, self.model.values)
+
+
+def name_explanation(model: WeighedModel) -> str:
+    """Return what a model says is missing, in one line."""
+    return " and ".join(sorted(model.names)) or "recalibration alone"
+
+
+def list_explanations(found: EvidenceVerdict, nominal: PlantSettings) -> tuple[Explanation, ...]:
+    """Return what the data leave open: the chosen model first, then its rivals, the nearest first.
+
+    Fewer than two explanations leave nothing to decide.
+    """
+    if not found.findings:
+        return ()
+    search, weigher = NameSearch(found.weigher, found.pool), found.weigher
+    named, floor2 = {name_explanation(found.model): replace(found.model)}, weigher.like.least2
+    for finding in found.findings:
+        if finding.level in ("name", "rest"):  # a name's freer terms can always mimic it
+            continue
+        for m in _fit_rivals(search, found.model, finding):
+            named.setdefault(name_explanation(m), m)
+        floor2 = np.maximum(floor2, weigher.floor2)
+    # As the ladder weighs them: under the resolution of the model without the finding.
+    weigher.floor2 = floor2
+    return tuple(
+        Explanation(name, weigher.leave_out(m), weigher, nominal)
+        for name, m in [*named.items()][:MOST_EXPLANATIONS]
+    )
+
+
+def _fit_rivals(search: NameSearch, m: WeighedModel, finding: Finding) -> Iterator[WeighedModel]:
+    """Yield the model with a finding exchanged for each of what is not beaten, names first."""
+    for rival in sorted(finding.rivals, key=lambda r: r.is_term)[:MOST_RIVALS]:
+        fitted = exchange_name(search, m, finding.name, rival.name)
+        if fitted is not None:
+            yield fitted
+
+
+def exchange_name(search: NameSearch, m: WeighedModel, gone: str, new: str) -> WeighedModel | None:
+    """Return a model with one name instead of another, fitted; None where the new does nothing.
+
+    An empty name stands for none. The floor is that of the model without either.
+    """
+    without = search.drop(m, gone) if gone else m
+    if not new:
+        return without
+    score, weigher = next(iter(search.score(without, [new])), None), search.weigher
+    if score is None:
+        return None
+    floor2 = weigher.floor2
+    fitted = weigher.settle(search.refit(without, [score], 1)[0])
+    weigher.floor2 = floor2
+    return weigher.leave_out(fitted)
+
+
+GOOD = 2.0
+"""A forecast within this factor of what was found was good."""
+
+
+@dataclass(frozen=True)
+class JudgedForecast:
+    """One forecast, and what came of it."""
+
+    record: str
+    true: str
+    """The explanation that was found in the end."""
+    refuted: str
+    block: str
+    expected: float
+    """Residual over the sensor's noise that the refuted one should leave of this record."""
+    found: float | None
+    """What it leaves; None where it was not fitted again."""
+
+    @property
+    def is_good(self) -> bool | None:
+        """Whether both agree; None where nothing can be compared."""
+        if self.found is None:
+            return None
+        return max(self.found / self.expected, self.expected / self.found) <= GOOD
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what the document holds."""
+        return {**asdict(self), "is_good": self.is_good}
+
+
+def read_forecast(record: Record) -> ForecastSettings | None:
+    """Return the forecast that a record's program carried; None without a valid one."""
+    keys = record.settings.get("experiment")
+    forecast = keys.get("forecast") if isinstance(keys, Mapping) else None
+    if forecast is None:
+        return None
+    try:
+        return ForecastSettings.model_validate(forecast)
+    except ValidationError:
+        return None
+
+
+def judge_forecasts(
+    found: EvidenceVerdict, records: Sequence[Record]
+) -> tuple[JudgedForecast, ...]:
+    """Compare what was expected of each record with what its refuted explanations leave.
+
+    A forecast is judged where the explanation that it took for true is the one that was found.
+    """
+    here, judged = name_explanation(found.model), []
+    fitted: dict[str, WeighedModel | None] = {}
+    for record in records:
+        forecast = read_forecast(record)
+        for pair in forecast.pairs if forecast else ():
+            if pair.true != here:
+                continue
+            if pair.refuted not in fitted:
+                fitted[pair.refuted] = _fit_again(found, pair.refuted)
+            m = fitted[pair.refuted]
+            left = None if m is None else _measure(found, m, pair.block, record)
+            judged.append(
+                JudgedForecast(
+                    record.name, here, pair.refuted, pair.block, pair.residual_over_floor, left
+                )
+            )
+    return tuple(judged)
+
+
+def _fit_again(found: EvidenceVerdict, explanation: str) -> WeighedModel | None:
+    """Return the model of an explanation, fitted to all records; None if it differs by far."""
+    names = {*explanation.split(" and ")} - {"recalibration alone"}
+    gone, new = {*found.model.names} - names, names - {*found.model.names}
+    if len(gone) > 1 or len(new) > 1 or not new <= {*found.pool}:
+        return None
+    search = NameSearch(found.weigher, found.pool)
+    return exchange_name(search, found.model, "".join(gone), "".join(new))
+
+
+def _measure(found: EvidenceVerdict, m: WeighedModel, block: str, record: Record) -> float | None:
+    """Return the RMS that a model leaves of one record, over the sensor's noise."""
+    weigher = found.weigher
+    channel = next((c for c, name in BLOCKS.items() if name == block), "")
+    if channel not in weigher.train.channels:
+        return None
+    row = weigher.train.channels.index(channel)
+    try:
+        runs = Runs([record], weigher.base, weigher.train)
+    except ValueError:  # shorter than a block
+        return None
+    off = runs.shown - runs.simulate({**weigher.base, **m.values}, COARSE_STEP_S)
+    rms = float(np.sqrt((runs.fill_masked(off)[row] ** 2).mean()))
+    return rms / float(np.sqrt(weigher.find_noise2(found.model)[row]))

@@ -1,0 +1,308 @@
+"""One measured run for the diagnosis: arrays in SI, sampled together; and how a log becomes one."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+import pamctl.log
+from pamctl.exit_codes import ExitCode
+from pamctl.log.cut import find_longest_step_s, split_at_gaps
+from pamctl.log.framing import map_log_file
+from pamctl.log.measured_signals import judge_ticks
+from pamctl.log.moments import Moment, list_moments
+from pamctl.log.record_problems import find_sensor_step
+from pamctl.signals import Phase
+
+Array = NDArray[np.float64]
+
+CHANNELS: Mapping[str, str] = {
+    "valve_v": "V",
+    "pressure_pa": "Pa",
+    "position_m": "m",
+    "force_n": "N",
+}
+"""The channels that a record may hold, and their units."""
+
+REST_V = 0.05
+"""Commands that differ by less do not move the valve (V)."""
+RISE_FROM = 20
+"""Samples whose median is the level from which a force starts."""
+RISE_OVER_NOISE = 10.0
+"""A force has left its start when it is this multiple of its noise away, even if the noise is
+correlated."""
+RISE_SHARE = 2e-3
+"""A channel has not left its start within this share of its span, however quiet it is."""
+CORRELATED = 2.0
+"""How much smaller the third differences of a sensor's noise may be than those of white noise."""
+FEWEST_AVERAGES = 8
+"""Averages whose scatter is known, and which an input's slow motion may show."""
+SHORT_PARTS = 5
+"""Short averages in an average."""
+QUIET_SAMPLES = 50
+"""Samples whose noise is taken together, to find the quiet parts of a channel."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """A run: `pressure_pa[k]` and `position_m[k]` were sampled at `t_s[k]`.
+
+    `valve_v[k]` acts from `t_s[k] + acts_after_s[k]` until the next one does. Pressure is absolute.
+    A channel that was not measured is None. The run should begin vented and at rest.
+    """
+
+    name: str
+    t_s: Array
+    valve_v: Array | None = None
+    pressure_pa: Array | None = None
+    position_m: Array | None = None
+    force_n: Array | None = None
+    reference_m: Array | None = None
+    """Reference position in closed loop, NaN elsewhere; it shows which runs are repeats."""
+    acts_after_s: Array | None = None
+    """Time from each sample to the instant from which its command acts; None: at the sample."""
+    held_v: float | None = None
+    """The command before the first, which acts until the first does; None: the first itself."""
+    notes: tuple[str, ...] = field(default=(), compare=False)
+    experiment: str = field(default="", compare=False)
+    """Name of the experiment that was run; empty if unknown."""
+    is_imported: bool = field(default=False, compare=False)
+    """Whether another system measured it: this one cannot be asked to run an experiment."""
+    counts: NDArray[np.bool_] | None = None
+    """False where a sample is an outlier or a dropout, shape (n,); None if all samples count."""
+    stated_noise: Mapping[str, float] = field(default_factory=dict)
+    """Standard deviation of a reading by channel, in SI, where the user states it."""
+    atmosphere_pa: float | None = field(default=None, compare=False)
+    """From which an imported gauge pressure counts; None where no import map says it."""
+    moments: tuple[Moment, ...] = field(default=(), compare=False)
+    """Marks, changes of gains and the trip, which plots show; in the time of `t_s`."""
+    settings: Mapping[str, Any] = field(default_factory=dict, compare=False)
+    """What the run was set to, as its log holds it: rig, experiment; empty if unknown."""
+
+    def __post_init__(self) -> None:
+        """Accept any sequence of numbers; raise ValueError where lengths differ."""
+        object.__setattr__(self, "t_s", _as_column(self.t_s))
+        for channel in (*CHANNELS, "reference_m", "acts_after_s"):
+            values = getattr(self, channel)
+            if values is None:
+                continue
+            column = _as_column(values)
+            if column.shape != self.t_s.shape:
+                raise ValueError(
+                    f"{self.name}: {channel} has {len(column)} samples, t_s has {len(self.t_s)}"
+                )
+            object.__setattr__(self, channel, column)
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.t_s)
+
+    @property
+    def duration_s(self) -> float:
+        """From the first sample to the last."""
+        return float(self.t_s[-1] - self.t_s[0])
+
+    @cached_property
+    def step_s(self) -> Array:
+        """Time from each sample to the next, shape (n - 1,)."""
+        return np.diff(self.t_s)
+
+    @cached_property
+    def period_s(self) -> float:
+        """The usual time between two samples."""
+        return float(np.median(self.step_s))
+
+    @property
+    def longest_step_s(self) -> float:
+        """The longest time between two samples that is not a gap."""
+        return find_longest_step_s(self.step_s, holds_command=self.valve_v is not None)
+
+    @cached_property
+    def segments(self) -> tuple[slice, ...]:
+        """The stretches between gaps, in order; a record without gaps is one."""
+        return split_at_gaps(self.t_s, holds_command=self.valve_v is not None)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The channels that were measured."""
+        return tuple(name for name in CHANNELS if getattr(self, name) is not None)
+
+    def __getitem__(self, channel: str) -> Array:
+        """Return a channel; raise KeyError where it was not measured."""
+        values = getattr(self, channel) if channel in CHANNELS else None
+        if values is None:
+            raise KeyError(f"{self.name} has no {channel}")
+        column: Array = values
+        return column
+
+    def cut_samples(self, start: int, stop: int, name: str) -> Record:
+        """Return the samples [start, stop) as a record of their own."""
+        held_v = self.held_v
+        if start and self.valve_v is not None:
+            held_v = float(self.valve_v[start - 1])
+        return Record(
+            name,
+            self.t_s[start:stop],
+            **{channel: self[channel][start:stop] for channel in self.channels},
+            reference_m=None if self.reference_m is None else self.reference_m[start:stop],
+            acts_after_s=None if self.acts_after_s is None else self.acts_after_s[start:stop],
+            held_v=held_v,
+            notes=self.notes,
+            experiment=self.experiment,
+            is_imported=self.is_imported,
+            counts=None if self.counts is None else self.counts[start:stop],
+            stated_noise=self.stated_noise,
+            atmosphere_pa=self.atmosphere_pa,
+            moments=self.moments,
+            settings=self.settings,
+        )
+
+    @cached_property
+    def rest_samples(self) -> int:
+        """Number of samples before the first change that the rig can answer."""
+        moved = np.zeros(len(self), dtype=bool)
+        if self.valve_v is not None:
+            moved |= np.abs(self.valve_v - self.valve_v[0]) > REST_V
+            if self.valve_v[0] > REST_V:
+                return 0
+        for channel in self.channels:
+            if channel != "valve_v":
+                moved[_find_rise(self[channel]) :] = True
+        rest = int(np.argmax(moved)) if moved.any() else len(self)
+        # A force may swing within its noise until friction lets go: nothing else shows it.
+        for channel in ("force_n", *(() if self.valve_v is not None else ("pressure_pa",))):
+            if channel in self.channels:
+                rest = _find_slow_move(self[channel][:rest])
+        return rest
+
+
+def _find_rise(values: Array) -> int:
+    """Return where a channel leaves its start; its length where it does not.
+
+    Noise hides the beginning of a slow ramp. The ramp takes as long to reach the first level as
+    from there to the second, twice as high: its beginning is extrapolated from both.
+    """
+    least = RISE_SHARE * float(np.ptp(values))
+    level = max(
+        RISE_OVER_NOISE * max(estimate_quiet_noise(values), find_sensor_step(values)), least
+    )
+    return _extrapolate_rise(np.abs(values - np.median(values[:RISE_FROM])), level)
+
+
+def _find_slow_move(rest: Array) -> int:
+    """Return where an input leaves its start in a rest, by averages, which show less of its noise.
+
+    The noise is that of short averages, so that a memory of some samples is in it.
+    """
+    whole = len(rest) // QUIET_SAMPLES * QUIET_SAMPLES
+    if whole < FEWEST_AVERAGES * QUIET_SAMPLES:
+        return len(rest)
+    short = rest[:whole].reshape(-1, QUIET_SAMPLES // SHORT_PARTS).mean(axis=1)
+    averages = short.reshape(-1, SHORT_PARTS).mean(axis=1)
+    scatter = float(np.sqrt(np.mean(np.diff(short, 3) ** 2) / (20.0 * SHORT_PARTS)))
+    scatter = max(scatter, find_sensor_step(rest) / QUIET_SAMPLES**0.5)
+    begins = _extrapolate_rise(np.abs(averages - averages[0]), RISE_OVER_NOISE * scatter)
+    return len(rest) if begins == len(averages) else QUIET_SAMPLES * begins
+
+
+def _extrapolate_rise(away: Array, level: float) -> int:
+    first, second = (np.flatnonzero(away > times * level) for times in (1.0, 2.0))
+    if not len(first):
+        return len(away)
+    later = int(second[0]) if len(second) else int(first[0])
+    return max(2 * int(first[0]) - later, 0)
+
+
+def estimate_quiet_noise(values: Array) -> float:
+    """Return the noise of the quiet parts of a channel; its motion may be as lively elsewhere."""
+    third = np.diff(values, 3)  # white noise grows by sqrt(20), a ramp vanishes
+    whole = len(third) // QUIET_SAMPLES * QUIET_SAMPLES
+    if not whole:
+        return 0.0
+    parts = third[:whole].reshape(-1, QUIET_SAMPLES)
+    white = np.sqrt(np.mean(parts**2, axis=1) / 20.0)
+    # Correlated noise has smaller differences than white noise, but not by more than this factor.
+    around = values[:whole].reshape(-1, QUIET_SAMPLES)
+    return float(np.quantile(np.minimum(CORRELATED * white, around.std(axis=1)), 0.2))
+
+
+def _as_column(values: ArrayLike) -> Array:
+    return np.ascontiguousarray(values, dtype=np.float64).reshape(-1)
+
+
+class HoldoutError(Exception):
+    """A log is to be fitted and to judge the fit. The message names it."""
+
+    exit_code = ExitCode.USAGE
+
+
+def require_held_out(train: Sequence[Path], holdout: Sequence[Path]) -> None:
+    """Raise HoldoutError if a log of `holdout` is fitted too, under whatever name.
+
+    Raise `LogError` if a file cannot be read.
+    """
+    fitted = {_hash_content(path): path for path in train} if holdout else {}
+    for path in holdout:
+        same = fitted.get(_hash_content(path))
+        if same is not None:
+            raise HoldoutError(
+                f"--holdout {path} holds the same run as {same}: a log that is fitted cannot "
+                "judge the fit; give another run, or no --holdout"
+            )
+
+
+def _hash_content(path: Path) -> bytes:
+    return sha256(map_log_file(path)).digest()
+
+
+def record_of(path: str | Path) -> Record:
+    """Read a log and return its measurement after homing; raises `LogError`.
+
+    The ramp to the safe voltage at the end is left out, and so are ticks whose write failed. The
+    record's notes say what is doubtful in it.
+    """
+    log = pamctl.log.read(path)
+    doubts = judge_ticks(log)
+    measured = pamctl.log.signals(log)
+    usable = (measured.phase != Phase.HOMING) & (measured.phase != Phase.STOPPING)
+    if measured.valve_v is not None:
+        usable &= np.isfinite(measured.valve_v)
+    ticks = np.flatnonzero(usable)
+    if not len(ticks):
+        raise pamctl.log.LogError(f"{path} holds nothing but homing")
+    whole = slice(int(ticks[0]), int(ticks[-1]) + 1)
+    part = measured[whole]
+    channels = {
+        name: getattr(part, name)
+        for name in ("valve_v", "pressure_pa", "position_m", "force_n")
+        if getattr(part, name) is not None
+    }
+    column = log.columns.get("reference_m")  # an imported log may not have it
+    reference_m = None if column is None or not np.isfinite(column).any() else column[whole]
+    first_s = float(log["t_s"][whole][0])
+    experiment = str(log.metadata.get("run", {}).get("experiment") or "")
+    story = log.metadata.get("import", {})
+    atmosphere = story.get("atmospheric_pressure_pa")
+    return Record(
+        Path(path).stem,
+        part.t_s - part.t_s[0],
+        **channels,
+        reference_m=reference_m,
+        acts_after_s=part.acts_after_s,
+        held_v=part.held_v,
+        notes=tuple(doubts),
+        experiment=experiment,
+        is_imported=log.is_imported,
+        stated_noise=json.loads(story.get("noise") or "{}"),
+        atmosphere_pa=None if atmosphere is None else float(atmosphere),
+        moments=tuple(Moment(at_s - first_s, text) for at_s, text in list_moments(log)),
+        settings=log.config,
+    )

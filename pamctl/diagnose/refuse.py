@@ -1,0 +1,555 @@
+"""Refuse data that would mislead the diagnosis; say why, and what to do.
+
+Data of which nothing can be computed are refused in any case. What a rule doubts is refused unless
+the user accepts that rule, with a reason, which the document keeps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from pamctl.diagnose.mend import SensorFault
+from pamctl.diagnose.record import CHANNELS, Array, Record
+from pamctl.diagnose.sensor_noise import Noise
+from pamctl.exit_codes import ExitCode
+from pamctl.log.importing.plausibility import is_switched
+from pamctl.log.record_problems import find_sensor_step
+from pamctl.plant.effects.description import USED_SIGNALS, describe_unused
+from pamctl.plant.model import PlantSettings
+
+Flags = NDArray[np.bool_]
+
+RULES: Mapping[str, str] = {
+    "short": "a record of a muscle or a chamber lasts less than 2 s",
+    "gap": "gaps in the time leave no stretch that is long enough",
+    "coarse": "a signal passes half of its span between two samples",
+    "command_unit": "the command does not look like -5 to 5 V",
+    "pressure_unit": "the pressure does not look like absolute pascals",
+    "position_unit": "the muscle moves by more than 45 % of its rest length",
+    "position_sign": "the muscle is longer than at its vented rest",
+    "clipped": "a sensor stands still at its extreme value",
+    "shifted": "a column answers before its cause, or long after it",
+    "still": "a signal hardly varies in any record",
+}
+"""The rules and what they doubt, by the name that `--accept` takes."""
+
+SHORTEST_S = 2.0
+FEWEST_SAMPLES = 100
+SHORTEST_STRETCH = 20
+"""A stretch between gaps with fewer samples shows nothing."""
+HALF_SPAN = 0.5
+"""A signal that moves by this share of its span between two samples is not resolved."""
+STILL_TIMES_NOISE = 10.0
+"""A signal that varies by less than this multiple of its noise tells nothing."""
+
+
+class Doubt(NamedTuple):
+    """What a rule found."""
+
+    rule: str
+    text: str
+
+
+def list_used_channels(record: Record, plant: PlantSettings) -> tuple[str, ...]:
+    """Return the measured channels that this plant's model reads."""
+    used = USED_SIGNALS[plant.actuator]
+    return tuple(channel for channel in record.channels if channel in used)
+
+
+def leave_out_unused(
+    records: Sequence[Record], plant: PlantSettings
+) -> tuple[list[Record], list[SensorFault]]:
+    """Return the records without the channels that this plant's model does not read."""
+    kept, faults = list[Record](), dict[str, SensorFault]()
+    for record in records:
+        unused = [c for c in record.channels if c not in list_used_channels(record, plant)]
+        without: dict[str, Any] = dict.fromkeys(unused)
+        if "valve_v" in unused:
+            without |= {"acts_after_s": None, "held_v": None}
+        kept.append(replace(record, **without) if unused else record)
+        for channel in unused:
+            says = describe_unused(channel, plant.actuator)
+            faults[channel] = SensorFault(channel, "unused", says)
+    return kept, [*faults.values()]
+
+
+def doubt_record(record: Record, plant: PlantSettings) -> Iterator[Doubt]:
+    """Yield what is doubtful about the times and units of a record."""
+    yield from _doubt_length(record, plant)
+    yield from _doubt_rate(record, plant)
+    if "valve_v" in list_used_channels(record, plant):
+        yield from _doubt_command_unit(record)
+    if record.pressure_pa is not None:
+        yield from _doubt_pressure_unit(record, plant)
+    if record.position_m is not None and plant.actuator == "muscle":
+        yield from _doubt_position(record, plant)
+
+
+def _doubt_length(record: Record, plant: PlantSettings) -> Iterator[Doubt]:
+    stretches = [s for s in record.segments if s.stop - s.start >= SHORTEST_STRETCH]
+    if sum(s.stop - s.start for s in stretches) < FEWEST_SAMPLES:
+        longest = int(np.argmax(record.step_s))
+        yield Doubt(
+            "gap",
+            f"{record.name}: {len(record.segments) - 1} gaps, the longest of "
+            f"{record.step_s[longest]:.3g} s after row {longest}, leave no stretch of "
+            f"{SHORTEST_STRETCH} samples, or fewer than {FEWEST_SAMPLES} samples in such "
+            "stretches; record without pauses of the logger",
+        )
+    if plant.actuator != "direct" and record.duration_s < SHORTEST_S:
+        yield Doubt(
+            "short",
+            f"{record.name}: {record.duration_s:.3g} s long, shorter than {SHORTEST_S:g} s; "
+            "record a whole excitation",
+        )
+
+
+def _doubt_rate(record: Record, plant: PlantSettings) -> Iterator[Doubt]:
+    """Doubt a rate at which a state of the plant jumps: how it came there was not seen.
+
+    Single outliers do not count. A measured input, such as a force, may jump.
+    """
+    states = {"position_m"} if plant.actuator == "direct" else {"position_m", "pressure_pa"}
+    inside = record.step_s <= record.longest_step_s
+    for channel in record.channels:
+        span = float(np.ptp(record[channel]))
+        if channel not in states or span == 0.0:
+            continue
+        smooth = median_filter(record[channel], 3, mode="nearest")
+        jumps = np.where(inside, np.abs(np.diff(smooth)), 0.0)
+        largest = int(np.argmax(jumps))
+        if jumps[largest] > HALF_SPAN * span:
+            yield Doubt(
+                "coarse",
+                f"{record.name}: {channel} passes {100.0 * jumps[largest] / span:.0f} % of its "
+                f"span between two samples (row {largest}), "
+                f"{1e3 * record.step_s[largest]:.3g} ms apart: how it came there was not "
+                "seen; sample at least ten times faster",
+            )
+
+
+def _doubt_command_unit(record: Record) -> Iterator[Doubt]:
+    values = record["valve_v"]
+    low, high = float(values.min()), float(values.max())
+    runs = f"{record.name}: valve_v runs from {low:.3g} to {high:.3g}"
+    if is_switched(values):
+        middle = 0.5 * (low + high)
+        falls = [level for level, there in ((low, values < middle), (high, values > middle))
+                 if _falls_while(record, there)]  # fmt: skip
+        if falls or high > 5.5:
+            shown = "".join(f" the muscle loses its air while it is {x:.3g};" for x in falls)
+            yield Doubt(
+                "command_unit",
+                f"{runs}: a valve that switches;{shown} the model reads 5 V as filling, -5 V as "
+                "exhausting, 0 V as closed: map each level to what it does on your rig (gain and "
+                "offset of the valve in the import map)",
+            )
+    elif high > 10.5 or low < -10.5:
+        yield Doubt(
+            "command_unit", f"{runs}: not volts of command (-5 to 5); is it in mV or per cent?"
+        )
+    elif low > -0.2 and high > 5.5:
+        yield Doubt(
+            "command_unit",
+            f"{runs}: the output voltage, not the command? The command is 0 V where the valve "
+            "closes, and rises as it fills: subtract the driver's offset (5 V where 0 to 10 V "
+            "drive the valve), and turn the sign if more volts exhaust",
+        )
+
+
+def _falls_while(record: Record, there: Flags) -> bool:
+    """Tell whether half of the pressure's span, or of the position's, is lost in these samples."""
+    column = record.pressure_pa if record.pressure_pa is not None else record.position_m
+    if column is None:
+        return False
+    lost = -np.minimum(np.diff(median_filter(column, 5, mode="nearest")), 0.0)
+    inside, outside = lost[there[:-1]], lost[~there[:-1]]
+    return float(inside.sum()) > 0.5 * float(np.ptp(column)) and bool(
+        inside.mean() > 2.0 * outside.mean()
+    )
+
+
+def _doubt_pressure_unit(record: Record, plant: PlantSettings) -> Iterator[Doubt]:
+    low, high = find_usual_ends(record["pressure_pa"])
+    atmosphere, tank = plant.parameters.atmospheric_pressure_pa, plant.parameters.tank_pressure_pa
+    if high < 5e3:
+        yield Doubt(
+            "pressure_unit",
+            f"{record.name}: pressure_pa runs from {low:.3g} to {high:.3g}: not absolute "
+            "pascals; is it in kPa or bar?",
+        )
+    elif low < 0.5 * atmosphere:
+        yield Doubt(
+            "pressure_unit",
+            f"{record.name}: pressure_pa falls to {low:.4g} Pa, below the atmosphere: "
+            "is it gauge pressure? It must be absolute",
+        )
+    elif high > 2.0 * tank and plant.actuator != "direct":
+        yield Doubt(
+            "pressure_unit",
+            f"{record.name}: pressure_pa rises to {high:.4g} Pa, the tank has {tank:.4g} Pa: "
+            "wrong unit, or the wrong tank_pressure_pa in the plant file",
+        )
+
+
+def _doubt_position(record: Record, plant: PlantSettings) -> Iterator[Doubt]:
+    low, high = float(record["position_m"].min()), float(record["position_m"].max())
+    length_m = plant.parameters.rest_length_m
+    if max(abs(low), abs(high)) > 0.45 * length_m:
+        yield Doubt(
+            "position_unit",
+            f"{record.name}: position_m runs from {low:.3g} to {high:.3g}, and the plant file's "
+            f"muscle is {length_m:.3g} m long (rest_length_m): is the column in mm or counts, or "
+            "the plant file that of another actuator?",
+        )
+    elif record.pressure_pa is not None and low < -0.02 * length_m:
+        yield Doubt(
+            "position_sign",
+            f"{record.name}: position_m falls to {low:.3g} m: contraction must count "
+            "positive, from zero at the vented muscle",
+        )
+
+
+def doubt_sensors(
+    record: Record, plant: PlantSettings, noises: Mapping[str, Noise]
+) -> Iterator[Doubt]:
+    """Yield doubts about clipped channels, which their noise reveals, and shifted ones."""
+    for channel in list_used_channels(record, plant):
+        if channel in noises:  # the command has no sensor
+            yield from _doubt_extremes(record, plant, channel, noises[channel])
+    for text in check_time_shifts(record):
+        yield Doubt("shifted", text)
+
+
+def _doubt_extremes(
+    record: Record, plant: PlantSettings, channel: str, noise: Noise
+) -> Iterator[Doubt]:
+    """Find a channel that stands still at its extreme value, where its noise should show."""
+    values = record[channel]
+    for end, extreme in (("highest", values.max()), ("lowest", values.min())):
+        at_end = values == extreme
+        share = float(at_end.mean())
+        if share < 0.02 or _longest_run(at_end) < 20:
+            continue
+        noisy = noise.deviation > noise.resolution and noise.deviation > 0.0
+        # A muscle that its pressure pushes cannot rest; another mechanism may be at its stop.
+        muscle = plant.actuator == "muscle" and channel == "position_m"
+        if noisy or (muscle and _is_still_pushed(record, at_end)):
+            yield Doubt(
+                "clipped",
+                f"{record.name}: {channel} stays at its {end} value {extreme:.6g} for "
+                f"{100.0 * share:.0f} % of the time: the sensor is clipped; widen its range, "
+                "or drive less far",
+            )
+
+
+def _is_still_pushed(record: Record, at_end: Flags) -> bool:
+    """Tell whether the pressure changes by more than friction holds while the position rests."""
+    if record.pressure_pa is None:
+        return False
+    span = float(np.ptp(record.pressure_pa))
+    inside = record.pressure_pa[at_end]
+    return bool(np.quantile(inside, 0.98) - np.quantile(inside, 0.02) > 0.35 * span)
+
+
+def _longest_run(flags: Flags) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
+    return int((edges[1::2] - edges[::2]).max()) if len(edges) else 0
+
+
+def doubt_excitation(records: Sequence[Record], plant: PlantSettings) -> Iterator[Doubt]:
+    """Find a channel that hardly varies in any record: it tells nothing."""
+    for channel in CHANNELS:
+        # A regulator may hold the pressure on a piston: then the motion is the excitation.
+        if plant.actuator == "direct" and channel == "pressure_pa":
+            continue
+        spans = [
+            _measure_span(r[channel], _least_span(r, plant, channel))
+            for r in records
+            if channel in list_used_channels(r, plant)
+        ]
+        if spans and all(span < least for span, least in spans):
+            yield Doubt(
+                "still",
+                f"{channel} varies by only {max(span for span, _ in spans):.3g} "
+                f"{CHANNELS[channel]} over all records: it is not excited",
+            )
+
+
+def _measure_span(values: Array, least: float) -> tuple[float, float]:
+    low, high = find_usual_ends(values)
+    return high - low, least
+
+
+def _least_span(record: Record, plant: PlantSettings, channel: str) -> float:
+    """Return the variation that a channel needs: more than its noise; of a muscle, a part of it."""
+    noise = max(_estimate_noise(record[channel]), find_sensor_step(record[channel]))
+    least: float = max(STILL_TIMES_NOISE * noise, 1e-12)
+    if plant.actuator == "direct":
+        return least
+    if channel == "pressure_pa":
+        return max(least, 0.02 * plant.parameters.tank_pressure_pa)
+    if channel == "position_m":
+        return max(least, float(2e-3 * plant.parameters.rest_length_m))
+    return 0.1 if channel == "valve_v" else least
+
+
+def _estimate_noise(values: Array) -> float:
+    """Return the deviation of white noise: third differences multiply it by sqrt(20)."""
+    return float(np.median(np.abs(np.diff(values, 3))) / (0.6745 * np.sqrt(20.0)))
+
+
+def find_usual_ends(values: Array) -> tuple[float, float]:
+    """Return the range of a signal without its rarest values."""
+    return float(np.quantile(values, 0.001)), float(np.quantile(values, 0.999))
+
+
+STEP_SHARE = 0.3
+"""Share of the command's span that counts as a step."""
+LEFT_SHARE = 0.25
+"""A command that moves on by this share of a step has left its level."""
+QUIET_S, BEFORE_S, AFTER_S = 0.3, 0.15, 0.3
+"""The command rests `QUIET_S` before a step. The search for answers begins `BEFORE_S` before the
+step and ends `AFTER_S` after it."""
+FEWEST_AT_REST = 8
+"""With fewer samples before a step, its answer cannot be timed."""
+ANSWER_SHARE = 0.05
+"""An answer has begun when this share of the whole change is reached."""
+LEAST_SHARE = {"pressure_pa": 0.2, "position_m": 0.12}
+"""Smaller changes, as shares of the signal's span, are no answer to a step."""
+ABOVE_NOISE = 5.0
+"""An answer has begun only at this multiple of the scatter at rest."""
+EARLY_S = {"pressure_pa": 3e-3, "position_m": 5e-3}
+"""Noise and late ticks may make an answer seem to begin this long before its cause."""
+EARLY_PERIODS = 1.5
+LATE_S = {"pressure_pa": 0.035, "position_m": 0.1}
+"""The longest delay with the slowest valve; for the position with the strongest friction too."""
+LATE_RISES = 0.5
+"""A slow answer may also begin later: by this multiple of the time from its beginning to half."""
+CAUSE = {"pressure_pa": "valve_v", "position_m": "pressure_pa"}
+
+
+class _Response(NamedTuple):
+    """When a signal began to answer a step; NaN if it does not answer or did not rest."""
+
+    begins_s: float
+    rise_s: float = 0.0
+    """From its beginning to half of its change."""
+
+
+_NONE = _Response(float("nan"))
+
+
+def check_time_shifts(record: Record) -> Iterator[str]:
+    """Yield the reason where a column does not fit the time of its cause."""
+    if record.valve_v is None or record.pressure_pa is None:
+        return
+    if round((QUIET_S - BEFORE_S) / record.period_s) < FEWEST_AT_REST:
+        return
+    steps = _find_steps(record)
+    held_s = [_find_end_s(record, step) for step in steps]
+    causes = [_Response(float(record.t_s[step])) for step in steps]
+    for channel in ("pressure_pa", "position_m"):
+        if channel not in record.channels:
+            continue
+        answers = [_find_response(record, channel, step) for step in steps]
+        pairs = [
+            (answer.begins_s - cause.begins_s, _latest_s(channel, cause, answer))
+            for cause, answer, end_s in zip(causes, answers, held_s, strict=True)
+            if np.isfinite(answer.begins_s - cause.begins_s) and answer.begins_s <= end_s
+        ]
+        causes = answers
+        if not pairs:
+            return
+        early_s = max(EARLY_S[channel], EARLY_PERIODS * record.period_s)
+        late_s = float(np.median([late for late, _ in pairs]))
+        if max(late for late, _ in pairs) < -early_s or all(late > most for late, most in pairs):
+            order = "before" if late_s < 0.0 else "after"
+            yield (
+                f"{record.name}: {channel} answers {abs(late_s) * 1e3:.0f} ms {order} "
+                f"{CAUSE[channel]}, which no valve, tube or sensor does: the columns are shifted "
+                "in time against each other; log them with one clock, or shift them back"
+            )
+
+
+def _latest_s(channel: str, cause: _Response, answer: _Response) -> float:
+    """Return the longest time after its cause at which an answer may begin."""
+    return max(float(np.hypot(LATE_S[channel], LATE_RISES * answer.rise_s)), cause.rise_s)
+
+
+def _find_steps(record: Record) -> list[int]:
+    """Return the samples at which the command steps out of a rest, away from gaps."""
+    command = record["valve_v"]
+    least_v = STEP_SHARE * float(np.ptp(command))
+    quiet, after = (round(s / record.period_s) for s in (QUIET_S, AFTER_S))
+    found = []
+    for part in record.segments:
+        steps = np.abs(np.diff(command[part]))
+        jumps = np.flatnonzero((steps >= least_v) & (steps > 0.0)) + 1 + part.start
+        found += [
+            int(jump)
+            for jump in jumps
+            if jump >= part.start + quiet
+            and jump + after < part.stop
+            and np.ptp(command[jump - quiet : jump]) == 0.0
+        ]
+    return found
+
+
+def _find_end_s(record: Record, step: int) -> float:
+    """Return when the command leaves the level of a step; what follows may answer that instead."""
+    command = record["valve_v"]
+    size = abs(command[step] - command[step - 1])
+    left = np.flatnonzero(np.abs(command[step:] - command[step]) > LEFT_SHARE * size)
+    return float(record.t_s[step + left[0]]) if len(left) else float(record.t_s[-1])
+
+
+def _find_response(record: Record, channel: str, step: int) -> _Response:
+    """Find when a channel begins to answer a step, and how fast."""
+    quiet, before, after = (round(s / record.period_s) for s in (QUIET_S, BEFORE_S, AFTER_S))
+    values: Array = record[channel]
+    rest = values[step - quiet : step - before]
+    earlier, later = np.array_split(rest, 2)
+    rested, drift = float(later.mean()), float(later.mean() - earlier.mean())
+    change = values[step - before : step + after] - rested
+    whole = float(change[np.argmax(np.abs(change))])
+    begun = ANSWER_SHARE * abs(whole)
+    if (
+        abs(whole) <= LEAST_SHARE[channel] * float(np.ptp(values))
+        or begun < ABOVE_NOISE * float(np.std(rest))
+        or abs(drift) > 0.2 * begun
+    ):
+        return _NONE
+    first = int(np.argmax(change / whole > ANSWER_SHARE))
+    if not first:
+        return _NONE
+    half = int(np.argmax(change / whole > 0.5))
+    begins_s = float(record.t_s[step - before + first])
+    return _Response(begins_s, float(record.t_s[step - before + half]) - begins_s)
+
+
+class BadData(Exception):
+    """The measurement cannot be diagnosed; the message says why and what to do."""
+
+    exit_code = ExitCode.BAD_DATA
+
+
+class UnknownRule(Exception):
+    """A rule is to be accepted that does not exist, or without a reason."""
+
+    exit_code = ExitCode.USAGE
+
+
+@dataclass(frozen=True)
+class AcceptedDoubt:
+    """What a rule doubts, and why the user accepts it."""
+
+    rule: str
+    reason: str
+    """The user's words."""
+    doubts: tuple[str, ...]
+    """What the rule says of these data."""
+
+    def as_dict(self) -> dict[str, object]:
+        """Return what the document holds."""
+        return {"rule": self.rule, "reason": self.reason, "doubts": list(self.doubts)}
+
+
+def read_acceptances(texts: Iterable[str]) -> dict[str, str]:
+    """Return reasons by rule from texts such as `gap=the logger paused`; raise `UnknownRule`."""
+    accepted: dict[str, str] = {}
+    for text in texts:
+        rule, _, reason = (part.strip() for part in text.partition("="))
+        if rule not in RULES:
+            near = get_close_matches(rule, RULES, 1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise UnknownRule(
+                f"--accept {text}: there is no rule {rule!r}{hint} (rules: {', '.join(RULES)})"
+            )
+        if not reason:
+            raise UnknownRule(
+                f'--accept {text}: say why, such as --accept {rule}="seen and harmless"; '
+                "the document keeps the reason"
+            )
+        accepted[rule] = reason
+    return accepted
+
+
+def check_measured_runs(
+    records: Sequence[Record], plant: PlantSettings, accepted: Mapping[str, str] | None = None
+) -> tuple[AcceptedDoubt, ...]:
+    """Raise `BadData` with every reason found, a line each; return the doubts that are accepted."""
+    faults = [fault for record in records for fault in _find_faults(record)]
+    faults += _find_different_channels(records)
+    if faults:
+        raise BadData("\n".join(dict.fromkeys(faults)))
+    doubts = [doubt for record in records for doubt in doubt_record(record, plant)]
+    known = accepted or {}
+    if all(doubt.rule in known for doubt in doubts):
+        doubts += doubt_excitation(records, plant)
+    return _judge_doubts(doubts, known)
+
+
+def check_sensors(
+    records: Sequence[Record],
+    noises: Mapping[str, Noise],
+    plant: PlantSettings,
+    accepted: Mapping[str, str] | None = None,
+) -> tuple[AcceptedDoubt, ...]:
+    """Raise `BadData` for clipped and shifted channels; return the doubts that are accepted."""
+    doubts = [doubt for record in records for doubt in doubt_sensors(record, plant, noises)]
+    return _judge_doubts(doubts, accepted or {})
+
+
+def _judge_doubts(
+    doubts: Sequence[Doubt], accepted: Mapping[str, str]
+) -> tuple[AcceptedDoubt, ...]:
+    refused = [d for d in doubts if d.rule not in accepted]
+    if refused:
+        reasons = (
+            f"{doubt.text} (if it is right as it is: --accept {doubt.rule}=REASON)"
+            for doubt in refused
+        )
+        raise BadData("\n".join(dict.fromkeys(reasons)))
+    found: dict[str, list[str]] = {}
+    for doubt in doubts:
+        found.setdefault(doubt.rule, []).append(doubt.text)
+    return tuple(
+        AcceptedDoubt(rule, accepted[rule], tuple(dict.fromkeys(texts)))
+        for rule, texts in found.items()
+    )
+
+
+def _find_faults(record: Record) -> Iterator[str]:
+    """Find what no reason can mend: nothing could be computed."""
+    if len(record) < FEWEST_SAMPLES:
+        yield (
+            f"{record.name}: {len(record)} samples, fewer than {FEWEST_SAMPLES}; "
+            "record a whole excitation"
+        )
+        return
+    for channel in record.channels:
+        wrong = ~np.isfinite(record[channel])
+        if wrong.any():
+            yield (
+                f"{record.name}: {channel} is NaN or infinite in {int(wrong.sum())} rows, "
+                f"the first is row {int(np.argmax(wrong))}; remove or repair them"
+            )
+            return
+    if not np.isfinite(record.t_s).all() or np.any(record.step_s <= 0.0):
+        row = int(np.argmax(~(record.step_s > 0.0))) + 1
+        yield f"{record.name}: t_s does not increase at row {row}; sort or repair the time column"
+
+
+def _find_different_channels(records: Sequence[Record]) -> Iterator[str]:
+    channels = {record.channels for record in records}
+    if len(channels) > 1:
+        listed = "; ".join(sorted({f"{r.name} has {', '.join(r.channels)}" for r in records}))
+        yield f"the records do not hold the same channels: {listed}"

@@ -1,0 +1,444 @@
+"""`report.html`: the diagnosis for a reader who was not there, on one page without a network."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pamctl.diagnose.diagnosis import Diagnosis, HeldOutGap
+from pamctl.diagnose.evidence.ladder import Finding
+from pamctl.diagnose.evidence.run_pieces import Runs
+from pamctl.diagnose.plant_numbers import FittedNumber, look_up_parameter
+from pamctl.diagnose.record import Record
+from pamctl.diagnose.report.diagnosis_document import (
+    build_diagnosis_document,
+    find_masked_shares,
+)
+from pamctl.diagnose.report.finding_words import (
+    FreeTerm,
+    is_in_catalogue,
+    label_hypothesis,
+    list_faults,
+    list_numbers,
+    spell_finding,
+    spell_kind,
+    spell_names,
+    spell_place,
+)
+from pamctl.diagnose.report.next_experiment import (
+    NEXT_EXPERIMENT,
+    advise_experiment,
+    format_experiment_file,
+    runs_here,
+    words_of_rig,
+)
+from pamctl.diagnose.report.traces_part import ModelStage, list_stages, write_traces
+from pamctl.diagnose.report.verdict_words import (
+    SIGNAL_DISPLAYS,
+    advise_next_steps,
+    choose_words,
+    describe_noise,
+    relative_shift,
+    sentence,
+)
+from pamctl.diagnose.sensor_noise import SOURCES, ChannelNoise
+from pamctl.new_file import write_files
+from pamctl.plant.catalogue import CATALOGUE
+from pamctl.report.drawing.levels import Levels
+from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot
+from pamctl.report.html_page import Page
+from pamctl.report.run_motion import mark_moments
+from pamctl.settings.yaml12 import dump_yaml
+
+
+def build_diagnosis_page(
+    diagnosis: Diagnosis,
+    records: Sequence[Record],
+    story: Callable[[Page], None] | None = None,
+) -> Page:
+    """Return the page of a diagnosis; `records` are all records that were given, good or bad.
+
+    `story` writes below the head how the records came about.
+    """
+    names = [record.name for record in records]
+    page = Page(choose_words(diagnosis).title, f"Diagnosis of {', '.join(names)}")
+    _write_head(page, diagnosis)
+    if story is not None:
+        story(page)
+    if diagnosis.reason:
+        write_compared_runs(page, diagnosis, records)
+        write_measured_runs(page, records)
+        return page
+    write_setup(page, diagnosis)
+    write_traces(page, diagnosis)
+    write_findings(page, diagnosis)
+    write_blind_spots(page, diagnosis)
+    write_compared_runs(page, diagnosis, records)
+    page.fold("plant.yaml", format_plant_file(diagnosis, names))
+    return page
+
+
+def _write_head(page: Page, diagnosis: Diagnosis) -> None:
+    """Write the verdict, the gap and the next steps."""
+    words = choose_words(diagnosis)
+    page.note(words.explanation, kind=words.kind)
+    stages = list_stages(diagnosis)
+    if stages:
+        page.grid(
+            *(_draw_levels(name, gap, stages) for name, gap in diagnosis.gap.items()),
+            caption=_write_caption(diagnosis),
+        )
+    page.heading("What to do next")
+    page.points(*advise_next_steps(diagnosis))
+
+
+def _draw_levels(name: str, gap: HeldOutGap, stages: Sequence[ModelStage]) -> Levels:
+    signal = SIGNAL_DISPLAYS[name]
+    values = [float(getattr(gap, stage.key)) for stage in stages]
+    factor, unit = signal.choose_unit(max(values))
+    levels = Levels(signal.title, unit)
+    for stage, value in zip(stages, values, strict=True):
+        levels.bar(stage.label, factor * value, colour=stage.colour)
+    levels.mark(factor * gap.floor)
+    return levels
+
+
+def _write_caption(diagnosis: Diagnosis) -> str:
+    used = (
+        "on seconds that were used for no fit"
+        if diagnosis.is_held_out
+        else "on the fitted records, since none were held out"
+    )
+    parts = [
+        f"{100.0 * gap.closed:.1f} % of the {SIGNAL_DISPLAYS[name].short}'s gap"
+        for name, gap in diagnosis.gap.items()
+        if gap.is_open
+    ]
+    closed = f" The findings close {' and '.join(parts)}, counted from recalibrated to this line."
+    return (
+        f"RMS of measurement minus simulation, {used}. The dashed line is the sensor's own noise."
+        + (closed if parts and diagnosis.findings else "")
+    )
+
+
+MOST_RIVALS = 5
+"""Bars of rivals below a finding's own."""
+_SURE = {
+    "name": "the name: every rival that was fitted in its place is beaten",
+    "kind": "place and kind",
+    "place": "the place",
+    "set": "that one of these is there",
+    "rest": "nothing: it mends the model, and is small beside what was found before it",
+}
+
+
+def write_setup(page: Page, diagnosis: Diagnosis) -> None:
+    """Write what is wrong about the set-up, and how to mend it."""
+    faults = list_faults(diagnosis)
+    if not faults:
+        return
+    page.section("The set-up")
+    page.table(
+        ["what is wrong", "value", "90 % interval", "unit", "not told from"],
+        [
+            [
+                fault.text,
+                f"{fault.value:.5g}",
+                f"{fault.ci90[0]:.5g} to {fault.ci90[1]:.5g}",
+                fault.unit,
+                ", ".join(map(spell_names, fault.cannot_be_told_from)) or "-",
+            ]
+            for fault in faults
+        ],
+        caption="Each is a number of the plant file or a column of the records. It was asked "
+        "together with the effects, and by the same rule.",
+    )
+    page.points(*(f"To mend it: {fault.how_to_mend}." for fault in faults))
+
+
+def write_findings(page: Page, diagnosis: Diagnosis) -> None:
+    """Write each finding with its rivals and numbers, then the numbers that were recalibrated."""
+    if diagnosis.findings:
+        page.section("What was found")
+        page.text(
+            "A gain is counted in nats, on each block of the records by a model that was not "
+            "fitted to that block. It is counted under the resolution of the poorer of two models. "
+            "Intervals come from a bootstrap over stretches of 4 blocks, 0.5 % on each side."
+        )
+    for finding in diagnosis.findings:
+        _write_finding(page, diagnosis, finding)
+    if diagnosis.recalibrated:
+        page.section("The numbers of the model")
+        page.table(
+            ["parameter", "start model", "fitted", "90 % interval", "unit", "off by", "range"],
+            list(_list_recalibrated(diagnosis)),
+            caption="Fitted together with all findings. A number is off if its interval does not "
+            "include the start model's value. A number at an end of its range may lie beyond it.",
+        )
+
+
+def _write_finding(page: Page, diagnosis: Diagnosis, finding: Finding) -> None:
+    its = finding.hypothesis
+    page.heading(spell_finding(diagnosis, finding))
+    page.facts(
+        {
+            "what is sure": _SURE[finding.level],
+            "place": spell_place(its.place),
+            "kind": spell_kind(its.kind),
+            "fits best": label_hypothesis(its),
+            "share of the whole gain": f"{100.0 * finding.share:.0f} %",
+        }
+    )
+    if is_in_catalogue(finding):
+        effect = CATALOGUE[its.family]
+        page.note(effect.equation)
+        page.text(f"What a model without it shows: {effect.signature}.")
+    term = FreeTerm.read(diagnosis, finding) if its.is_term else None
+    if term is not None:
+        kin = f" Kin in the catalogue: {spell_names(*term.kin)}." if term.kin else ""
+        page.note(f"{term.text[:1].upper()}{term.text[1:]}. {term.equation}.{kin}")
+    page.grid(_draw_rivals(finding), caption=_explain_rivals(finding))
+    page.table(
+        ["number", "meaning", "value", "90 % interval", "unit", "range"],
+        [_number_row(finding, n) for n in list_numbers(finding)],
+    )
+    if term is not None and term.curve:
+        unit = "" if term.location.unit == "1" else f", {term.location.unit}"
+        driver = f"{term.driver}, {term.as_dict([])['driver_unit']}"
+        page.table(
+            [driver, f"size{unit}", "90 % interval"],
+            [
+                [f"{p['at']:.4g}", f"{p['value']:.4g}", " to ".join(f"{e:.4g}" for e in p["ci90"])]
+                for p in term.curve
+            ],
+            caption="The curve: linear between these points, and constant beyond them. What "
+            "recalibration imitates may move the whole of it.",
+        )
+
+
+def _draw_rivals(finding: Finding) -> Levels:
+    plot = Levels("Lost without it, and with a rival in its place", "nats")
+    plot.bar("without it", finding.gain_nats, ends=finding.interval_nats)
+    for j in finding.judged[:MOST_RIVALS]:
+        colour = 1 if j.is_beaten else MUTED if j.is_freer else 3
+        label = spell_names(label_hypothesis(j.hypothesis))
+        plot.bar(label, j.behind_nats, colour=colour, ends=j.interval_nats)
+    return plot
+
+
+def _explain_rivals(finding: Finding) -> str:
+    if not finding.judged:
+        return "No rival came near enough to be fitted in its place."
+    shown = finding.judged[:MOST_RIVALS]
+    near = sum(not j.is_beaten and not j.is_freer for j in shown)
+    mimics = sum(not j.is_beaten and j.is_freer for j in shown)
+    left = f"{near} of these cannot be ruled out." if near else ""
+    freer = (
+        "The grey bar is a freer law of the same place: it can always mimic a name, and counts "
+        "only where it does better."
+        if mimics
+        else ""
+    )
+    return (
+        "Each rival was fitted in its place, beside the rest of the model. A rival is beaten if it "
+        f"surely loses a tenth of what is lost without the finding. {left} {freer}".rstrip()
+    )
+
+
+def _number_row(finding: Finding, n: FittedNumber) -> list[str]:
+    meaning = look_up_parameter(n.name).meaning if is_in_catalogue(finding) else "-"
+    ends = [f"{n.value:.5g}", f"{n.low:.5g} to {n.high:.5g}", n.unit]
+    return [n.name.lstrip("~"), meaning, *ends, "at an end" if n.name in finding.at_range else ""]
+
+
+def _list_recalibrated(diagnosis: Diagnosis) -> Iterator[Sequence[str]]:
+    for n in diagnosis.recalibrated:
+        off = relative_shift(diagnosis, n)
+        yield [
+            n.name,
+            f"{diagnosis.start_value(n.name):.5g}",
+            f"{n.value:.5g}",
+            f"{n.low:.5g} to {n.high:.5g}",
+            n.unit,
+            f"{100.0 * off:+.2f} %" if off is not None else "-",
+            "at an end" if n.name in diagnosis.at_bound else "",
+        ]
+
+
+def write_blind_spots(page: Page, diagnosis: Diagnosis) -> None:
+    """List what these records cannot show, and pairs that they do not tell apart."""
+    audit = diagnosis.audit
+    if audit is None or not (audit.blind_spots or audit.inseparable):
+        return
+    page.section("What these data cannot show")
+    if audit.blind_spots:
+        page.table(
+            ["effect", "why", "experiment that shows it"],
+            [
+                [
+                    spell_names(s.name),
+                    f"{s.why}; {s.visibility}",
+                    advise_experiment(diagnosis, s.experiment),
+                ]
+                for s in audit.blind_spots
+            ],
+            caption="An effect in this list may be present although it is not named.",
+        )
+    if audit.inseparable:
+        page.table(
+            ["effects not told apart", "experiment that tells them apart", "why"],
+            [
+                [spell_names(*p.names), advise_experiment(diagnosis, p.experiment), p.why]
+                for p in audit.inseparable
+            ],
+        )
+
+
+def write_compared_runs(page: Page, diagnosis: Diagnosis, records: Sequence[Record]) -> None:
+    """List the records and their use, the start model, masks, and the sensors' noise."""
+    page.section("What was compared")
+    evidence = diagnosis.evidence
+    train = diagnosis.train or records
+    rows = [_record_row(r, "fitted, each block left out in turn" if evidence else "none")
+            for r in train]  # fmt: skip
+    rows += [_record_row(r, "held out") for r in diagnosis.holdout]
+    page.table(["record", "use", "duration, s", "samples", "period, ms", "measured"], rows)
+    if diagnosis.accepted:
+        page.table(
+            ["doubt about the data", "rule", "accepted because"],
+            [["; ".join(a.doubts), a.rule, a.reason] for a in diagnosis.accepted],
+            caption="These rules would have refused the data. The user overruled them.",
+        )
+    if evidence is None:
+        return
+    effects = diagnosis.nominal.effects.model_dump(exclude_none=True)
+    page.text(
+        f"The start model is {words_of_rig(diagnosis).start_model}, with "
+        + (f"{spell_names(*effects)}." if effects else "no further effect.")
+        + f" {_describe_simulation(evidence.weigher.train)}"
+    )
+    masked = find_masked_shares(diagnosis)
+    page.table(
+        ["sensor", "noise", "converter's step", "unit", "kind", "known", "do not count"],
+        [_noise_row(name, diagnosis.noise, masked) for name in evidence.noise_rms],
+        caption="Samples at which a record says nothing do not count: gaps, spikes, a frozen "
+        "column, no velocity where a motion is imposed, and the first part of a run that does not "
+        "begin at rest.",
+    )
+    faults = describe_noise(diagnosis)
+    if faults:
+        page.points(*faults)
+
+
+def _describe_simulation(runs: Runs) -> str:
+    if runs.imposed:
+        return (
+            "Something else moves this axis: the equation of motion gives the force for the "
+            "measured motion."
+        )
+    if runs.actuator == "direct":
+        how = "in short windows, each from the measured state" if runs.windowed else "freely"
+        return f"The motion is simulated from the measured force, {how}."
+    if "valve_v" in runs.stretches[0].inputs:
+        return "The whole model is simulated from the command alone."
+    return "The motion is simulated from the measured pressure."
+
+
+def write_measured_runs(page: Page, records: Sequence[Record]) -> None:
+    """Draw the records of data that cannot be diagnosed."""
+    for record in records:
+        plots = []
+        for channel in record.channels:
+            factor, unit = _UNITS[channel]
+            axis = PlotAxis(channel.split("_")[0], unit)
+            plot = SvgPlot(channel, PlotAxis("time", "s", tight=True), axis, height_px=110)
+            plots.append(plot.line(record.t_s, factor * record[channel]))
+        mark_moments(plots, record.moments)
+        page.figure(*plots, caption=f"{record.name} as given.")
+
+
+_UNITS = {
+    "valve_v": (1.0, "V"),
+    "pressure_pa": (1e-3, "kPa"),
+    "position_m": (1e3, "mm"),
+    "force_n": (1.0, "N"),
+}
+
+
+def _record_row(record: Record, use: str) -> list[str]:
+    measured = ", ".join(channel.rsplit("_", 1)[0] for channel in record.channels)
+    if len(record) < 2:
+        return [record.name, use, "-", str(len(record)), "-", measured]
+    period = f"{1e3 * record.period_s:.3g}"
+    return [record.name, use, f"{record.duration_s:.1f}", str(len(record)), period, measured]
+
+
+def _noise_row(
+    channel: str, about: Mapping[str, ChannelNoise], masked: Mapping[str, float]
+) -> list[str]:
+    display = SIGNAL_DISPLAYS[channel]
+    noise = about[channel].noise if channel in about else None
+    share = f"{100.0 * masked.get(channel, 0.0):.2g} %"
+    if noise is None:
+        return [display.title, "-", "-", display.gap_unit, "-", "-", share]
+    step = f"{noise.resolution * display.gap_factor:.3g}"
+    if not noise.is_known:
+        return [display.title, "unknown", step, display.gap_unit, "-", "not from these data", share]
+    size = f"{noise.deviation * display.gap_factor:.3g}"
+    kind = "correlated from sample to sample" if noise.memory else "white"
+    return [display.title, size, step, display.gap_unit, kind, SOURCES[noise.source], share]
+
+
+def format_plant_file(diagnosis: Diagnosis, logs: Sequence[str]) -> str:
+    """Write the diagnosis's plant as YAML, its origin and intervals as comments."""
+    data: dict[str, Any] = diagnosis.plant.model_dump(
+        mode="json", round_trip=True, exclude_none=True
+    )
+    return "".join(f"# {line}\n" for line in _head_lines(diagnosis, logs)) + dump_yaml(data)
+
+
+def _head_lines(diagnosis: Diagnosis, logs: Sequence[str]) -> Iterator[str]:
+    yield f"Written by `pamctl diagnose` from {', '.join(logs)}."
+    yield f"Verdict: {diagnosis.verdict.value}. {sentence(diagnosis)}"
+    for fault in list_faults(diagnosis):
+        yield f"Set-up: {fault.text}. To mend it: {fault.how_to_mend}."
+    numbers = [*diagnosis.recalibrated, *(n for f in diagnosis.findings for n in list_numbers(f))]
+    if numbers:
+        yield "Fitted, with 90 % intervals:"
+    for n in numbers:
+        yield f"  {n.name} {n.value:.6g}, {n.low:.6g} to {n.high:.6g} {n.unit}".rstrip()
+
+
+def write_diagnosis(
+    diagnosis: Diagnosis,
+    out: Path,
+    logs: Sequence[str],
+    records: Sequence[Record],
+    *,
+    beside: Mapping[str, Any] | None = None,
+    story: Callable[[Page], None] | None = None,
+    interactive: bool = False,
+) -> list[str]:
+    """Write the folder, return the names in it; no plant.yaml where the data were refused.
+
+    next-experiment.yaml is there where a program would decide between explanations.
+
+    `logs` are the names of the files behind `records`. The document gets the keys of `beside` too,
+    and the page what `story` writes below its head; `interactive` lets its plots be zoomed. Raise
+    NewFileError: then nothing is left.
+    """
+    keys = {**build_diagnosis_document(diagnosis), **(beside or {})}
+    document = json.dumps(keys, indent=2, allow_nan=False)
+    texts = {out / "diagnosis.json": document + "\n"}
+    if not diagnosis.reason:
+        texts[out / "plant.yaml"] = format_plant_file(diagnosis, logs)
+    if diagnosis.deciding is not None and runs_here(diagnosis):
+        text = format_experiment_file(diagnosis.deciding, logs)
+        texts[out / f"{NEXT_EXPERIMENT}.yaml"] = text
+    texts[out / "report.html"] = build_diagnosis_page(diagnosis, records, story).html(
+        interactive=interactive
+    )
+    write_files(texts)
+    return sorted(path.name for path in texts)

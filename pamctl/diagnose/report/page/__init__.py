@@ -1,4 +1,0 @@
-"""The page of a diagnosis, part by part.
-
-Read `diagnosis_page.py` first.
-"""

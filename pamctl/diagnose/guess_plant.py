@@ -15,13 +15,11 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from pamctl.diagnose.evidence.measured_motion import SMOOTH_S, find_rates
-from pamctl.diagnose.measured.record import Record
+from pamctl.diagnose.record import Record
 from pamctl.plant.drive import build_grid
 from pamctl.plant.effects.description import ACTUATORS
-from pamctl.plant.flat import ACTUATOR, parameters_of
-from pamctl.plant.paper.muscle import force_area_m2, volume_m3
-from pamctl.plant.paper.valve import orifice_flow
-from pamctl.plant.parameters import PaperParameters
+from pamctl.plant.paper import PaperParameters, force_area_m2, orifice_flow, volume_m3
+from pamctl.plant.parameters import ACTUATOR, parameters_of
 
 Array = NDArray[np.float64]
 

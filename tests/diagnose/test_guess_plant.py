@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pamctl.diagnose.guess_plant import guess_numbers
-from pamctl.diagnose.measured.record import Record
-from pamctl.plant.flat import PAPER
+from pamctl.diagnose.record import Record
+from pamctl.plant.parameters import PAPER
 
 PERIOD_S = 2e-3
 T_S = np.arange(0.0, 12.0, PERIOD_S)

@@ -213,7 +213,7 @@ LINE_RESTRICTION = EffectDescription(
             held={"volume_m3": 0.0},
         ),
     ),
-    actuators=("muscle", "chamber"),
+    actuators=("muscle", "chamber", "cylinder"),
 )
 
 

@@ -84,7 +84,7 @@ FRICTION_ASYMMETRY = EffectDescription(
             after=("coulomb_friction", "pressure_friction", "return_friction", "stribeck"),
         ),
     ),
-    actuators=("direct",),
+    actuators=("direct", "cylinder"),
 )
 
 
@@ -290,7 +290,7 @@ PRESSURE_FRICTION = EffectDescription(
     ),
     signature="an error with the sign of the speed, in proportion to pressure",
     entries=(EffectEntry("friction", add_pressed_friction, after=("return_friction",)),),
-    actuators=("direct",),
+    actuators=("direct", "cylinder"),
 )
 
 
@@ -425,5 +425,5 @@ VISCOUS_ASYMMETRY = EffectDescription(
     ),
     signature="an error in proportion to the absolute value of the speed",
     woven=("mechanics",),
-    actuators=("direct",),
+    actuators=("direct", "cylinder"),
 )

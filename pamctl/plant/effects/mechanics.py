@@ -487,7 +487,7 @@ SPRING_HYSTERESIS = EffectDescription(
     best_experiment="slow-ramps",
     entries=(EffectEntry("force", loop_force_n, memory=EffectMemory(start_loop, follow_loop)),),
     is_searched=False,
-    actuators=("muscle", "direct"),
+    actuators=("muscle", "direct", "cylinder"),
     as_terms=(
         AsTerm(
             "force",

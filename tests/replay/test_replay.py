@@ -40,7 +40,7 @@ from pamctl.log.recover import recover_file
 from pamctl.log.schema import CUT
 from pamctl.plant import paper
 from pamctl.realtime import tick
-from pamctl.realtime.keyframe import freeze_state
+from pamctl.realtime.tick import freeze_state
 from pamctl.replay import NotReplayable, list_compared_fields, read_replay_source, replay_log
 from pamctl.replay.course_kernel import trace_course
 from pamctl.replay.differences import find_differing

@@ -39,7 +39,7 @@ class Guess(NamedTuple):
     how: str
 
 
-class Motion(NamedTuple):
+class DrivenMotion(NamedTuple):
     """What the balance of forces needs of all records, each of shape (samples,)."""
 
     position_m: Array
@@ -132,7 +132,7 @@ def _guess_mechanics(
     motions = [m for record in records if (m := _find_motion(record, actuator, values)) is not None]
     if not motions:
         return {}
-    motion = Motion(*(np.concatenate(rows) for rows in zip(*motions, strict=True)))
+    motion = DrivenMotion(*(np.concatenate(rows) for rows in zip(*motions, strict=True)))
     speed = motion.speed_m_per_s
     moves = np.abs(speed) > OPEN_SHARE * np.quantile(np.abs(speed), 0.99)
     x, v, a, drive = (row[moves] for row in motion)
@@ -153,7 +153,7 @@ def _guess_mechanics(
     return found
 
 
-def _find_motion(record: Record, actuator: str, values: Mapping[str, float]) -> Motion | None:
+def _find_motion(record: Record, actuator: str, values: Mapping[str, float]) -> DrivenMotion | None:
     rates = _differentiate(record, np.asarray(record.position_m))
     if actuator == "direct":
         if record.force_n is None:
@@ -168,7 +168,7 @@ def _find_motion(record: Record, actuator: str, values: Mapping[str, float]) -> 
     every = max(1, len(drive) // MOST_SAMPLES)
     rows = (rates["smooth"], rates["speed"], rates["push"], drive)
     good = np.all([np.isfinite(row) for row in rows], axis=0)
-    return Motion(*(row[good][::every] for row in rows))
+    return DrivenMotion(*(row[good][::every] for row in rows))
 
 
 def _differentiate(record: Record, column: Array) -> dict[str, Array]:

@@ -23,8 +23,9 @@ from pamctl.cli.daemon.orders import make_verb
 from pamctl.cli.verbs import VERBS
 from pamctl.daemon.client import Client, DaemonDeclinedError
 from pamctl.daemon.protocol import INVALID_PARAMS, list_orders, methods_of, order
-from pamctl.daemon.rig_session import STATES, RigSession, RigState
+from pamctl.daemon.rig_session import RigSession
 from pamctl.daemon.server import Server
+from pamctl.daemon.session_life import STATES, RigState
 from pamctl.live.page_orders import OrderNotUnderstood, translate_order
 from pamctl.session.daemon_rig import DaemonRig
 

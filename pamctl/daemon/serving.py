@@ -34,7 +34,7 @@ from pamctl.processes.run_once import (
     new_ring_path,
     secure_device,
 )
-from pamctl.recording.orphans import finish_orphans_in_own_process
+from pamctl.recording.recorder import finish_orphans
 from pamctl.settings.resolve import RunSettings
 
 _LOOK_EVERY_S = 5e-3
@@ -87,7 +87,7 @@ def serve_daemon(
             if risk:
                 print(f"note: {risk}", file=sys.stderr, flush=True)
         with secure_device(settings) as device:
-            finish_orphans_in_own_process(SHARED_MEMORY)  # its memory would stay with the daemon
+            finish_orphans(SHARED_MEMORY, quiet=False)
             service = RigSession(
                 settings,
                 names,

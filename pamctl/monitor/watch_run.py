@@ -29,8 +29,8 @@ from pamctl.monitor.judge_window import (
     read_sensor_noise,
 )
 from pamctl.plant.model import PlantSettings
-from pamctl.recording.ring import Ring, RowKind
-from pamctl.recording.rows import row_dtype
+from pamctl.recording.ring import Ring
+from pamctl.recording.rows import RowKind, row_dtype
 from pamctl.signals import Phase
 
 _BEFORE = 4

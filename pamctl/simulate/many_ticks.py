@@ -11,7 +11,7 @@ from array import array
 from random import Random
 from typing import Any
 
-from hal.sim.sim_rig import SimMoment, SimRig
+from hal.sim import SimMoment, SimRig
 from pamctl.kernel.calls import machine, prepare
 from pamctl.plant.simulated import LONGEST_STEP_S, SimulatedPlant
 from pamctl.realtime.clock import Clock, VirtualClock
@@ -27,7 +27,7 @@ from pamctl.realtime.run_ticks import (
 )
 from pamctl.realtime.tick import TickSetup, first_state
 from pamctl.realtime.tick_runner import UPDATES, TickRunner
-from pamctl.recording.ring import ROW_BYTES, make_rows
+from pamctl.recording.rows import ROW_BYTES, make_rows
 
 MOST_TICKS = 1000
 

@@ -20,8 +20,7 @@ from pamctl.log.reader import read
 from pamctl.plant.catalogue import Effects, pass_command, pass_opening
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import vented_state
-from pamctl.realtime.keyframe import freeze_state, keyframe_fields, thaw_state
-from pamctl.realtime.tick import first_state
+from pamctl.realtime.tick import first_state, freeze_state, keyframe_fields, thaw_state
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.known_effects import STEEPEST, build_compensation, list_undoable
 from pamctl.settings.problems import ConfigError

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from hal.backend import Plant
 from hal.faulty import FaultSettings, FaultyRig
-from hal.sim.sim_rig import SimRig, sensor_chain
+from hal.sim import SimRig, sensor_chain
 from pamctl.exit_codes import Ending
 from pamctl.kernel.calls import PlainCall
 from pamctl.plant.model import plant_parameters
@@ -16,7 +16,7 @@ from pamctl.plant.simulated import SimulatedPlant
 from pamctl.realtime.clock import VirtualClock
 from pamctl.realtime.loop import ControlLoop
 from pamctl.realtime.tick_runner import TickRunner
-from pamctl.recording.ring import (
+from pamctl.recording.rows import (
     COMPENSATED_TICK,
     PLAIN_TICK,
     ROW_HEADER,

@@ -29,6 +29,7 @@ def report(
 ) -> None:
     """Write one self-contained HTML page with figures and plots of these logs."""
     from pamctl.log.reader import read_some
+    from pamctl.report.html_page import write_html
     from pamctl.report.reported_run import REPORT_FIELDS
     from pamctl.report.run_page import compose_report, find_doubts
 
@@ -39,7 +40,7 @@ def report(
             typer.echo(f"warning: {escape_name(str(path))}: {doubt}", err=True)
     target = out or paths[0].with_suffix(".html")
     require_place(target, replaces=PAGE_BEGIN)
-    html = compose_report(logs, doubts).html(interactive=interactive)
+    html = write_html(compose_report(logs, doubts), interactive=interactive)
     write_files({target: html}, replaces=PAGE_BEGIN)
     if as_json:
         print_json({"page": str(target), "bytes": len(html.encode()), "logs": paths})

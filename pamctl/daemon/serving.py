@@ -20,9 +20,10 @@ from hal.rig import Rig
 from pamctl import __version__
 from pamctl.daemon.announcements import Announcements, notify, watchdog_period_s
 from pamctl.daemon.protocol import methods_of
-from pamctl.daemon.rig_session import RigSession, RigState
+from pamctl.daemon.rig_session import RigSession
 from pamctl.daemon.server import Server, find_group, require_no_daemon
 from pamctl.daemon.session import Workshop
+from pamctl.daemon.session_life import RigState
 from pamctl.daemon.shelf import Latch, Shelf
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.plant.model import PlantSettings

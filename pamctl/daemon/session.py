@@ -13,7 +13,7 @@ import signal
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,8 +24,7 @@ from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log.run_meta import RunMeta
 from pamctl.processes.front import FrontReport, close_log, read_ending
-from pamctl.processes.guardian_handle import Guardianship
-from pamctl.processes.interrupts import block_signals
+from pamctl.processes.guardian_handle import start_loop
 from pamctl.processes.loop_supervisor import STARTS_WITHIN_S
 from pamctl.realtime.orders import OrderError, Orders
 from pamctl.recording.journal import make_outcome_event, put_event_for_dead_loop
@@ -44,12 +43,8 @@ _SESSION_ROWS = 4096
 
 @dataclass(frozen=True)
 class Workshop:
-    """How the processes of a rig are started; made by the composition root."""
+    """What the sessions of a rig need from it; made by the composition root."""
 
-    loop: Sequence[str]
-    """The command of the loop; the ring's path, the orders' descriptor, `session` are appended."""
-    guardian: Sequence[str]
-    """The command of the guardian; the ring's path is appended."""
     rig: Rig
     """Not opened here: made safe when neither loop nor guardian is left to do it."""
     meta: Callable[[RunSettings, Mapping[str, str], Path], RunMeta]
@@ -104,18 +99,10 @@ class Session:
         self._reading = threading.Lock()
         self._may_signal = threading.Lock()
         """Taken once, by whoever ends the loop."""
-        with block_signals():
-            self._guardian = Guardianship(
-                self._ring, workshop.guardian, workshop.rig, settings.rig.loop
-            )
-            self._loop = subprocess.Popen(
-                [*workshop.loop, str(path), str(self._orders.fd), "session"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                pass_fds=[self._orders.fd],
-                process_group=0,
-            )
-            self._ring.loop_pid = self._loop.pid
+        pace, fd = settings.rig.loop, self._orders.fd
+        self._loop, self._guardian = start_loop(
+            self._ring, workshop.rig, pace, orders_fd=fd, is_session=True
+        )
         self._await_ticks()
         self._ring.unlink()  # processes that hold it keep it; nothing is left behind
 

@@ -249,7 +249,7 @@ def test_more_signals_end_it_at_once_and_leave_no_fault(tmp_path: Path) -> None:
 def test_a_daemon_that_is_ending_starts_nothing(tmp_path: Path) -> None:
     settings = resolve()
     workshop = Workshop(
-        [], [], build_rig(settings, VirtualClock(1)).rig, make_run_meta, "none", new_ring_path
+        build_rig(settings, VirtualClock(1)).rig, make_run_meta, "none", new_ring_path
     )
     latch = Latch(tmp_path / "fault")
     service = RigSession(settings, {"controller": "qsmc"}, workshop, Shelf(tmp_path), latch)

@@ -29,7 +29,7 @@ from pamctl.processes.loop_supervisor import STARTS_WITHIN_S
 from pamctl.realtime.orders import OrderError, Orders
 from pamctl.recording.journal import make_outcome_event, put_event_for_dead_loop
 from pamctl.recording.recorder import RecorderError, await_recorder, spawn_recorder
-from pamctl.recording.ring import LoopStage, Ring
+from pamctl.recording.ring import LoopStage, RecorderFlag, Ring
 from pamctl.settings.resolve import RunSettings
 from pamctl.signals import Phase
 
@@ -123,10 +123,15 @@ class Session:
         return self._loop.poll() is None
 
     def look(self) -> None:
-        """See whether guardian and loop live; call it every `LOOK_EVERY_S`, from any thread."""
+        """See whether guardian, loop and recorder live; any thread calls it, every `LOOK_EVERY_S`."""
         with self._reading:
             if self._ring in self._open_rings:
                 self._guardian.look(self._loop)
+            run = self.run
+            if run is not None and run.ring in self._open_rings:
+                has_ended = run.recorder.poll() is not None  # asked first: it ends after a run
+                if has_ended and not run.is_over:
+                    run.ring.raise_flag(RecorderFlag.FAILED)
 
     def latest_tick(self) -> dict[str, float] | None:
         """Return the newest tick's columns by name."""

@@ -157,7 +157,7 @@ def test_a_recorder_that_dies_is_a_fault_and_its_ticks_are_rescued(hurt: Daemon)
     log = holding(hurt)
     os.kill(hurt.ask("status")["pids"]["recorder"], signal.SIGKILL)
     hurt.wait_safe()
-    assert "recorder" in hurt.wait_for("fault")["fault"]
+    assert "the recorder failed" in hurt.wait_for("fault")["fault"]
     hurt.wait_until(lambda s: not s["pids"])
     finished = [path for path in hurt.finished_logs() if path.name.startswith(log.stem)]
     assert any(read(path).events[-1]["event"] == "outcome" for path in finished)

@@ -33,8 +33,10 @@ from pamctl.plant.effects.places import lag_weights
 from pamctl.plant.effects.valve import leak_area_m2
 from pamctl.plant.paper import orifice_flow, volume_m3
 from pamctl.plant.parameters import AirNow, AirState, PlantParameters
-from pamctl.plant.term_kernels import pass_volume_term
+from pamctl.plant.terms import NO_MEMORY, VOLUME_AT, Signals, push_of
 
+LEAST_SHARE = 0.05
+"""A term takes no more of the volume than this leaves."""
 SOLVED_PA = 1e-3
 """Tolerance of a pressure that is found by iteration."""
 
@@ -231,8 +233,12 @@ def air_volume_m3(p: PlantParameters, position_m: float, pressure_pa: float) -> 
         )
         room_m3 = length * (stretched * stretched - length * length) * p.paper.volume_scale
     room_m3 = pass_volume(p.effects.air, room_m3, position_m, pressure_pa)
-    gauge_pa = pressure_pa - p.paper.atmospheric_pressure_pa
-    return pass_volume_term(p.terms, room_m3, position_m, gauge_pa)
+    if p.terms is not None:
+        gauge_pa = pressure_pa - p.paper.atmospheric_pressure_pa
+        now = Signals(position_m=position_m, gauge_pa=gauge_pa)
+        added_m3 = push_of(p.terms.air, VOLUME_AT, NO_MEMORY, now)
+        room_m3 = max(room_m3 + added_m3, LEAST_SHARE * room_m3)
+    return room_m3
 
 
 def share_heat(p: PlantParameters, begin: AirBegin, step_s: float) -> HeatShares:

@@ -55,7 +55,7 @@ from pamctl.plant.step import (
     sensors_step,
     settle_valve,
 )
-from pamctl.plant.term_kernels import undo_reading_term
+from pamctl.plant.terms import undo_reading_term
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

@@ -32,13 +32,16 @@ from pamctl.plant.effects.air import ripple_pa
 from pamctl.plant.effects.description import ACTUATORS
 from pamctl.plant.effects.places import Part
 from pamctl.plant.paper import MuscleParameters, PaperParameters
-from pamctl.plant.term_kernels import (
-    LOWEST_SUPPLY_PA,
-    MotionPoint,
-    add_force_term,
-    pass_supply_term,
+from pamctl.plant.terms import (
+    FORCE_AT,
+    NO_MEMORY,
+    SUPPLY_AT,
+    Signals,
+    TermMemory,
+    Terms,
+    make_terms,
+    push_of,
 )
-from pamctl.plant.terms import TermMemory, Terms, make_terms
 
 
 class PlantParameters(NamedTuple):
@@ -71,6 +74,9 @@ class PlantParameters(NamedTuple):
         return self.paper.tank_pressure_pa
 
 
+LOWEST_SUPPLY_PA = 1e3
+
+
 class AirNow(NamedTuple):
     """What acts on the air over one step."""
 
@@ -83,7 +89,10 @@ class AirNow(NamedTuple):
 def find_tank_pa(p: PlantParameters, age_s: float) -> float:
     """Return the absolute pressure of the supply, before it droops."""
     tank_pa = p.paper.tank_pressure_pa + ripple_pa(p.effects.air.supply_ripple, age_s)
-    return pass_supply_term(p.terms, max(tank_pa, LOWEST_SUPPLY_PA), age_s)
+    tank_pa = max(tank_pa, LOWEST_SUPPLY_PA)
+    if p.terms is not None:
+        tank_pa += push_of(p.terms.air, SUPPLY_AT, NO_MEMORY, Signals(age_s=age_s))
+    return max(tank_pa, LOWEST_SUPPLY_PA)
 
 
 class ValveState(NamedTuple):
@@ -157,7 +166,8 @@ def vented_state(p: PlantParameters) -> PlantState:
     if p.mechanics_act and not p.direct:
         memory = MechanicsState().memory
         pull_n = add_force(p.effects.mechanics, memory, 0.0, 0.0, 0.0, 0.0, 0.0)
-        pull_n = add_force_term(p.terms, TermMemory(), pull_n, MotionPoint(0.0, 0.0, 0.0, 0.0))
+        if p.terms is not None:
+            pull_n += push_of(p.terms.mechanics, FORCE_AT, NO_MEMORY, Signals())
         rest_m += pull_n / p.paper.stiffness_n_per_m
     return rest_state(p, rest_m, p.paper.atmospheric_pressure_pa)
 

@@ -30,15 +30,17 @@ from pamctl.plant.parameters import (
     ValveState,
     find_tank_pa,
 )
-from pamctl.plant.term_kernels import (
-    add_flow_term,
-    follow_command_term,
+from pamctl.plant.terms import (
+    FLOW_AT,
+    NO_MEMORY,
+    Signals,
+    Terms,
     pass_command_term,
     pass_opening_term,
+    push_of,
     show_position_term,
     show_pressure_term,
 )
-from pamctl.plant.terms import Terms
 
 
 def plant_step(
@@ -150,8 +152,10 @@ def find_air_now(
     """Return what acts on the air, with the extra flow at a point of the step."""
     opening_v = begin.opening_v
     extra = add_flow(p.effects.air, 0.0, opening_v, pressure_pa, position_m, age_s)
-    gauge_pa = pressure_pa - p.paper.atmospheric_pressure_pa
-    extra = add_flow_term(p.terms, extra, opening_v, gauge_pa, position_m, age_s)
+    if p.terms is not None:
+        gauge_pa = pressure_pa - p.paper.atmospheric_pressure_pa
+        now = Signals(opening_v, position_m, gauge_pa, 0.0, age_s)
+        extra += push_of(p.terms.air, FLOW_AT, NO_MEMORY, now)
     return AirNow(extra, find_tank_pa(p, age_s))
 
 
@@ -183,8 +187,7 @@ def settle_valve(e: Any, terms: Terms | None, valve: ValveState, command_v: floa
     """Return the valve's state after it has had a command (V) for long."""
     memory = follow_command(e, valve.memory, command_v, command_v, LONG_S, 0.0)
     spool_v = pass_command(e, memory, command_v, 0.0)
-    term = follow_command_term(terms, valve.term, spool_v, LONG_S)
-    spool_v = pass_command_term(terms, term, spool_v, 0.0)
+    spool_v, term = pass_command_term(terms, valve.term, spool_v, 0.0, LONG_S)
     memory = follow_opening(e, memory, spool_v, spool_v, LONG_S, 0.0)
     return ValveState(spool_v, 0.0, memory, term)
 
@@ -202,9 +205,9 @@ def valve_step(
     memory = follow_command(e, valve.memory, command_v, command_v, half_s, middle_age_s)
     pushed_v = pass_command(e, memory, command_v, middle_age_s)
     memory = follow_command(e, memory, command_v, command_v, half_s, middle_age_s)
-    term = follow_command_term(terms, valve.term, pushed_v, half_s)
-    asked_v, pushed_v = pushed_v, pass_command_term(terms, term, pushed_v, middle_age_s)
-    term = follow_command_term(terms, term, asked_v, half_s)
+    asked_v = pushed_v
+    pushed_v, term = pass_command_term(terms, valve.term, asked_v, middle_age_s, half_s)
+    _, term = pass_command_term(terms, term, asked_v, middle_age_s, half_s)
     middle_v, rate = spool_step(
         e.valve_spool, valve.spool_v, valve.spool_rate_v_per_s, pushed_v, half_s
     )

@@ -28,20 +28,10 @@ from pamctl.plant.catalogue import (
     change_numbers,
     make_rest_memories,
 )
-from pamctl.plant.effects.air import ripple_pa
 from pamctl.plant.effects.description import ACTUATORS
 from pamctl.plant.effects.places import Part
 from pamctl.plant.paper import MuscleParameters, PaperParameters
-from pamctl.plant.terms import (
-    FORCE_AT,
-    NO_MEMORY,
-    SUPPLY_AT,
-    Signals,
-    TermMemory,
-    Terms,
-    make_terms,
-    push_of,
-)
+from pamctl.plant.terms import FORCE_AT, NO_MEMORY, Signals, TermMemory, Terms, make_terms, push_of
 
 
 class PlantParameters(NamedTuple):
@@ -72,27 +62,6 @@ class PlantParameters(NamedTuple):
     def tank_pressure_pa(self) -> float:
         """Absolute pressure; for callers other than kernels."""
         return self.paper.tank_pressure_pa
-
-
-LOWEST_SUPPLY_PA = 1e3
-
-
-class AirNow(NamedTuple):
-    """What acts on the air over one step."""
-
-    extra_kg_per_s: float
-    """Extra flow into the muscle, from effects and terms."""
-    tank_pa: float
-    """Absolute pressure of the supply, before it droops."""
-
-
-def find_tank_pa(p: PlantParameters, age_s: float) -> float:
-    """Return the absolute pressure of the supply, before it droops."""
-    tank_pa = p.paper.tank_pressure_pa + ripple_pa(p.effects.air.supply_ripple, age_s)
-    tank_pa = max(tank_pa, LOWEST_SUPPLY_PA)
-    if p.terms is not None:
-        tank_pa += push_of(p.terms.air, SUPPLY_AT, NO_MEMORY, Signals(age_s=age_s))
-    return max(tank_pa, LOWEST_SUPPLY_PA)
 
 
 class ValveState(NamedTuple):

@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 from pamctl.plant.catalogue import (
-    add_flow,
     follow_command,
     follow_opening,
     follow_position_reading,
@@ -22,22 +21,16 @@ from pamctl.plant.effects.valve import spool_step
 from pamctl.plant.mechanism import mechanism_step
 from pamctl.plant.paper import mechanics_step, middle_pressure_pa, pressure_step
 from pamctl.plant.parameters import (
-    AirNow,
     AirState,
     MechanicsState,
     PlantParameters,
     PlantState,
     ValveState,
-    find_tank_pa,
 )
 from pamctl.plant.terms import (
-    FLOW_AT,
-    NO_MEMORY,
-    Signals,
     Terms,
     pass_command_term,
     pass_opening_term,
-    push_of,
     show_position_term,
     show_pressure_term,
 )
@@ -123,8 +116,7 @@ def air_middle_pa(p: PlantParameters, begin: AirBegin) -> tuple[float, bool]:
     """Predict the pressure at the step's middle; without effects, by the paper's equations."""
     pressure_pa, position_m, middle_m = begin.pressure_pa, begin.position_m, begin.middle_m
     if p.air_acts:
-        now = find_air_now(p, begin, pressure_pa, position_m, begin.age_s)
-        return chamber_middle_pa(p, now, begin)
+        return chamber_middle_pa(p, begin)
     middle_pa = middle_pressure_pa(
         p.paper, pressure_pa, begin.opening_v, position_m, middle_m, begin.step_s
     )
@@ -137,26 +129,11 @@ def air_step(
     """Complete the pressure's step with the muscle's true motion."""
     pressure_pa, position_m, step_s = begin.pressure_pa, begin.position_m, begin.step_s
     if p.air_acts:
-        age_s = begin.age_s + 0.5 * step_s
-        now = find_air_now(p, begin, middle_pa, begin.middle_m, age_s)
-        return chamber_step(p, now, begin, middle_pa, balanced, end_m)
+        return chamber_step(p, begin, middle_pa, balanced, end_m)
     end_pa = pressure_step(
         p.paper, pressure_pa, middle_pa, begin.opening_v, position_m, end_m, step_s
     )
     return end_pa, begin.air
-
-
-def find_air_now(
-    p: PlantParameters, begin: AirBegin, pressure_pa: float, position_m: float, age_s: float
-) -> AirNow:
-    """Return what acts on the air, with the extra flow at a point of the step."""
-    opening_v = begin.opening_v
-    extra = add_flow(p.effects.air, 0.0, opening_v, pressure_pa, position_m, age_s)
-    if p.terms is not None:
-        gauge_pa = pressure_pa - p.paper.atmospheric_pressure_pa
-        now = Signals(opening_v, position_m, gauge_pa, 0.0, age_s)
-        extra += push_of(p.terms.air, FLOW_AT, NO_MEMORY, now)
-    return AirNow(extra, find_tank_pa(p, age_s))
 
 
 def advance_plant(

@@ -230,11 +230,7 @@ def share_of(term: PlantTerm, location: int, memory: TermMemory, now: Signals) -
 
 
 def pass_command_term(
-    terms: Terms | None,
-    memory: TermMemory | None,
-    command_v: float,
-    now_s: float,
-    step_s: float,
+    terms: Terms | None, memory: TermMemory | None, command_v: float, now_s: float, step_s: float
 ) -> tuple[float, TermMemory | None]:
     """Return the command (V) with what the term adds after a constant command, and its memory."""
     if terms is None or memory is None:

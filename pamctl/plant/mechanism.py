@@ -21,7 +21,6 @@ from pamctl.plant.bristles import (
     clamp_bristles,
     share_out,
     slip,
-    subtract,
     travel_weights,
 )
 from pamctl.plant.catalogue import (
@@ -217,15 +216,15 @@ def move_muscle(
         return end_m, end_v, bristles
     held = clamp_bristles(presliding, bristles, forces.drive_n, forces.lower_n, forces.upper_n)
     surplus_n = forces.drive_n - add_up_n(held)
-    left = subtract(share_out(presliding, forces.upper_n), held)
+    left = add(share_out(presliding, forces.upper_n), held, -1.0)
     damping = forces.damping_up_n_s_per_m
     up = slip_with_damping(p, damping, velocity_m_per_s, surplus_n, left, width_n, step_s)
     if up.way_m > 0.0:
         return position_m + up.way_m, up.velocity_m_per_s, add(held, up.gained)
-    left = subtract(held, share_out(presliding, forces.lower_n))
+    left = add(held, share_out(presliding, forces.lower_n), -1.0)
     damping = forces.damping_down_n_s_per_m
     down = slip_with_damping(p, damping, -velocity_m_per_s, -surplus_n, left, width_n, step_s)
-    return position_m - down.way_m, -down.velocity_m_per_s, subtract(held, down.gained)
+    return position_m - down.way_m, -down.velocity_m_per_s, add(held, down.gained, -1.0)
 
 
 def slip_with_damping(

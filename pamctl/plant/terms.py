@@ -316,7 +316,7 @@ def fill_undone(
 
 SUFFIX = "_term"
 """A term's numbers are called after its location: `force_term.size`."""
-ANY = 1e12
+ANY = 1e15
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,6 @@ from pamctl.plant.catalogue import (
     make_rest_memories,
 )
 from pamctl.plant.effects.description import ACTUATORS
-from pamctl.plant.effects.places import Part
 from pamctl.plant.paper import MuscleParameters, PaperParameters
 from pamctl.plant.terms import FORCE_AT, NO_MEMORY, Signals, TermMemory, Terms, make_terms, push_of
 
@@ -168,17 +167,15 @@ NEUTRAL: dict[str, float] = {
 """The neutral value of every parameter of every effect and term."""
 
 
-def _sizes_of(part: Part) -> tuple[tuple[str, float], ...]:
-    return tuple(
+_SIZES = {
+    part: tuple(
         (f"{effect.name}.{p.name}", p.neutral)
         for effect in CATALOGUE.values()
         for p in effect.parameters
         if part in effect.parts and p.role == "size"
     )
-
-
-_VALVE, _AIR = _sizes_of("valve"), _sizes_of("air")
-_MECHANICS, _SENSORS = _sizes_of("mechanics"), _sizes_of("sensors")
+    for part in ("valve", "air", "mechanics", "sensors")
+}
 _DEFAULTS = {ACTUATOR: 0.0, CHAMBER_VOLUME: 0.0, **PAPER, **NEUTRAL}
 
 
@@ -219,23 +216,21 @@ def parameters_of(values: Mapping[str, float]) -> PlantParameters:
         unchoked_flow_s_per_m=unchoked,
     )
     terms = make_terms(values)
+    acting = {
+        part: (terms is not None and getattr(terms, part).size != 0.0)
+        or any(v[name] != neutral for name, neutral in sizes)
+        for part, sizes in _SIZES.items()
+    }
     return PlantParameters(
         paper=change_numbers(paper, v),
         effects=Effects(*groups),
-        valve_acts=_has_term(terms, "valve") or any(v[name] != neutral for name, neutral in _VALVE),
-        air_acts=_has_term(terms, "air") or any(v[name] != neutral for name, neutral in _AIR),
-        mechanics_act=direct
-        or _has_term(terms, "mechanics")
-        or any(v[name] != neutral for name, neutral in _MECHANICS),
-        sensors_act=_has_term(terms, "sensors")
-        or any(v[name] != neutral for name, neutral in _SENSORS),
+        valve_acts=acting["valve"],
+        air_acts=acting["air"],
+        mechanics_act=direct or acting["mechanics"],
+        sensors_act=acting["sensors"],
         direct=direct,
         terms=terms,
     )
-
-
-def _has_term(terms: Terms | None, part: str) -> bool:
-    return terms is not None and getattr(terms, part).size != 0.0
 
 
 def _make_chamber_rigid(v: Mapping[str, float]) -> dict[str, float]:

@@ -9,9 +9,9 @@ import pytest
 from support.command_line import run_pamctl
 from support.processes.daemons import daemon
 
-from pamctl.live.status_text import format_status
+from pamctl.live.feed import format_status
 from pamctl.log import read
-from pamctl.log.moments import describe_changes, describe_running_changes
+from pamctl.log.run_meta import describe_changes, describe_running_changes
 
 CHANGED = "qsmc*, lambda_per_s 60 (file 37.82)"
 

@@ -113,7 +113,7 @@ def _compare_with_log(
 ) -> ExitCode:
     from pamctl.replay import replay_log
     from pamctl.replay.replay_text import format_replay, make_replay_document
-    from pamctl.replay.tolerance import EXACT, OTHER_CPU
+    from pamctl.replay.tick_replay import EXACT, OTHER_CPU
 
     tolerances = EXACT if tolerance is None else OTHER_CPU
     found = replay_log(log, from_s=from_s, plain=plain, tolerances=tolerances)

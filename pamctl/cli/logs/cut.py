@@ -13,7 +13,7 @@ from pamctl.cli.output import print_json
 from pamctl.plain_text import escape_name
 
 if TYPE_CHECKING:
-    from pamctl.log.cut import CutLog
+    from pamctl.log.edit import CutLog
 
 _WHOLE = "the whole log"
 
@@ -65,7 +65,7 @@ def cut_file(
             "say what to cut: --from-s, --to-s, --from-row, --to-row or --at-gaps",
             param_hint="--out",
         )
-    from pamctl.log.cut import cut_log
+    from pamctl.log.edit import cut_log
 
     done = cut_log(
         source,

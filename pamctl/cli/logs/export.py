@@ -17,7 +17,7 @@ def export_log(
     source: Annotated[Path, typer.Argument(metavar="LOG", help="Log to export")],
     destination: Annotated[
         Path,
-        typer.Argument(metavar="OUT", help="New file: .csv, .mat, .npz, .parquet or .tdms"),
+        typer.Argument(metavar="OUT", help="New file: .csv, .mat or .parquet"),
     ],
     fields: Annotated[
         str | None,

@@ -23,7 +23,7 @@ def show_info(
     Of a damaged or unfinished log it shows what stands before the damage, and exits with 3.
     """
     from pamctl.log import info
-    from pamctl.log.moments import CHANGES, spell_controller
+    from pamctl.log.run_meta import CHANGES, spell_controller
 
     found = info(path)
     if as_json:

@@ -34,7 +34,7 @@ from pamctl.plant.effects.places import lag_weights
 from pamctl.plant.effects.valve import leak_area_m2
 from pamctl.plant.paper import orifice_flow, volume_m3
 from pamctl.plant.parameters import AirState, PlantParameters
-from pamctl.plant.terms import FLOW_AT, NO_MEMORY, SUPPLY_AT, VOLUME_AT, Signals, push_of
+from pamctl.plant.terms import FLOW_AT, NO_MEMORY, SUPPLY_AT, VOLUME_AT, TermDrivers, push_of
 
 LEAST_SHARE = 0.05
 """A term takes no more of the volume than this leaves."""
@@ -93,7 +93,7 @@ def find_air_now(
     tank_pa = max(tank_pa, LOWEST_SUPPLY_PA)
     if p.terms is not None:
         gauge_pa = pressure_pa - p.paper.atmospheric_pressure_pa
-        now = Signals(opening_v, position_m, gauge_pa, 0.0, age_s)
+        now = TermDrivers(opening_v, position_m, gauge_pa, 0.0, age_s)
         extra += push_of(p.terms.air, FLOW_AT, NO_MEMORY, now)
         tank_pa = max(tank_pa + push_of(p.terms.air, SUPPLY_AT, NO_MEMORY, now), LOWEST_SUPPLY_PA)
     area = p.paper.valve_gain_m2_per_v * abs(opening_v)
@@ -244,7 +244,7 @@ def air_volume_m3(p: PlantParameters, position_m: float, pressure_pa: float) -> 
     room_m3 = pass_volume(p.effects.air, room_m3, position_m, pressure_pa)
     if p.terms is not None:
         gauge_pa = pressure_pa - p.paper.atmospheric_pressure_pa
-        now = Signals(position_m=position_m, gauge_pa=gauge_pa)
+        now = TermDrivers(position_m=position_m, gauge_pa=gauge_pa)
         added_m3 = push_of(p.terms.air, VOLUME_AT, NO_MEMORY, now)
         room_m3 = max(room_m3 + added_m3, LEAST_SHARE * room_m3)
     return room_m3

@@ -48,7 +48,7 @@ from pamctl.plant.terms import (
     PULL_AT,
     STIFFNESS_AT,
     VELOCITY,
-    Signals,
+    TermDrivers,
     TermMemory,
     Terms,
     follow_motion_term,
@@ -127,7 +127,7 @@ def mechanism_forces(
     """
     e, pull_n, lever_m = p.effects.mechanics, force_n, 0.0
     v = velocity_m_per_s
-    here = Signals(0.0, position_m, gauge_pa, v, age_s)
+    here = TermDrivers(0.0, position_m, gauge_pa, v, age_s)
     pressing_pa = gauge_pa if gauge_pa > 0.0 else 0.0
     grip = 0.0
     if not p.direct:
@@ -151,7 +151,7 @@ def mechanism_forces(
     now = friction_band(p, memory, term, grip * lever_m, here)
     at_rest = now
     if depends_on_speed(e) or needs_speed(p.terms):
-        resting = Signals(0.0, position_m, gauge_pa, 0.0, age_s)
+        resting = TermDrivers(0.0, position_m, gauge_pa, 0.0, age_s)
         at_rest = friction_band(p, memory, term, grip * lever_m, resting)
     return AxialForces(
         drive_n,
@@ -165,7 +165,7 @@ def mechanism_forces(
 
 
 def friction_band(
-    p: PlantParameters, memory: Any, term: TermMemory | None, kinetic_n: float, now: Signals
+    p: PlantParameters, memory: Any, term: TermMemory | None, kinetic_n: float, now: TermDrivers
 ) -> FrictionBand:
     """Return the band of dry friction around that of Eq. 5."""
     band: FrictionBand = pass_friction(

@@ -30,7 +30,15 @@ from pamctl.plant.catalogue import (
 )
 from pamctl.plant.effects.description import ACTUATORS
 from pamctl.plant.paper import MuscleParameters, PaperParameters
-from pamctl.plant.terms import FORCE_AT, NO_MEMORY, Signals, TermMemory, Terms, make_terms, push_of
+from pamctl.plant.terms import (
+    FORCE_AT,
+    NO_MEMORY,
+    TermDrivers,
+    TermMemory,
+    Terms,
+    make_terms,
+    push_of,
+)
 
 
 class PlantParameters(NamedTuple):
@@ -135,7 +143,7 @@ def vented_state(p: PlantParameters) -> PlantState:
         memory = MechanicsState().memory
         pull_n = add_force(p.effects.mechanics, memory, 0.0, 0.0, 0.0, 0.0, 0.0)
         if p.terms is not None:
-            pull_n += push_of(p.terms.mechanics, FORCE_AT, NO_MEMORY, Signals())
+            pull_n += push_of(p.terms.mechanics, FORCE_AT, NO_MEMORY, TermDrivers())
         rest_m += pull_n / p.paper.stiffness_n_per_m
     return rest_state(p, rest_m, p.paper.atmospheric_pressure_pa)
 

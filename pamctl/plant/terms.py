@@ -195,7 +195,7 @@ def follow_value(
 # --- where terms act in a step ------------------------------------------------------------------
 
 
-class Signals(NamedTuple):
+class TermDrivers(NamedTuple):
     """What may drive a term: a part of a step fills in the signals that it has."""
 
     command_v: float = 0.0
@@ -208,7 +208,7 @@ class Signals(NamedTuple):
 NO_MEMORY = TermMemory()
 
 
-def push_of(term: PlantTerm, location: int, memory: TermMemory, now: Signals) -> float:
+def push_of(term: PlantTerm, location: int, memory: TermMemory, now: TermDrivers) -> float:
     """Return the size times the shape at the driver's value; 0 if the term is at another place."""
     if term.size == 0.0 or term.location != location:
         return 0.0
@@ -224,7 +224,7 @@ def push_of(term: PlantTerm, location: int, memory: TermMemory, now: Signals) ->
     return term.size * shape_of(term, value, memory)
 
 
-def share_of(term: PlantTerm, location: int, memory: TermMemory, now: Signals) -> float:
+def share_of(term: PlantTerm, location: int, memory: TermMemory, now: TermDrivers) -> float:
     """Return the factor by which the term changes a value by a share; never below 0."""
     return max(1.0 + push_of(term, location, memory, now), 0.0)
 
@@ -236,7 +236,7 @@ def pass_command_term(
     if terms is None or memory is None:
         return command_v, memory
     memory = follow_value(terms.valve, memory, command_v, command_v, step_s)
-    now = Signals(command_v=command_v, age_s=now_s)
+    now = TermDrivers(command_v=command_v, age_s=now_s)
     return command_v + push_of(terms.valve, COMMAND_AT, memory, now), memory
 
 
@@ -244,7 +244,7 @@ def pass_opening_term(terms: Terms | None, opening_v: float, age_s: float) -> fl
     """Return the opening, changed by a share on one side or on both."""
     if terms is None or opening_v == 0.0:
         return opening_v
-    now = Signals(command_v=abs(opening_v), age_s=age_s)
+    now = TermDrivers(command_v=abs(opening_v), age_s=age_s)
     side = share_of(terms.valve, FILLING_AT if opening_v > 0.0 else EXHAUSTING_AT, NO_MEMORY, now)
     return opening_v * side * share_of(terms.valve, OPENING_AT, NO_MEMORY, now)
 
@@ -272,7 +272,7 @@ def show_pressure_term(
     """Return the pressure that the sensor shows, with what the term adds."""
     if terms is None:
         return shown_pa
-    now = Signals(gauge_pa=shown_pa - atmosphere_pa, age_s=age_s)
+    now = TermDrivers(gauge_pa=shown_pa - atmosphere_pa, age_s=age_s)
     return shown_pa + push_of(terms.sensors, PRESSURE_SENSOR_AT, NO_MEMORY, now)
 
 
@@ -280,7 +280,7 @@ def show_position_term(terms: Terms | None, shown_m: float, age_s: float) -> flo
     """Return the displacement that the encoder shows, with what the term adds."""
     if terms is None:
         return shown_m
-    now = Signals(position_m=shown_m, age_s=age_s)
+    now = TermDrivers(position_m=shown_m, age_s=age_s)
     return shown_m + push_of(terms.sensors, ENCODER_AT, NO_MEMORY, now)
 
 

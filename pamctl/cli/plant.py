@@ -20,7 +20,7 @@ plant_app = typer.Typer(
     no_args_is_help=True, help="Make and export plant files, which describe a rig."
 )
 
-_ACTUATORS = ("muscle", "direct", "chamber")
+_ACTUATORS = ("muscle", "direct", "chamber", "cylinder")
 
 
 @plant_app.callback()

@@ -222,7 +222,7 @@ def _require_known(names: Sequence[str]) -> None:
 
 
 def _parse_noise(texts: Sequence[str]) -> dict[str, float]:
-    from pamctl.diagnose.mend import parse_noise
+    from pamctl.diagnose.record import parse_noise
 
     try:
         return parse_noise(texts)

@@ -7,6 +7,7 @@ raises `Failed` where there is no such error.
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
@@ -52,6 +53,7 @@ class Verbs(TyperGroup):
         """Take the verbs; the help shows no type beside a flag, which takes no value."""
         super().__init__(*arguments, **options)
         _hide_flag_types(self)
+        _escape_brackets(self)
         _add_epilogs(self, ())
         _print_plainly(self)
         read_without_pydantic(self)
@@ -115,6 +117,15 @@ def _hide_flag_types(command: Any) -> None:
             parameter.metavar = ""
     for inner in getattr(command, "commands", {}).values():
         _hide_flag_types(inner)
+
+
+def _escape_brackets(command: Any) -> None:
+    """Keep `[mm]` in the help: rich takes it for markup."""
+    for told in (command, *command.params):
+        if getattr(told, "help", None):
+            told.help = re.sub(r"(?<!\\)\[", r"\\[", told.help)
+    for inner in getattr(command, "commands", {}).values():
+        _escape_brackets(inner)
 
 
 def _add_epilogs(command: Any, words: tuple[str, ...]) -> None:

@@ -95,11 +95,11 @@ def _choose_writer(destination: Path) -> Callable[[BufferedWriter, Columns, str]
     return _WRITERS[suffix]
 
 
-def _require_package(what: str, package: str, extra: str) -> None:
+def _require_package(what: str, package: str) -> None:
     try:
         __import__(package)
     except ImportError:
-        detail = f"{what} needs the package {package}; install it with pip install '.[{extra}]'"
+        detail = f"{what} needs the package {package}; install it with pip install {package}"
         raise ExportError(detail) from None
 
 
@@ -164,7 +164,7 @@ _WRITERS = {
     ".tdms": _write_tdms,
 }
 _PACKAGES = {
-    ".parquet": ("Parquet", "pyarrow", "parquet"),
-    ".tdms": ("TDMS", "nptdms", "labfiles"),
+    ".parquet": ("Parquet", "pyarrow"),
+    ".tdms": ("TDMS", "nptdms"),
 }
-"""Formats that an extra of the package writes."""
+"""Formats that another package writes."""

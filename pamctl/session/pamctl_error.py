@@ -63,10 +63,10 @@ def translate_errors() -> Iterator[None]:
         raise PamctlError(known[1], known[0]) from error
 
 
-def require_package(name: str, extra: str = "") -> Any:
+def require_package(name: str) -> Any:
     """Return a package that not everybody needs; raise `PamctlError` where it is not installed."""
     try:
         return import_module(name)
     except ImportError:
-        fix = f"install it with pip install 'pamctl[{extra or name}]'"
-        raise PamctlError(f"this needs the package {name}; {fix}", ExitCode.USAGE) from None
+        reason = f"this needs the package {name}; install it with pip install {name}"
+        raise PamctlError(reason, ExitCode.USAGE) from None

@@ -25,12 +25,10 @@ from pamctl.control.course import Course
 from pamctl.control.experiment import ExperimentSettings, plan_experiment
 from pamctl.exit_codes import ExitCode
 from pamctl.kernel.calls import Call, prepare
-from pamctl.plant.delayed_command import advance_delayed_plant
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.parameters import PlantParameters, PlantState, vented_state
-from pamctl.plant.sensing import sensed_position_m, sensed_pressure_pa
-from pamctl.plant.simulated import LONGEST_STEP_S
-from pamctl.plant.step import advance_plant
+from pamctl.plant.simulated import LONGEST_STEP_S, advance_delayed_plant
+from pamctl.plant.step import advance_plant, sensed_position_m, sensed_pressure_pa
 from pamctl.session.experiment_form import FORMS, ExperimentForm
 from pamctl.session.pamctl_error import PamctlError, require_package, translate_errors
 from pamctl.session.simulated_rig import AskedSection, resolve_session

@@ -16,9 +16,7 @@ from pydantic import Field, model_validator
 
 from hal.configured import Configured
 from hal.rig import RawSample
-from pamctl.plant.paper.muscle import volume_m3
-from pamctl.plant.paper.valve import valve_flow
-from pamctl.plant.parameters import PaperParameters
+from pamctl.plant.paper import PaperParameters, valve_flow, volume_m3
 from pamctl.signals import Command, Decision, Estimate, Measurement, Phase, Reference, Timing
 
 # Clips

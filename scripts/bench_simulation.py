@@ -39,9 +39,7 @@ from pamctl.control.experiment import plan_experiment
 from pamctl.control.law import Memory, respond
 from pamctl.kernel.calls import machine, prepare
 from pamctl.plant.model import PlantSettings, plant_parameters
-from pamctl.plant.paper.friction import axial_forces
-from pamctl.plant.paper.muscle import force_area_m2, volume_m3
-from pamctl.plant.paper.valve import valve_flow
+from pamctl.plant.paper import axial_forces, force_area_m2, valve_flow, volume_m3
 from pamctl.plant.parameters import PlantParameters, PlantState, vented_state
 from pamctl.plant.step import advance_plant
 from pamctl.realtime.tick import TickState, first_state, step

@@ -31,7 +31,7 @@ from pamctl.control.forms import Drawn
 from pamctl.log import schema as log_schema
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.effects.places import PLACES
-from pamctl.plant.flat import parameters_of
+from pamctl.plant.parameters import parameters_of
 from pamctl.session.experiment_form import FORMS, list_keys, list_models
 
 ROOT = Path(__file__).resolve().parents[1]

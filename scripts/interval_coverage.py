@@ -47,8 +47,8 @@ from pamctl.diagnose.evidence.pool import PAPER_SCALES, list_effects  # noqa: E4
 from pamctl.diagnose.evidence.run_pieces import join_waves  # noqa: E402
 from pamctl.diagnose.evidence.weigh import list_pool, prepare_weigher  # noqa: E402
 from pamctl.plant.drive import drive_coupled  # noqa: E402
-from pamctl.plant.flat import NEUTRAL, PAPER, parameters_of  # noqa: E402
 from pamctl.plant.model import PlantSettings  # noqa: E402
+from pamctl.plant.parameters import NEUTRAL, PAPER, parameters_of  # noqa: E402
 
 RIGS = ("own", "hidden")
 SIZES = (1.0, 10.0)

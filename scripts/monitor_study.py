@@ -34,7 +34,7 @@ from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
 from pamctl.settings.resolve import resolve
 from pamctl.signals import Phase
-from pamctl.simulate.batch import simulate_run
+from pamctl.simulate.closed_loop import simulate_run
 
 PLANT = "paper-valve109"
 TIMES_SMALLEST = 3.0

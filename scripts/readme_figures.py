@@ -15,8 +15,9 @@ import tempfile
 from pathlib import Path
 
 from pamctl.log import read
-from pamctl.report.drawing.svg import PlotAxis, SvgPlot
-from pamctl.report.html_page import Page
+from pamctl.report.figure import Plot, PlotAxis
+from pamctl.report.html_page import write_html
+from pamctl.report.report import Figure, Report
 from pamctl.report.run_page import compose_report
 from pamctl.reproduce.reproduction import PRINTED_QSMC, TUNED, reproduce_paper
 from pamctl.signals import Phase
@@ -51,9 +52,13 @@ def make_diagnosis(folder: Path) -> Path:
     return out / "report.html"
 
 
-def make_laws_page() -> Page:
+def make_laws_page() -> Report:
     """Make a page with the errors of four gains files in experiment 2, on the same axes."""
-    page = Page("True error in experiment 2", "On the model of Tables I and II", numbered=False)
+    page = Report(
+        "True error in experiment 2",
+        subtitle="On the model of Tables I and II",
+        numbers_figures=False,
+    )
     time, plots = PlotAxis("time since the end of the approach", "s", tight=True), []
     for colour, case in enumerate((PRINTED_QSMC, *TUNED[:3])):
         run = case.run("tracking-2", "paper", 0)
@@ -61,10 +66,8 @@ def make_laws_page() -> Page:
         error_um = (run["true_position_m"] - run["reference_m"])[shown] * 1e6
         t_s = run.t_s[shown] - run.t_s[shown][0]
         axis = PlotAxis("x \N{MINUS SIGN} x_D", "µm", low=-100.0, high=200.0)
-        plots.append(
-            SvgPlot(case.name, time, axis, height_px=90).line(t_s, error_um, colour=colour)
-        )
-    page.figure(*plots)
+        plots.append(Plot(case.name, time, axis, height_px=90).line(t_s, error_um, colour=colour))
+    page.add(Figure([*plots]))
     return page
 
 
@@ -98,7 +101,7 @@ def make_page(name: str, folder: Path) -> Path:
         page = compose_report([read(make_log(folder))])
     else:
         page = make_laws_page() if name == "laws" else reproduce_paper([name], 0).page
-    file.write_text(page.html(), encoding="utf-8")
+    file.write_text(write_html(page), encoding="utf-8")
     return file
 
 

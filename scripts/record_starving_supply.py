@@ -27,8 +27,9 @@ import yaml
 from daemon_of_rig import PATIENCE_S, ROOT, hold_daemon, install_backend
 from readme_figures import take_picture
 
-from pamctl.report.drawing.svg import PlotAxis, SvgPlot
-from pamctl.report.html_page import Page
+from pamctl.report.figure import Plot, PlotAxis
+from pamctl.report.html_page import write_html
+from pamctl.report.report import Figure, Report
 from pamctl.session.daemon_rig import connect
 from pamctl.session.run import Run
 from pamctl.session.steered_rig import SteeredRig
@@ -136,7 +137,7 @@ def _watch(rig: SteeredRig, flag: Path) -> dict[str, Any]:
     return {"log": log, "alarm": alarm, "monitor": monitor}
 
 
-def draw_run(folder: Path, story: dict[str, Any]) -> Page:
+def draw_run(folder: Path, story: dict[str, Any]) -> Report:
     """Draw the run in which the supply starved: what the log holds, and the two moments."""
     run = Run.open(story["log"])
     shown = run["phase"] == Phase.TRACK
@@ -145,21 +146,23 @@ def draw_run(folder: Path, story: dict[str, Any]) -> Page:
     moments = _find_moments(run, folder / "starved")
     time_axis = PlotAxis("time", "s", tight=True)
     plots = [
-        SvgPlot("Pressure", time_axis, PlotAxis("absolute", "kPa"), height_px=120).line(
+        Plot("Pressure", time_axis, PlotAxis("absolute", "kPa"), height_px=120).line(
             t_s, 1e-3 * run["pressure_pa"][shown]
         ),
-        SvgPlot("Command", time_axis, PlotAxis("valve", "V"), height_px=120).line(
+        Plot("Command", time_axis, PlotAxis("valve", "V"), height_px=120).line(
             t_s, run["valve_v"][shown]
         ),
-        SvgPlot("Tracking error", time_axis, PlotAxis("x - x_D", "µm"), height_px=120).line(
+        Plot("Tracking error", time_axis, PlotAxis("x - x_D", "µm"), height_px=120).line(
             t_s, 1e6 * run.error_m[shown]
         ),
     ]
     for plot in plots:
         for at, text in moments:
             plot.place(at - zero_s, text if plot is plots[0] else "")
-    page = Page("The supply begins to starve", f"Log {run.path.name}", numbered=False)
-    page.figure(*plots)
+    page = Report(
+        "The supply begins to starve", subtitle=f"Log {run.path.name}", numbers_figures=False
+    )
+    page.add(Figure([*plots]))
     return page
 
 
@@ -170,19 +173,19 @@ def _find_moments(run: Run, flag: Path) -> list[tuple[float, str]]:
     return [(float(run.t_s[starved]), "the supply starves"), *alarms[:1]]
 
 
-def draw_tracking(story: dict[str, Any]) -> Page:
+def draw_tracking(story: dict[str, Any]) -> Report:
     """Draw the tracking error with the old gains and with the new ones, on the same axes."""
-    page = Page("Tracking on the starved rig", "before and after", numbered=False)
+    page = Report("Tracking on the starved rig", subtitle="before and after", numbers_figures=False)
     plots = []
     for colour, (name, log) in enumerate(story["tracked"].items()):
         run = Run.open(log)
         shown = run["phase"] == Phase.TRACK
         rms_um = 1e6 * run.metrics.rms_error_m
         axes = PlotAxis("time", "s", tight=True), PlotAxis("x - x_D", "µm", low=-250.0, high=250.0)
-        plot = SvgPlot(f"{name}: {rms_um:.1f} µm RMS", *axes, height_px=120)
+        plot = Plot(f"{name}: {rms_um:.1f} µm RMS", *axes, height_px=120)
         t_s = run.t_s[shown] - run.t_s[shown][0]
         plots.append(plot.line(t_s, 1e6 * run.error_m[shown], colour=colour))
-    page.figure(*plots)
+    page.add(Figure([*plots]))
     return page
 
 
@@ -205,7 +208,7 @@ def main() -> None:
         pages = {"run": draw_run(folder, story), "tracking": draw_tracking(story)}
         for name, page in pages.items():
             file = folder / f"{name}.html"
-            file.write_text(page.html(), encoding="utf-8")
+            file.write_text(write_html(page), encoding="utf-8")
             take_picture(file, f"starving-{name}", 920, 700 if name == "run" else 500)
         take_picture(folder / "found" / "report.html", "starving-diagnosis", 920, 1300)
 

@@ -31,7 +31,7 @@ from measured_table import format_table, write_measured
 from pamctl.control.smc import linearise_model
 from pamctl.plant.model import plant_parameters
 from pamctl.settings.resolve import RunSettings, resolve
-from pamctl.simulate.batch import simulate_run
+from pamctl.simulate.closed_loop import simulate_run
 from pamctl.simulate.merit import TABLE_IV, Merit
 from pamctl.tune import Member, draw_ensemble, make_fixed_members
 from pamctl.tune.gains_trial import GainsTrial

@@ -17,7 +17,7 @@ from measured_table import format_table, write_measured
 
 from pamctl.settings.config_files import list_shipped
 from pamctl.settings.resolve import resolve
-from pamctl.simulate.batch import simulate_run
+from pamctl.simulate.closed_loop import simulate_run
 from pamctl.simulate.merit import TABLE_IV, Merit
 
 PLANTS = {

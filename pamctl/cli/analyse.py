@@ -41,6 +41,7 @@ class ReportOptions(Options):
 def report(asked: ReportOptions) -> None:
     """Write one self-contained HTML page with figures and plots of these logs."""
     from pamctl.log.reader import read_some
+    from pamctl.report.html_page import write_html
     from pamctl.report.reported_run import REPORT_FIELDS
     from pamctl.report.run_page import compose_report, find_doubts
 
@@ -51,7 +52,7 @@ def report(asked: ReportOptions) -> None:
             typer.echo(f"warning: {escape_name(str(path))}: {doubt}", err=True)
     target = asked.out or asked.paths[0].with_suffix(".html")
     require_place(target, replaces=PAGE_BEGIN)
-    html = compose_report(logs, doubts).html(interactive=asked.interactive)
+    html = write_html(compose_report(logs, doubts), interactive=asked.interactive)
     write_files({target: html}, replaces=PAGE_BEGIN)
     if asked.as_json:
         print_json({"page": str(target), "bytes": len(html.encode()), "logs": asked.paths})
@@ -196,6 +197,7 @@ def compare(asked: CompareOptions) -> None:
     )
     from pamctl.log.measured_signals import SIGNAL_FIELDS, judge_ticks
     from pamctl.log.reader import read, read_some
+    from pamctl.report.html_page import write_html
 
     found = []
     for path in asked.paths:
@@ -212,7 +214,7 @@ def compare(asked: CompareOptions) -> None:
     ((path, models),) = found
     failure = None
     if plot is not None:
-        page = draw_comparison_page(read(path), models).html(interactive=asked.interactive)
+        page = write_html(draw_comparison_page(read(path), models), interactive=asked.interactive)
         try:
             write_files({plot: page}, replaces=PAGE_BEGIN)
         except NewFileError as error:

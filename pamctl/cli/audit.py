@@ -57,7 +57,7 @@ def _make_record(what: str, plant: str | None) -> Record:
         return record_of(what)
     find_argument_file("experiment", what)  # its error names what the user typed
     from pamctl.diagnose import Record
-    from pamctl.simulate.batch import simulate_run
+    from pamctl.simulate.closed_loop import simulate_run
 
     run = simulate_run(resolve(experiment=what, plant=plant))
     return Record(

@@ -29,6 +29,7 @@ def reproduce(
     as_json: JsonOption = False,
 ) -> None:
     """Write DIR/index.html and DIR/numbers.json; every number is simulated now."""
+    from pamctl.report.html_page import write_html
     from pamctl.reproduce.reproduction import PARTS, reproduce_paper
 
     if part not in (_ALL, *PARTS):
@@ -44,7 +45,7 @@ def reproduce(
     text, failure = f"page: {page}\nnumbers: {numbers}", None
     written = to_json(made.numbers).decode() + "\n"
     try:
-        write_files({page: made.page.html()}, replaces=PAGE_BEGIN)
+        write_files({page: write_html(made.page)}, replaces=PAGE_BEGIN)
         write_files({numbers: written}, replaces=_NUMBERS_BEGIN)
     except NewFileError as error:
         text, failure = written, error

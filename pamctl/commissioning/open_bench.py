@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from hal.rig import open_rig
 from pamctl.commissioning.hands_on import Bench
 from pamctl.processes.backends import build_clock, build_rig, hold_device
+from pamctl.processes.guardian_main import keep_watchman
 from pamctl.processes.interrupts import Interrupts
 from pamctl.processes.keep_awake import keep_awake
-from pamctl.processes.watchman_main import keep_watchman
 from pamctl.settings.resolve import RunSettings
 
 

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 from pamctl.compare.comparison import OWN_PLANT, Comparison, ComparisonGap
 from pamctl.log import Log
-from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot, plot_apart
-from pamctl.report.html_page import Page
+from pamctl.report.figure import MUTED, Plot, PlotAxis, plot_apart
+from pamctl.report.report import Figure, Report, ReportTable, Section
 from pamctl.report.reported_run import Floats, ReportedRun
 from pamctl.report.run_motion import make_time_axis, mark_moments
 
@@ -160,7 +160,7 @@ class _View(NamedTuple):
     colours: Mapping[str, int]
 
 
-def draw_comparison_page(log: Log, found: _Models) -> Page:
+def draw_comparison_page(log: Log, found: _Models) -> Report:
     """Draw every model beside the measurement, and the gap between them."""
     run = ReportedRun(log, log.path.stem)
     measured = next(iter(found.values())).measured
@@ -178,33 +178,35 @@ def draw_comparison_page(log: Log, found: _Models) -> Page:
         for signal in _SIGNALS
         for plot in _plot_models(found, partial(_plot_gap_alone, view, signal))
     ]
-    valve = SvgPlot("Valve command", axis, PlotAxis("command", "V"), height_px=120)
+    valve = Plot("Valve command", axis, PlotAxis("command", "V"), height_px=120)
     if measured.valve_v is not None:
         coupled.append(valve.line(t_s, measured.valve_v, step=True, colour=MUTED))
     mark_moments([*coupled, *alone], run.moments)
 
-    page = Page(f"Model against {log.path.name}", ", ".join(found))
-    page.section("The gaps")
-    page.table(*list_gaps(found), caption="Model minus measurement.")
-    page.section("The coupled model, driven by the logged command")
-    page.figure(*coupled, caption="The simulation with the logged command, and its gap.")
-    page.section("Each block alone")
-    page.figure(
-        *alone,
-        caption="Model minus measurement: the mechanics driven by the measured pressure, the "
-        "pressure block by the command and the measured position.",
+    page = Report(f"Model against {log.path.name}", subtitle=", ".join(found))
+    page.add(Section("The gaps"))
+    page.add(ReportTable(*list_gaps(found), "Model minus measurement."))
+    page.add(Section("The coupled model, driven by the logged command"))
+    page.add(Figure([*coupled], "The simulation with the logged command, and its gap."))
+    page.add(Section("Each block alone"))
+    page.add(
+        Figure(
+            [*alone],
+            "Model minus measurement: the mechanics driven by the measured pressure, the "
+            "pressure block by the command and the measured position.",
+        )
     )
-    page.table(*list_regimes(found), caption="Each block alone, by regime, RMS.")
+    page.add(ReportTable(*list_regimes(found), "Each block alone, by regime, RMS."))
     return page
 
 
-def _plot_models(found: _Models, draw: Callable[[_Models], SvgPlot]) -> list[SvgPlot]:
+def _plot_models(found: _Models, draw: Callable[[_Models], Plot]) -> list[Plot]:
     plots = plot_apart(lambda names: draw({name: found[name] for name in names}), [*found])
-    return [plot for plot in plots if plot.x_data]
+    return [plot for plot in plots if plot.marks]
 
 
-def _plot_signal(view: _View, signal: _Signal, found: _Models) -> SvgPlot:
-    plot = SvgPlot(signal.title, view.time, PlotAxis(signal.title.lower(), signal.unit))
+def _plot_signal(view: _View, signal: _Signal, found: _Models) -> Plot:
+    plot = Plot(signal.title, view.time, PlotAxis(signal.title.lower(), signal.unit))
     measured = getattr(next(iter(found.values())).measured, signal.name)
     if measured is not None:
         plot.line(view.t_s, signal.scale * measured, "measured", colour=MUTED, thick=True)
@@ -215,14 +217,14 @@ def _plot_signal(view: _View, signal: _Signal, found: _Models) -> SvgPlot:
     return plot
 
 
-def _plot_coupled_gap(view: _View, signal: _Signal, found: _Models) -> SvgPlot:
+def _plot_coupled_gap(view: _View, signal: _Signal, found: _Models) -> Plot:
     models = {name: getattr(one.coupled, signal.name) for name, one in found.items()}
     return _plot_gap(
         f"{signal.title}, model \N{MINUS SIGN} measurement", view, signal, found, models
     )
 
 
-def _plot_gap_alone(view: _View, signal: _Signal, found: _Models) -> SvgPlot:
+def _plot_gap_alone(view: _View, signal: _Signal, found: _Models) -> Plot:
     models = {
         name: one.mechanics.position_m
         if signal.name == "position_m"
@@ -238,8 +240,8 @@ def _plot_gap(
     signal: _Signal,
     found: _Models,
     models: Mapping[str, Floats | None],
-) -> SvgPlot:
-    plot = SvgPlot(title, view.time, PlotAxis("gap", signal.gap_unit), height_px=130)
+) -> Plot:
+    plot = Plot(title, view.time, PlotAxis("gap", signal.gap_unit), height_px=130)
     for name, model in models.items():
         measured = getattr(found[name].measured, signal.name)
         if model is not None and measured is not None:

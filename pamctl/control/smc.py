@@ -61,9 +61,13 @@ from pamctl.control.sliding import (
     sliding_numbers_of,
 )
 from pamctl.plant.model import PlantSettings, plant_parameters
-from pamctl.plant.paper.muscle import braid_lever_m, force_area_m2, volume_m3
-from pamctl.plant.paper.valve import orifice_flow
-from pamctl.plant.parameters import PaperParameters
+from pamctl.plant.paper import (
+    PaperParameters,
+    braid_lever_m,
+    force_area_m2,
+    orifice_flow,
+    volume_m3,
+)
 from pamctl.signals import Command, Estimate, Reference
 
 

@@ -23,11 +23,12 @@ from hal.rig import Rig
 from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log.run_meta import RunMeta
-from pamctl.processes.front import FrontReport, block_signals, close_log, read_ending
+from pamctl.processes.front import FrontReport, close_log, read_ending
 from pamctl.processes.guardian_handle import Guardianship
+from pamctl.processes.interrupts import block_signals
 from pamctl.processes.loop_supervisor import STARTS_WITHIN_S
 from pamctl.realtime.orders import OrderError, Orders
-from pamctl.recording.last_words import make_outcome_event, put_event_for_dead_loop
+from pamctl.recording.journal import make_outcome_event, put_event_for_dead_loop
 from pamctl.recording.recorder import RecorderError, await_recorder, spawn_recorder
 from pamctl.recording.ring import LoopStage, Ring
 from pamctl.settings.resolve import RunSettings

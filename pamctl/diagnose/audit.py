@@ -31,8 +31,7 @@ from pamctl.diagnose.evidence.weigh import (
 from pamctl.diagnose.mend import mend_records
 from pamctl.diagnose.plant_numbers import look_up_parameter
 from pamctl.diagnose.record import Array, Record
-from pamctl.diagnose.refuse import BadData, check_measured_runs, check_sensors, leave_out_unused
-from pamctl.diagnose.sensor_noise import estimate_channel_noise
+from pamctl.diagnose.refuse import BadData, check_measured_runs, leave_out_unused
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings, plant_parameters, settings_of
 
@@ -125,8 +124,6 @@ def audit_run(record: Record, plant: PlantSettings) -> Audit:
     (record,), _ = leave_out_unused([record], plant)
     (record,), _ = mend_records([record])
     check_measured_runs([record], plant)
-    noises = {c: estimate_channel_noise([record], c) for c in record.channels if c != "valve_v"}
-    check_sensors([record], noises, plant)
     try:
         weigher, start = prepare_weigher([record], (), plant)
     except ValueError as error:

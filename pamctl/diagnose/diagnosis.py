@@ -12,10 +12,10 @@ from pamctl.diagnose.deciding_program import DecidingProgram
 from pamctl.diagnose.evidence.ladder import Finding
 from pamctl.diagnose.evidence.weigh import EvidenceVerdict
 from pamctl.diagnose.explanations import JudgedForecast
+from pamctl.diagnose.mend import ChannelNoise
 from pamctl.diagnose.plant_numbers import FittedNumber, value_of
 from pamctl.diagnose.record import Record
 from pamctl.diagnose.refuse import AcceptedDoubt
-from pamctl.diagnose.sensor_noise import ChannelNoise
 from pamctl.plant.model import PlantSettings
 
 OPEN_TIMES = 1.2

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from pamctl.plant.catalogue import WITH_TERMS
 from pamctl.plant.effects.description import EffectParameter
-from pamctl.plant.flat import NEUTRAL
 from pamctl.plant.model import PlantSettings, settings_of, values_of
+from pamctl.plant.parameters import NEUTRAL
 
 UNITS: Mapping[str, str] = {
     "mass_kg": "kg",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
@@ -19,7 +19,6 @@ from pamctl.log.cut import find_longest_step_s, split_at_gaps
 from pamctl.log.framing import map_log_file
 from pamctl.log.measured_signals import judge_ticks
 from pamctl.log.moments import Moment, list_moments
-from pamctl.log.record_problems import find_sensor_step
 from pamctl.signals import Phase
 
 Array = NDArray[np.float64]
@@ -34,21 +33,6 @@ CHANNELS: Mapping[str, str] = {
 
 REST_V = 0.05
 """Commands that differ by less do not move the valve (V)."""
-RISE_FROM = 20
-"""Samples whose median is the level from which a force starts."""
-RISE_OVER_NOISE = 10.0
-"""A force has left its start when it is this multiple of its noise away, even if the noise is
-correlated."""
-RISE_SHARE = 2e-3
-"""A channel has not left its start within this share of its span, however quiet it is."""
-CORRELATED = 2.0
-"""How much smaller the third differences of a sensor's noise may be than those of white noise."""
-FEWEST_AVERAGES = 8
-"""Averages whose scatter is known, and which an input's slow motion may show."""
-SHORT_PARTS = 5
-"""Short averages in an average."""
-QUIET_SAMPLES = 50
-"""Samples whose noise is taken together, to find the quiet parts of a channel."""
 
 
 @dataclass(frozen=True)
@@ -145,93 +129,24 @@ class Record:
 
     def cut_samples(self, start: int, stop: int, name: str) -> Record:
         """Return the samples [start, stop) as a record of their own."""
-        held_v = self.held_v
-        if start and self.valve_v is not None:
-            held_v = float(self.valve_v[start - 1])
-        return Record(
-            name,
-            self.t_s[start:stop],
-            **{channel: self[channel][start:stop] for channel in self.channels},
-            reference_m=None if self.reference_m is None else self.reference_m[start:stop],
-            acts_after_s=None if self.acts_after_s is None else self.acts_after_s[start:stop],
-            held_v=held_v,
-            notes=self.notes,
-            experiment=self.experiment,
-            is_imported=self.is_imported,
-            counts=None if self.counts is None else self.counts[start:stop],
-            stated_noise=self.stated_noise,
-            atmosphere_pa=self.atmosphere_pa,
-            moments=self.moments,
-            settings=self.settings,
-        )
-
-    @cached_property
-    def rest_samples(self) -> int:
-        """Number of samples before the first change that the rig can answer."""
-        moved = np.zeros(len(self), dtype=bool)
-        if self.valve_v is not None:
-            moved |= np.abs(self.valve_v - self.valve_v[0]) > REST_V
-            if self.valve_v[0] > REST_V:
-                return 0
-        for channel in self.channels:
-            if channel != "valve_v":
-                moved[_find_rise(self[channel]) :] = True
-        rest = int(np.argmax(moved)) if moved.any() else len(self)
-        # A force may swing within its noise until friction lets go: nothing else shows it.
-        for channel in ("force_n", *(() if self.valve_v is not None else ("pressure_pa",))):
-            if channel in self.channels:
-                rest = _find_slow_move(self[channel][:rest])
-        return rest
+        arrays = ("t_s", *self.channels, "reference_m", "acts_after_s", "counts")
+        cut: dict[str, Any] = {
+            c: getattr(self, c)[start:stop] for c in arrays if getattr(self, c) is not None
+        }
+        before = start and self.valve_v is not None
+        held_v = float(self["valve_v"][start - 1]) if before else self.held_v
+        return replace(self, name=name, held_v=held_v, **cut)
 
 
-def _find_rise(values: Array) -> int:
-    """Return where a channel leaves its start; its length where it does not.
+def estimate_white_noise(values: Array) -> float:
+    """Return the deviation of a channel's white noise, rounding included, from third differences.
 
-    Noise hides the beginning of a slow ramp. The ramp takes as long to reach the first level as
-    from there to the second, twice as high: its beginning is extrapolated from both.
+    They multiply it by sqrt(20), and smooth motion vanishes. The largest tenth is left out, which
+    steps of the command cause: the rest of a normal variable has 0.7893 of its RMS.
     """
-    least = RISE_SHARE * float(np.ptp(values))
-    level = max(
-        RISE_OVER_NOISE * max(estimate_quiet_noise(values), find_sensor_step(values)), least
-    )
-    return _extrapolate_rise(np.abs(values - np.median(values[:RISE_FROM])), level)
-
-
-def _find_slow_move(rest: Array) -> int:
-    """Return where an input leaves its start in a rest, by averages, which show less of its noise.
-
-    The noise is that of short averages, so that a memory of some samples is in it.
-    """
-    whole = len(rest) // QUIET_SAMPLES * QUIET_SAMPLES
-    if whole < FEWEST_AVERAGES * QUIET_SAMPLES:
-        return len(rest)
-    short = rest[:whole].reshape(-1, QUIET_SAMPLES // SHORT_PARTS).mean(axis=1)
-    averages = short.reshape(-1, SHORT_PARTS).mean(axis=1)
-    scatter = float(np.sqrt(np.mean(np.diff(short, 3) ** 2) / (20.0 * SHORT_PARTS)))
-    scatter = max(scatter, find_sensor_step(rest) / QUIET_SAMPLES**0.5)
-    begins = _extrapolate_rise(np.abs(averages - averages[0]), RISE_OVER_NOISE * scatter)
-    return len(rest) if begins == len(averages) else QUIET_SAMPLES * begins
-
-
-def _extrapolate_rise(away: Array, level: float) -> int:
-    first, second = (np.flatnonzero(away > times * level) for times in (1.0, 2.0))
-    if not len(first):
-        return len(away)
-    later = int(second[0]) if len(second) else int(first[0])
-    return max(2 * int(first[0]) - later, 0)
-
-
-def estimate_quiet_noise(values: Array) -> float:
-    """Return the noise of the quiet parts of a channel; its motion may be as lively elsewhere."""
-    third = np.diff(values, 3)  # white noise grows by sqrt(20), a ramp vanishes
-    whole = len(third) // QUIET_SAMPLES * QUIET_SAMPLES
-    if not whole:
-        return 0.0
-    parts = third[:whole].reshape(-1, QUIET_SAMPLES)
-    white = np.sqrt(np.mean(parts**2, axis=1) / 20.0)
-    # Correlated noise has smaller differences than white noise, but not by more than this factor.
-    around = values[:whole].reshape(-1, QUIET_SAMPLES)
-    return float(np.quantile(np.minimum(CORRELATED * white, around.std(axis=1)), 0.2))
+    third = np.abs(np.diff(values, 3))
+    kept = third[third <= np.quantile(third, 0.9)]
+    return float(np.sqrt(np.mean(kept**2)) / (0.7893 * np.sqrt(20.0)))
 
 
 def _as_column(values: ArrayLike) -> Array:

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from pamctl.diagnose.mend import SensorFault
-from pamctl.diagnose.record import CHANNELS, Array, Record
-from pamctl.diagnose.sensor_noise import Noise
+from pamctl.diagnose.record import CHANNELS, Array, Record, estimate_white_noise
 from pamctl.exit_codes import ExitCode
 from pamctl.log.importing.plausibility import is_switched
 from pamctl.log.record_problems import find_sensor_step
@@ -217,28 +216,24 @@ def _doubt_position(record: Record, plant: PlantSettings) -> Iterator[Doubt]:
         )
 
 
-def doubt_sensors(
-    record: Record, plant: PlantSettings, noises: Mapping[str, Noise]
-) -> Iterator[Doubt]:
+def doubt_sensors(record: Record, plant: PlantSettings) -> Iterator[Doubt]:
     """Yield doubts about clipped channels, which their noise reveals, and shifted ones."""
     for channel in list_used_channels(record, plant):
-        if channel in noises:  # the command has no sensor
-            yield from _doubt_extremes(record, plant, channel, noises[channel])
+        if channel != "valve_v":  # the command has no sensor
+            yield from _doubt_extremes(record, plant, channel)
     for text in check_time_shifts(record):
         yield Doubt("shifted", text)
 
 
-def _doubt_extremes(
-    record: Record, plant: PlantSettings, channel: str, noise: Noise
-) -> Iterator[Doubt]:
+def _doubt_extremes(record: Record, plant: PlantSettings, channel: str) -> Iterator[Doubt]:
     """Find a channel that stands still at its extreme value, where its noise should show."""
     values = record[channel]
+    noisy = estimate_white_noise(values) > max(2.0 * find_sensor_step(values), 1e-12)
     for end, extreme in (("highest", values.max()), ("lowest", values.min())):
         at_end = values == extreme
         share = float(at_end.mean())
         if share < 0.02 or _longest_run(at_end) < 20:
             continue
-        noisy = noise.deviation > noise.resolution and noise.deviation > 0.0
         # A muscle that its pressure pushes cannot rest; another mechanism may be at its stop.
         muscle = plant.actuator == "muscle" and channel == "position_m"
         if noisy or (muscle and _is_still_pushed(record, at_end)):
@@ -270,12 +265,9 @@ def doubt_excitation(records: Sequence[Record], plant: PlantSettings) -> Iterato
         # A regulator may hold the pressure on a piston: then the motion is the excitation.
         if plant.actuator == "direct" and channel == "pressure_pa":
             continue
-        spans = [
-            _measure_span(r[channel], _least_span(r, plant, channel))
-            for r in records
-            if channel in list_used_channels(r, plant)
-        ]
-        if spans and all(span < least for span, least in spans):
+        asked = [r for r in records if channel in list_used_channels(r, plant)]
+        spans = [(float(np.subtract(*find_usual_ends(r[channel])[::-1])), r) for r in asked]
+        if spans and all(span < _least_span(r, plant, channel) for span, r in spans):
             yield Doubt(
                 "still",
                 f"{channel} varies by only {max(span for span, _ in spans):.3g} "
@@ -283,27 +275,18 @@ def doubt_excitation(records: Sequence[Record], plant: PlantSettings) -> Iterato
             )
 
 
-def _measure_span(values: Array, least: float) -> tuple[float, float]:
-    low, high = find_usual_ends(values)
-    return high - low, least
-
-
 def _least_span(record: Record, plant: PlantSettings, channel: str) -> float:
     """Return the variation that a channel needs: more than its noise; of a muscle, a part of it."""
-    noise = max(_estimate_noise(record[channel]), find_sensor_step(record[channel]))
+    noise = max(estimate_white_noise(record[channel]), find_sensor_step(record[channel]))
     least: float = max(STILL_TIMES_NOISE * noise, 1e-12)
     if plant.actuator == "direct":
         return least
-    if channel == "pressure_pa":
-        return max(least, 0.02 * plant.parameters.tank_pressure_pa)
-    if channel == "position_m":
-        return max(least, float(2e-3 * plant.parameters.rest_length_m))
-    return 0.1 if channel == "valve_v" else least
-
-
-def _estimate_noise(values: Array) -> float:
-    """Return the deviation of white noise: third differences multiply it by sqrt(20)."""
-    return float(np.median(np.abs(np.diff(values, 3))) / (0.6745 * np.sqrt(20.0)))
+    shares = {
+        "pressure_pa": 0.02 * plant.parameters.tank_pressure_pa,
+        "position_m": 2e-3 * plant.parameters.rest_length_m,
+        "valve_v": 0.1,
+    }
+    return max(least, shares.get(channel, 0.0))
 
 
 def find_usual_ends(values: Array) -> tuple[float, float]:
@@ -485,27 +468,24 @@ def read_acceptances(texts: Iterable[str]) -> dict[str, str]:
 def check_measured_runs(
     records: Sequence[Record], plant: PlantSettings, accepted: Mapping[str, str] | None = None
 ) -> tuple[AcceptedDoubt, ...]:
-    """Raise `BadData` with every reason found, a line each; return the doubts that are accepted."""
+    """Raise `BadData` with every reason found, a line each; return the doubts that are accepted.
+
+    What hardly varies is asked where units and times are right, and what is clipped or shifted
+    where all that is.
+    """
+    if not records:
+        raise BadData("no records; give at least one log")
     faults = [fault for record in records for fault in _find_faults(record)]
     faults += _find_different_channels(records)
     if faults:
         raise BadData("\n".join(dict.fromkeys(faults)))
-    doubts = [doubt for record in records for doubt in doubt_record(record, plant)]
     known = accepted or {}
+    doubts = [doubt for record in records for doubt in doubt_record(record, plant)]
     if all(doubt.rule in known for doubt in doubts):
         doubts += doubt_excitation(records, plant)
+    if all(doubt.rule in known for doubt in doubts):
+        doubts += [doubt for record in records for doubt in doubt_sensors(record, plant)]
     return _judge_doubts(doubts, known)
-
-
-def check_sensors(
-    records: Sequence[Record],
-    noises: Mapping[str, Noise],
-    plant: PlantSettings,
-    accepted: Mapping[str, str] | None = None,
-) -> tuple[AcceptedDoubt, ...]:
-    """Raise `BadData` for clipped and shifted channels; return the doubts that are accepted."""
-    doubts = [doubt for record in records for doubt in doubt_sensors(record, plant, noises)]
-    return _judge_doubts(doubts, accepted or {})
 
 
 def _judge_doubts(

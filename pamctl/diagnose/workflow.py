@@ -19,10 +19,15 @@ from pamctl.diagnose.evidence import EvidenceVerdict, weigh_evidence
 from pamctl.diagnose.evidence.run_pieces import TooLittleRecorded
 from pamctl.diagnose.explanations import judge_forecasts, list_explanations
 from pamctl.diagnose.extend import extend_plant
-from pamctl.diagnose.mend import SensorFault, align_resting_pressure, mend_records
+from pamctl.diagnose.mend import (
+    SensorFault,
+    align_resting_pressure,
+    describe_channels,
+    mend_records,
+    pool_stated_noise,
+)
 from pamctl.diagnose.record import Record
-from pamctl.diagnose.refuse import BadData, check_measured_runs, check_sensors, leave_out_unused
-from pamctl.diagnose.sensor_noise import describe_channels, estimate_channel_noise
+from pamctl.diagnose.refuse import BadData, check_measured_runs, leave_out_unused
 from pamctl.plant.model import PlantSettings
 
 Progress = Callable[[str], None]
@@ -60,16 +65,8 @@ def diagnose(
     train, holdout, faults = _mend_records(train, holdout, plant, stated)
     records = [*train, *holdout]
     try:
-        if not records:
-            raise BadData("no records; give at least one log")
         accepted = check_measured_runs(records, plant, accept)
-        noises = {
-            channel: estimate_channel_noise(records, channel)
-            for channel in records[0].channels
-            if channel != "valve_v"
-        }
-        accepted += check_sensors(records, noises, plant, accept)
-        stated = {c: n.deviation for c, n in noises.items() if n.source == "stated"}
+        stated = pool_stated_noise(records)
         cores = jobs or os.cpu_count() or 1
         found = weigh_evidence(
             train, holdout, plant, without=[*without], noise=stated, jobs=cores, tell=progress
@@ -87,7 +84,7 @@ def diagnose(
         holdout=tuple(holdout),
         audit=audit_evidence(found, pairs=False),
         accepted=accepted,
-        noise=describe_channels(records, noises, faults),
+        noise=describe_channels(records, found.noise_rms, faults),
     )
     return _decide_next(diagnosis, found, records, progress)
 

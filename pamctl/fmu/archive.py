@@ -24,12 +24,10 @@ from pamctl.exit_codes import ExitCode
 from pamctl.kernel.build import CannotBuild, compile_library, require_compiler
 from pamctl.kernel.c_source import FLOAT, INT, NUMBERS, CSource, CType, Kernel, write_call
 from pamctl.new_file import create_new_file, require_place
-from pamctl.plant.delayed_command import advance_delayed_plant
 from pamctl.plant.model import PlantSettings, plant_parameters, values_of
 from pamctl.plant.parameters import PlantParameters, vented_state
-from pamctl.plant.sensing import sensed_position_m, sensed_pressure_pa
-from pamctl.plant.simulated import LONGEST_STEP_S
-from pamctl.plant.step import advance_plant
+from pamctl.plant.simulated import LONGEST_STEP_S, advance_delayed_plant
+from pamctl.plant.step import advance_plant, sensed_position_m, sensed_pressure_pa
 from pamctl.settings.resolve import settings_to_yaml
 
 FIRST_NUMBER = 100

@@ -19,8 +19,7 @@ from pamctl.diagnose.evidence.weigh import prepare_weigher
 from pamctl.diagnose.mend import mend_records
 from pamctl.diagnose.plant_numbers import FittedNumber, with_values
 from pamctl.diagnose.record import Array, Record, record_of
-from pamctl.diagnose.refuse import BadData, check_measured_runs, check_sensors
-from pamctl.diagnose.sensor_noise import estimate_channel_noise
+from pamctl.diagnose.refuse import BadData, check_measured_runs
 from pamctl.exit_codes import ExitCode
 from pamctl.log.framing import LogError
 from pamctl.plant.model import PlantSettings
@@ -82,8 +81,6 @@ def fit_record(record: Record, plant: PlantSettings, stated: Stated = Stated()) 
     if record.duration_s < SHORTEST_S:
         raise BadData(f"{record.duration_s:.1f} s after homing; {SHORTEST_S:g} s are needed")
     check_measured_runs([record], plant, stated.accepted)
-    noises = {c: estimate_channel_noise([record], c) for c in record.channels if c != "valve_v"}
-    check_sensors([record], noises, plant, stated.accepted)
     try:
         weigher, start = prepare_weigher([record], (), plant)
     except ValueError as error:

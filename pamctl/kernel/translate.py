@@ -298,7 +298,7 @@ def parse_kernel(kernel: Kernel) -> ast.FunctionDef:
 
 @cache
 def _parse_source(kernel: Kernel) -> ast.stmt:
-    # Composed kernels (`pamctl.plant.chains`) bring the source that they were made of.
+    # Composed kernels (`pamctl.plant.catalogue`) bring the source that they were made of.
     try:
         source = kernel.__dict__.get("source") or textwrap.dedent(inspect.getsource(kernel))
     except OSError as error:

@@ -16,8 +16,8 @@ from functools import partial
 import numpy as np
 from scipy.signal import butter, savgol_filter, sosfiltfilt
 
-from pamctl.diagnose.record import Array, Record
-from pamctl.diagnose.sensor_noise import Noise
+from pamctl.diagnose.record import Array, Record, estimate_white_noise
+from pamctl.log.record_problems import find_sensor_step
 from pamctl.plant.drive import build_grid, count_steps, drive_mechanics, drive_pressure
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import PlantParameters, rest_state
@@ -91,6 +91,38 @@ LOUDEST = 3.0
 
 
 @dataclass(frozen=True)
+class SensorNoise:
+    """White noise of a sensor, and the converter behind it, in the channel's unit."""
+
+    deviation: float
+    resolution: float
+    """Step of the converter; 0 where none is visible."""
+
+    @property
+    def total(self) -> float:
+        """Standard deviation with the converter's rounding."""
+        return float(np.hypot(self.deviation, self.resolution / np.sqrt(12.0)))
+
+    def simulate_sensor(self, values: Array, random: np.random.Generator) -> Array:
+        """Return what the sensor would show: noise is added, then rounded to the nearest step."""
+        noisy = values + random.normal(0.0, self.deviation, len(values))
+        if self.resolution == 0.0:
+            return noisy
+        if not noisy.any():  # the rounding error of a signal that moves
+            return random.uniform(-0.5, 0.5, len(noisy)) * self.resolution
+        # The zero of the converter lies anywhere within a step.
+        offset = random.uniform(0.0, self.resolution)
+        return np.round((noisy - offset) / self.resolution) * self.resolution + offset
+
+
+def read_sensor_noise(record: Record, channel: str) -> SensorNoise:
+    """Return a channel's noise: as stated, or from its differences."""
+    step = find_sensor_step(record[channel])
+    total = record.stated_noise.get(channel, estimate_white_noise(record[channel]))
+    return SensorNoise(float(np.sqrt(max(total**2 - step**2 / 12.0, 0.0))), step)
+
+
+@dataclass(frozen=True)
 class WindowMisfit:
     """What one window says of one block."""
 
@@ -114,7 +146,7 @@ class WindowJudge:
     """The model of one rig, and the noise of its sensors by channel."""
 
     plant: PlantSettings
-    noises: Mapping[str, Noise]
+    noises: Mapping[str, SensorNoise]
 
     def judge(self, record: Record, seed: int) -> list[WindowMisfit]:
         """Judge the blocks that the record can drive; its first `RUN_IN_S` are the run-in."""
@@ -194,7 +226,7 @@ def _start_pressure(measured_pa: Array) -> float:
     return float(np.mean(measured_pa[:START_SAMPLES]))
 
 
-def _find_growth(error: Array, noise: Noise) -> float:
+def _find_growth(error: Array, noise: SensorNoise) -> float:
     """Return how much louder than known the sensor is: by third differences, no slow misfit."""
     third = np.diff(error, 3)
     known = np.diff(noise.simulate_sensor(np.zeros(len(error)), np.random.default_rng(0)), 3)

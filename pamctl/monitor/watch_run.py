@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from pamctl.diagnose.record import Record
-from pamctl.diagnose.sensor_noise import Noise, estimate_channel_noise
 from pamctl.log.measured_signals import Signals, signals
 from pamctl.log.reader import Log
 from pamctl.monitor.judge_window import (
@@ -24,12 +23,14 @@ from pamctl.monitor.judge_window import (
     RUN_IN_S,
     MisfitAlarm,
     MisfitSums,
+    SensorNoise,
     WindowJudge,
     WindowMisfit,
+    read_sensor_noise,
 )
 from pamctl.plant.model import PlantSettings
-from pamctl.recording.ring import Ring, RowKind
-from pamctl.recording.rows import row_dtype
+from pamctl.recording.ring import Ring
+from pamctl.recording.rows import RowKind, row_dtype
 from pamctl.signals import Phase
 
 _BEFORE = 4
@@ -145,7 +146,7 @@ class RunWatch:
 
     def __init__(self, plant: PlantSettings) -> None:
         self._plant = plant
-        self._noises: dict[str, Noise] | None = None
+        self._noises: dict[str, SensorNoise] | None = None
         self._sums = MisfitSums()
         self._kept: deque[_Piece] = deque()
         """Consecutive pieces without a gap between them."""
@@ -231,7 +232,7 @@ class RunWatch:
         if record.duration_s < LEARN_S:
             return False
         record = replace(record, stated_noise=self._state_noise())
-        self._noises = {name: estimate_channel_noise([record], name) for name in CHANNELS}
+        self._noises = {name: read_sensor_noise(record, name) for name in CHANNELS}
         return True
 
     def _next_window(self) -> _Piece | None:

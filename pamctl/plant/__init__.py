@@ -1,6 +1,6 @@
 """The model of muscle and valve: the paper's two blocks, and the effects that the paper leaves out.
 
-`paper/` is the model as printed; `effects/` holds the rest, one file an effect.
-`catalogue.py` finds the effects, `chains.py` composes them, `drive.py` runs them for fits.
+`paper.py` is the model as printed; `effects/` holds the rest, one file a place.
+`catalogue.py` finds the effects and composes them, `drive.py` runs them for fits.
 Read `step.py` first, then `model.py`.
 """

@@ -1,6 +1,6 @@
 """The pressure block with effects: leaks, supply, line, volumes, thermodynamics.
 
-It uses the midpoint step of `pressure.py`, and at neutral values gives the same bits. The stiff
+It uses the midpoint step of `pressure_step`, and at neutral values gives the same bits. The stiff
 parts are solved implicitly: the supply behind its regulator and the air in the line follow their
 lags exactly, with the flow at the middle of the step. Their time constants may be arbitrarily
 short.
@@ -10,35 +10,30 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.chains import pass_volume
-from pamctl.plant.effects.air.discharge_ratio import nozzle_ratio
-from pamctl.plant.effects.air.line_restriction import (
-    lag_weights,
-    line_drop_pa,
-    line_time_s,
-    resistance_at_drop,
-    restricts,
-)
-from pamctl.plant.effects.air.polytropic import (
+from pamctl.plant.catalogue import pass_volume
+from pamctl.plant.effects.air import (
     COLDEST,
     HOTTEST,
     HeatShares,
+    droop_resistance,
     heat_shares,
+    kept_of_branch,
+    kept_share,
+    line_drop_pa,
+    line_time_s,
+    nozzle_ratio,
     outflow_energy,
     polytropic_slope,
     polytropic_volume,
+    resistance_at_drop,
+    restricts,
 )
-from pamctl.plant.effects.air.supply_droop import (
-    droop_resistance,
-    kept_of_branch,
-    kept_share,
-)
-from pamctl.plant.effects.mechanics.braid_stretch import stretch_ratio
-from pamctl.plant.effects.valve.valve_leak import leak_area_m2
-from pamctl.plant.paper.muscle import volume_m3
-from pamctl.plant.paper.valve import orifice_flow
+from pamctl.plant.effects.mechanics import stretch_ratio
+from pamctl.plant.effects.places import lag_weights
+from pamctl.plant.effects.valve import leak_area_m2
+from pamctl.plant.paper import orifice_flow, volume_m3
 from pamctl.plant.parameters import AirNow, AirState, PlantParameters
-from pamctl.plant.terms.air_terms import pass_volume_term
+from pamctl.plant.term_kernels import pass_volume_term
 
 SOLVED_PA = 1e-3
 """Tolerance of a pressure that is found by iteration."""
@@ -394,7 +389,7 @@ def stop_at_balance(
 
     `net_kg_per_s` is the net flow at `pressure_pa`, which the caller has computed already, and
     `still_pa` the pressure after a step without flow. With one source the balance is at the
-    source's pressure, as in `pressure.py`. With two, motion may carry the pressure across the
+    source's pressure, as in `pressure_step`. With two, motion may carry the pressure across the
     balance: there the flow at the end of the step counts, and nothing is held. With a resistance
     in the line the flow decays smoothly and needs no stop.
     """

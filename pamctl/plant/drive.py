@@ -33,27 +33,29 @@ import numpy as np
 
 from pamctl.bounded_memory import BoundedMemory
 from pamctl.kernel.calls import machine
-from pamctl.plant.chains import SensorMemory, undo_reading
+from pamctl.plant.catalogue import SensorMemory, undo_reading
 from pamctl.plant.chamber import pressure_behind_line_pa
-from pamctl.plant.effects.air.line_restriction import restricts
-from pamctl.plant.effects.sensors.encoder_backlash import restart_behind_play
-from pamctl.plant.flat import parameters_of
+from pamctl.plant.effects.air import restricts
+from pamctl.plant.effects.readings import restart_behind_play
 from pamctl.plant.parameters import (
     PlantParameters,
     PlantState,
+    parameters_of,
     rest_state,
     vented_state,
 )
-from pamctl.plant.sensing import (
+from pamctl.plant.simulated import LONGEST_STEP_S
+from pamctl.plant.step import (
+    mechanics_block_step,
+    plant_step,
     pressure_at_sensor_pa,
+    pressure_block_step,
     sensed_position_m,
     sensed_pressure_pa,
     sensors_step,
+    settle_valve,
 )
-from pamctl.plant.simulated import LONGEST_STEP_S
-from pamctl.plant.step import mechanics_block_step, plant_step, pressure_block_step
-from pamctl.plant.terms.undone_readings import undo_reading_term
-from pamctl.plant.valve_chain import settle_valve
+from pamctl.plant.term_kernels import undo_reading_term
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -384,13 +386,7 @@ def run_mechanics(
                 muscle_pa = pressures_pa[j + 1]
                 if has_line:
                     muscle_pa = pressure_behind_line_pa(
-                        p,
-                        begin_pa,
-                        pressures_pa[j],
-                        muscle_pa,
-                        x,
-                        v,
-                        step_s,
+                        p, begin_pa, pressures_pa[j], muscle_pa, x, v, step_s
                     )
                 middle_pa = 0.5 * (begin_pa + muscle_pa)
                 begin_m = x

@@ -1,6 +1,6 @@
 """The mechanical block with effects: forms of friction, springs, loads.
 
-It uses the exponential midpoint step of `mechanics.py`, and at neutral values gives the same bits.
+It uses the exponential midpoint step of `mechanics_step`, and at neutral values gives its bits.
 The same forces move a muscle and a direct mechanism, whose drive is a measured force and, with a
 piston, a measured pressure:
 
@@ -9,21 +9,10 @@ piston, a measured pressure:
 
 from __future__ import annotations
 
-from typing import Any
+from math import exp, log1p
+from typing import TYPE_CHECKING, Any
 
-from pamctl.plant.axis.glide import glide
-from pamctl.plant.chains import (
-    add_damping,
-    add_force,
-    depends_on_speed,
-    follow_damping,
-    follow_force,
-    follow_friction,
-    pass_friction,
-    pass_pulling_pressure,
-)
-from pamctl.plant.effects.friction.position_friction import position_factor
-from pamctl.plant.effects.friction.presliding import (
+from pamctl.plant.bristles import (
     Bristles,
     SlipEnd,
     add,
@@ -33,15 +22,24 @@ from pamctl.plant.effects.friction.presliding import (
     share_out,
     slip,
     subtract,
+    travel_weights,
 )
-from pamctl.plant.effects.mechanics.braid_stretch import stretch_ratio
-from pamctl.plant.effects.mechanics.drift import drift_factor
+from pamctl.plant.catalogue import (
+    add_damping,
+    add_force,
+    depends_on_speed,
+    follow_damping,
+    follow_force,
+    follow_friction,
+    pass_friction,
+    pass_pulling_pressure,
+)
+from pamctl.plant.effects.friction import position_factor
+from pamctl.plant.effects.mechanics import drift_factor, stretch_ratio
 from pamctl.plant.effects.places import FrictionBand
-from pamctl.plant.paper.friction import AxialForces
-from pamctl.plant.paper.mechanics import slide
-from pamctl.plant.paper.muscle import braid_lever_m, force_area_m2
+from pamctl.plant.paper import AxialForces, braid_lever_m, force_area_m2, slide
 from pamctl.plant.parameters import MechanicsState, PlantParameters
-from pamctl.plant.terms.mechanics_terms import (
+from pamctl.plant.term_kernels import (
     MotionPoint,
     add_damping_term,
     add_force_term,
@@ -51,7 +49,10 @@ from pamctl.plant.terms.mechanics_terms import (
     pass_grip_term,
     pass_pulling_term,
 )
-from pamctl.plant.terms.operators import TermMemory
+from pamctl.plant.terms import TermMemory
+
+if TYPE_CHECKING:
+    from pamctl.plant.paper import AxialForces
 
 
 def mechanism_step(
@@ -146,13 +147,7 @@ def mechanism_forces(
         resting = MotionPoint(position_m, 0.0, gauge_pa, age_s)
         at_rest = pass_band_term(p.terms, term, at_rest, resting)
     damping = add_damping(
-        e,
-        memory,
-        p.paper.damping_n_s_per_m,
-        position_m,
-        velocity_m_per_s,
-        gauge_pa,
-        age_s,
+        e, memory, p.paper.damping_n_s_per_m, position_m, velocity_m_per_s, gauge_pa, age_s
     )
     damping = add_damping_term(p.terms, damping, here)
     return AxialForces(
@@ -226,3 +221,38 @@ def slip_with_damping(
     middle_n = left_n - 0.5 * slipped.gained.first_n
     bent = damping + bristle_damping(presliding, middle_n, width_n)
     return slip(presliding, mass_kg, bent, velocity_m_per_s, surplus_n, left, width_n, step_s)
+
+
+def glide(
+    forces: AxialForces, mass_kg: float, position_m: float, velocity_m_per_s: float, step_s: float
+) -> tuple[float, float]:
+    """Move as `slide` does, for any mass and any damping, also none.
+
+    The muscle's velocity settles within a step, that of a machine's axis within seconds: the
+    exponentials of `slide` then cancel out.
+    """
+    v, left_s = velocity_m_per_s, step_s
+    for _ in range(2):  # a motion that stops is followed by one that starts, or by rest
+        if v > 0.0 or (v == 0.0 and forces.drive_n > forces.rest_upper_n):
+            net_n, damping = forces.drive_n - forces.upper_n, forces.damping_up_n_s_per_m
+        elif v < 0.0 or forces.drive_n < forces.rest_lower_n:
+            net_n, damping = forces.drive_n - forces.lower_n, forces.damping_down_n_s_per_m
+        else:
+            return position_m, 0.0
+        go_s = left_s
+        if v * net_n < 0.0:
+            go_s = min(stop_time_s(v, net_n / mass_kg, damping / mass_kg), left_s)
+        by_speed_s, by_force_s2 = travel_weights(damping / mass_kg, go_s)
+        position_m += v * by_speed_s + net_n / mass_kg * by_force_s2
+        if go_s == left_s:
+            # What is left of the speed, plus the force's share of it.
+            return position_m, v * exp(-damping / mass_kg * go_s) + net_n / mass_kg * by_speed_s
+        v, left_s = 0.0, left_s - go_s
+    return position_m, 0.0
+
+
+def stop_time_s(velocity_m_per_s: float, push_m_per_s2: float, rate_per_s: float) -> float:
+    """Return when v' = push - rate v comes to rest; the push opposes the velocity."""
+    free_s = -velocity_m_per_s / push_m_per_s2
+    damped = rate_per_s * free_s
+    return free_s if damped == 0.0 else free_s * log1p(damped) / damped

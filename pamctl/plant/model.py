@@ -23,17 +23,16 @@ from pamctl.plant.effects.description import (
     EffectParameter,
     acts,
 )
-from pamctl.plant.flat import (
+from pamctl.plant.paper import ROOM_K, MuscleParameters
+from pamctl.plant.parameters import (
     ACTUATOR,
     CHAMBER_VOLUME,
     NEUTRAL,
     PAPER,
+    PlantParameters,
     parameters_of,
 )
-from pamctl.plant.muscle_parameters import ROOM_K, MuscleParameters
-from pamctl.plant.parameters import PlantParameters
-from pamctl.plant.terms.locations import LOCATIONS, SUFFIX, TERMS
-from pamctl.plant.terms.operators import NEEDS_INNER, numbers_of_operator
+from pamctl.plant.terms import LOCATIONS, NEEDS_INNER, SUFFIX, TERMS, numbers_of_operator
 
 HUGE = 1e15
 """No machine has such a number in SI, nor its inverse; the kernels multiply several of them."""
@@ -49,10 +48,7 @@ def _limit_number(p: EffectParameter) -> Any:
 
 def _make_effect_settings(effect: EffectDescription) -> type[Configured]:
     fields: dict[str, Any] = {
-        p.name: (
-            Annotated[float, _limit_number(p)],
-            p.neutral,
-        )
+        p.name: (Annotated[float, _limit_number(p)], p.neutral)
         if not p.choices
         else (Annotated[Literal[p.choices], Field(description=p.meaning)], p.choices[0])
         for p in effect.parameters

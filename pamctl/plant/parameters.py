@@ -1,62 +1,51 @@
-"""The plant's numbers as the kernels use them, and its state."""
+"""The plant's numbers as the kernels use them, its state, and its flat mapping.
+
+A plant as a flat mapping {name: value}, which a fit varies.
+
+Names are those of a plant file: `stiffness_n_per_m` for a parameter, `valve_spool.time_constant_s`
+for an effect. A missing name has the paper's value, or the neutral value. Only names are validated:
+a fit evaluates thousands of vectors, and keeps to the catalogue's ranges itself.
+`pamctl.plant.model` converts to a plant file and back.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from difflib import get_close_matches
 from math import nan
 from typing import Any, NamedTuple
 
-from pamctl.plant.chains import (
+from pamctl.plant.bristles import Bristles
+from pamctl.plant.catalogue import (
+    CATALOGUE,
+    WITH_TERMS,
     Effects,
     MechanicsMemory,
     SensorMemory,
     ValveMemory,
     add_force,
+    change_numbers,
     make_rest_memories,
 )
-from pamctl.plant.effects.air.supply_ripple import ripple_pa
-from pamctl.plant.effects.friction.presliding import Bristles
-from pamctl.plant.terms.air_terms import LOWEST_SUPPLY_PA, pass_supply_term
-from pamctl.plant.terms.mechanics_terms import MotionPoint, add_force_term
-from pamctl.plant.terms.operators import TermMemory, Terms
-
-
-class PaperParameters(NamedTuple):
-    """The paper's Tables I and II in SI, with products computed once for all steps."""
-
-    mass_kg: float
-    damping_n_s_per_m: float
-    """c of Eq. 5."""
-    stiffness_n_per_m: float
-    """k of Eq. 4."""
-    rest_length_m: float
-    """L_0 of Eq. 1."""
-    braid_length_m: float
-    """b of Eq. 2."""
-    volume_scale: float
-    """1 / (4 pi n^2) of Eq. 2 and 3."""
-    friction_area_m: float
-    """mu_k N A_b of Eq. 5. mu_k carries 1/m there, hence m^2/m."""
-    tank_pressure_pa: float
-    atmospheric_pressure_pa: float
-    specific_energy_j_per_kg: float
-    """R T of Eq. 7."""
-    valve_gain_m2_per_v: float
-    """K_Av of Eq. 8, discharge coefficient included."""
-    inverse_gamma: float
-    """1 / gamma, the exponent of the unchoked flow."""
-    critical_ratio: float
-    """C_r: at or below this pressure ratio the flow is choked."""
-    choked_flow_s_per_m: float
-    """Psi / p_upstream when choked."""
-    unchoked_flow_s_per_m: float
-    """Scale of Psi / p_upstream when not choked."""
+from pamctl.plant.effects.air import ripple_pa
+from pamctl.plant.effects.description import ACTUATORS
+from pamctl.plant.effects.places import Part
+from pamctl.plant.paper import MuscleParameters, PaperParameters
+from pamctl.plant.term_kernels import (
+    LOWEST_SUPPLY_PA,
+    MotionPoint,
+    add_force_term,
+    pass_supply_term,
+)
+from pamctl.plant.terms import TermMemory, Terms, make_terms
 
 
 class PlantParameters(NamedTuple):
     """The paper's numbers and those of the effects.
 
-    `pamctl.plant.flat.parameters_of` makes it, with consistent products and flags. Kernels of the
-    paper's equations take `paper` alone, and kernels of a part's effects take that part alone.
+    `pamctl.plant.parameters.parameters_of` makes it, with consistent products and flags. Kernels of
+    the paper's equations take `paper` alone, and kernels of a part's effects take that part alone.
     """
 
     paper: PaperParameters
@@ -171,3 +160,118 @@ def vented_state(p: PlantParameters) -> PlantState:
         pull_n = add_force_term(p.terms, TermMemory(), pull_n, MotionPoint(0.0, 0.0, 0.0, 0.0))
         rest_m += pull_n / p.paper.stiffness_n_per_m
     return rest_state(p, rest_m, p.paper.atmospheric_pressure_pa)
+
+
+PAPER: dict[str, float] = MuscleParameters().model_dump()
+"""Tables I and II in SI."""
+ACTUATOR = "actuator"
+"""Place of the actuator in `ACTUATORS`."""
+CHAMBER_VOLUME = "chamber_volume_m3"
+_RIGID = {"damping_n_s_per_m": 1e12, "stiffness_n_per_m": 1e12, "kinetic_friction_per_m": 0.0}
+"""The walls of a chamber: they move by less than a picometre per newton."""
+_ENDLESS_M = 1e9
+
+
+def _lay_out_group(group: Any) -> tuple[tuple[Any, tuple[str, ...]], ...]:
+    """Return the class and the flat names of the fields of each effect of a group."""
+    return tuple(
+        (type(effect), tuple(f"{name}.{field}" for field in effect._fields))
+        for name, effect in group._asdict().items()
+    )
+
+
+_LAYOUTS = tuple((type(group), _lay_out_group(group)) for group in Effects())
+NEUTRAL: dict[str, float] = {
+    f"{effect.name}.{p.name}": p.neutral
+    for effect in WITH_TERMS.values()
+    for p in effect.parameters
+}
+"""The neutral value of every parameter of every effect and term."""
+
+
+def _sizes_of(part: Part) -> tuple[tuple[str, float], ...]:
+    return tuple(
+        (f"{effect.name}.{p.name}", p.neutral)
+        for effect in CATALOGUE.values()
+        for p in effect.parameters
+        if part in effect.parts and p.role == "size"
+    )
+
+
+_VALVE, _AIR = _sizes_of("valve"), _sizes_of("air")
+_MECHANICS, _SENSORS = _sizes_of("mechanics"), _sizes_of("sensors")
+_DEFAULTS = {ACTUATOR: 0.0, CHAMBER_VOLUME: 0.0, **PAPER, **NEUTRAL}
+
+
+def parameters_of(values: Mapping[str, float]) -> PlantParameters:
+    """Return the numbers that the kernels use; raise KeyError for an unknown name."""
+    if unknown := values.keys() - _DEFAULTS.keys():
+        raise KeyError(_explain_unknown(min(unknown)))
+    v = {**_DEFAULTS, **values}
+    gamma = v["heat_capacity_ratio"]
+    energy = v["gas_constant_j_per_kg_k"] * v["temperature_k"]
+    critical = (2.0 / (gamma + 1.0)) ** (gamma / (gamma - 1.0))
+    unchoked = math.sqrt(2.0 * gamma / ((gamma - 1.0) * energy))
+    groups: Any = (
+        group(*[kind(*[v[name] for name in names]) for kind, names in layout])
+        for group, layout in _LAYOUTS
+    )
+    actuator = ACTUATORS[round(v[ACTUATOR])]
+    direct = actuator == "direct"
+    if actuator == "chamber":
+        v |= _make_chamber_rigid(v)
+    paper = PaperParameters(
+        mass_kg=v["mass_kg"],
+        damping_n_s_per_m=v["damping_n_s_per_m"],
+        stiffness_n_per_m=v["stiffness_n_per_m"],
+        rest_length_m=v["rest_length_m"],
+        braid_length_m=v["braid_length_m"],
+        volume_scale=1.0 / (4.0 * math.pi * v["braid_turns"] ** 2),
+        friction_area_m=v["kinetic_friction_per_m"] * v["braid_count"] * v["braid_contact_area_m2"],
+        tank_pressure_pa=v["tank_pressure_pa"],
+        atmospheric_pressure_pa=v["atmospheric_pressure_pa"],
+        specific_energy_j_per_kg=energy,
+        valve_gain_m2_per_v=v["valve_gain_m2_per_v"],
+        inverse_gamma=1.0 / gamma,
+        critical_ratio=critical,
+        choked_flow_s_per_m=unchoked
+        * critical ** (1.0 / gamma)
+        * math.sqrt(1.0 - critical ** ((gamma - 1.0) / gamma)),
+        unchoked_flow_s_per_m=unchoked,
+    )
+    terms = make_terms(values)
+    return PlantParameters(
+        paper=change_numbers(paper, v),
+        effects=Effects(*groups),
+        valve_acts=_has_term(terms, "valve") or any(v[name] != neutral for name, neutral in _VALVE),
+        air_acts=_has_term(terms, "air") or any(v[name] != neutral for name, neutral in _AIR),
+        mechanics_act=direct
+        or _has_term(terms, "mechanics")
+        or any(v[name] != neutral for name, neutral in _MECHANICS),
+        sensors_act=_has_term(terms, "sensors")
+        or any(v[name] != neutral for name, neutral in _SENSORS),
+        direct=direct,
+        terms=terms,
+    )
+
+
+def _has_term(terms: Terms | None, part: str) -> bool:
+    return terms is not None and getattr(terms, part).size != 0.0
+
+
+def _make_chamber_rigid(v: Mapping[str, float]) -> dict[str, float]:
+    """Return the numbers of a muscle that has the chamber's volume (Eq. 2) and cannot move.
+
+    Records may hold a position beside it. With b = sqrt(3) L_0 the volume is largest at 0, and
+    L_0 is so long that a position of metres changes it by no bit.
+    """
+    length = _ENDLESS_M
+    braid = math.sqrt(3.0) * length
+    turns_squared = length * (braid * braid - length * length) / v[CHAMBER_VOLUME]
+    numbers = {"rest_length_m": length, "braid_length_m": braid}
+    return {**_RIGID, **numbers, "braid_turns": math.sqrt(turns_squared / (4.0 * math.pi))}
+
+
+def _explain_unknown(name: str) -> str:
+    near = get_close_matches(name, _DEFAULTS, n=1)
+    return f"{name}: no such parameter of a plant" + (f"; did you mean {near[0]}?" if near else "")

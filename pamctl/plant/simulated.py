@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from pamctl.kernel.calls import Call, PlainCall
-from pamctl.plant.delayed_command import advance_delayed_plant
 from pamctl.plant.parameters import PlantParameters, PlantState, vented_state
-from pamctl.plant.sensing import sensed_position_m, sensed_pressure_pa
-from pamctl.plant.step import advance_plant
+from pamctl.plant.step import advance_plant, sensed_position_m, sensed_pressure_pa
+
+if TYPE_CHECKING:
+    from pamctl.plant.parameters import PlantParameters, PlantState
+
 
 LONGEST_STEP_S = 0.5e-3
 """Two steps a tick at 1 kHz: 0.6 um from the converged solution."""
@@ -201,3 +203,40 @@ class SimulatedPlant:
         """Absolute pressure at the sensor, before noise."""
         shown_pa: float = self._shown_pa()
         return shown_pa
+
+
+class Numbers(Protocol):
+    """A list or an array."""
+
+    def __getitem__(self, index: int, /) -> Any: ...
+
+
+def advance_delayed_plant(
+    p: PlantParameters,
+    state: PlantState,
+    written_s: Numbers,
+    written_v: Numbers,
+    count: int,
+    arrived: int,
+    now_s: float,
+    duration_s: float,
+    longest_step_s: float,
+) -> tuple[PlantState, int]:
+    """Advance under commands (V) that act `command_delay` after they were written.
+
+    `written_s` and `written_v` hold `count` commands with their times, in order; `arrived` is the
+    index of the command that acts now; the new index is returned. The time is cut exactly where a
+    command arrives.
+    """
+    delay_s = p.effects.timing.command_delay.delay_s
+    end_s = now_s + duration_s
+    while arrived + 1 < count and written_s[arrived + 1] + delay_s < end_s:
+        change_s = written_s[arrived + 1] + delay_s
+        if change_s > now_s:
+            held_s = change_s - now_s
+            state = advance_plant(p, state, written_v[arrived], held_s, longest_step_s)
+            now_s = change_s
+        arrived += 1
+    if end_s > now_s:
+        state = advance_plant(p, state, written_v[arrived], end_s - now_s, longest_step_s)
+    return state, arrived

@@ -3,12 +3,24 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
-from pamctl.plant.chains import add_flow
+from pamctl.plant.catalogue import (
+    add_flow,
+    follow_command,
+    follow_opening,
+    follow_position_reading,
+    follow_pressure_reading,
+    pass_command,
+    pass_opening,
+    pass_position_reading,
+    pass_pressure_reading,
+)
 from pamctl.plant.chamber import AirBegin, chamber_middle_pa, chamber_step
+from pamctl.plant.effects.air import restricts
+from pamctl.plant.effects.valve import spool_step
 from pamctl.plant.mechanism import mechanism_step
-from pamctl.plant.paper.mechanics import mechanics_step
-from pamctl.plant.paper.pressure import middle_pressure_pa, pressure_step
+from pamctl.plant.paper import mechanics_step, middle_pressure_pa, pressure_step
 from pamctl.plant.parameters import (
     AirNow,
     AirState,
@@ -18,9 +30,15 @@ from pamctl.plant.parameters import (
     ValveState,
     find_tank_pa,
 )
-from pamctl.plant.sensing import pressure_at_sensor_pa, sensors_step
-from pamctl.plant.terms.air_terms import add_flow_term
-from pamctl.plant.valve_chain import valve_step
+from pamctl.plant.term_kernels import (
+    add_flow_term,
+    follow_command_term,
+    pass_command_term,
+    pass_opening_term,
+    show_position_term,
+    show_pressure_term,
+)
+from pamctl.plant.terms import Terms
 
 
 def plant_step(
@@ -155,3 +173,89 @@ def advance_plant(
 def count_steps(duration_s: float, longest_step_s: float) -> int:
     """Return the number of equal steps; the tolerance keeps rounding from adding one."""
     return max(1, math.ceil(duration_s / longest_step_s - 1e-6))
+
+
+LONG_S = 10.0
+"""A valve has settled after this time."""
+
+
+def settle_valve(e: Any, terms: Terms | None, valve: ValveState, command_v: float) -> ValveState:
+    """Return the valve's state after it has had a command (V) for long."""
+    memory = follow_command(e, valve.memory, command_v, command_v, LONG_S, 0.0)
+    spool_v = pass_command(e, memory, command_v, 0.0)
+    term = follow_command_term(terms, valve.term, spool_v, LONG_S)
+    spool_v = pass_command_term(terms, term, spool_v, 0.0)
+    memory = follow_opening(e, memory, spool_v, spool_v, LONG_S, 0.0)
+    return ValveState(spool_v, 0.0, memory, term)
+
+
+def valve_step(
+    e: Any, terms: Terms | None, valve: ValveState, command_v: float, age_s: float, step_s: float
+) -> tuple[float, ValveState]:
+    """Return the opening in the middle of the step, and the valve's state at its end.
+
+    `e` are the `ValveEffects`. The opening is that of the paper's valve with the same area, in
+    volts of command.
+    """
+    half_s = 0.5 * step_s
+    middle_age_s = age_s + half_s
+    memory = follow_command(e, valve.memory, command_v, command_v, half_s, middle_age_s)
+    pushed_v = pass_command(e, memory, command_v, middle_age_s)
+    memory = follow_command(e, memory, command_v, command_v, half_s, middle_age_s)
+    term = follow_command_term(terms, valve.term, pushed_v, half_s)
+    asked_v, pushed_v = pushed_v, pass_command_term(terms, term, pushed_v, middle_age_s)
+    term = follow_command_term(terms, term, asked_v, half_s)
+    middle_v, rate = spool_step(
+        e.valve_spool, valve.spool_v, valve.spool_rate_v_per_s, pushed_v, half_s
+    )
+    spool_v, spool_rate = spool_step(e.valve_spool, middle_v, rate, pushed_v, half_s)
+    memory = follow_opening(e, memory, middle_v, middle_v, half_s, middle_age_s)
+    opening_v = pass_opening(e, memory, middle_v, middle_age_s)
+    opening_v = pass_opening_term(terms, opening_v, middle_age_s)
+    memory = follow_opening(e, memory, middle_v, middle_v, half_s, middle_age_s)
+    return opening_v, ValveState(spool_v, spool_rate, memory, term)
+
+
+def sensors_step(
+    p: PlantParameters,
+    sensors: Any,
+    begin_pa: float,
+    end_pa: float,
+    begin_m: float,
+    end_m: float,
+    age_s: float,
+    step_s: float,
+) -> Any:
+    """Return the `SensorMemory` after a step of linear change; `..._pa` are at the sensor."""
+    if not p.sensors_act:
+        return sensors
+    e, atmosphere_pa = p.effects.sensors, p.paper.atmospheric_pressure_pa
+    sensors = follow_pressure_reading(e, sensors, begin_pa, end_pa, step_s, atmosphere_pa, age_s)
+    return follow_position_reading(e, sensors, begin_m, end_m, step_s, age_s)
+
+
+def pressure_at_sensor_pa(p: PlantParameters, pressure_pa: float, air: AirState) -> float:
+    """Return the absolute pressure at the sensor, which is at the line's valve end."""
+    return air.line_pa if restricts(p.effects.air.line_restriction) else pressure_pa
+
+
+def sensed_pressure_pa(
+    p: PlantParameters, pressure_pa: float, air: AirState, sensors: Any, age_s: float
+) -> float:
+    """Return the absolute pressure that the sensor shows."""
+    at_sensor_pa = pressure_at_sensor_pa(p, pressure_pa, air)
+    if not p.sensors_act:
+        return at_sensor_pa
+    atmosphere_pa = p.paper.atmospheric_pressure_pa
+    shown_pa: float = pass_pressure_reading(
+        p.effects.sensors, sensors, at_sensor_pa, atmosphere_pa, age_s
+    )
+    return show_pressure_term(p.terms, shown_pa, atmosphere_pa, age_s)
+
+
+def sensed_position_m(p: PlantParameters, position_m: float, sensors: Any, age_s: float) -> float:
+    """Return the displacement that the encoder shows."""
+    if not p.sensors_act:
+        return position_m
+    shown_m: float = pass_position_reading(p.effects.sensors, sensors, position_m, age_s)
+    return show_position_term(p.terms, shown_m, age_s)

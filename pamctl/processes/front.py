@@ -16,20 +16,20 @@ import select
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from types import FrameType
 from typing import NamedTuple
 
 from hal.rig import Rig
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.guardian_handle import LOOK_EVERY_S, Guardianship
-from pamctl.processes.loop_supervisor import STOP_SIGNALS
+from pamctl.processes.interrupts import STOP_SIGNALS, block_signals
 from pamctl.processes.mark_desk import MarkDesk
-from pamctl.realtime.loop_settings import LoopSettings
+from pamctl.realtime.clock import LoopSettings
 from pamctl.realtime.scheduling import Mode, raise_front_priority
 from pamctl.recording.finish_apart import finish_in_own_process
-from pamctl.recording.last_words import make_outcome_event, put_event_for_dead_loop
+from pamctl.recording.journal import make_outcome_event, put_event_for_dead_loop
 from pamctl.recording.recorder import RECORDER_PATIENCE_S, spawn_recorder
 from pamctl.recording.ring import RecorderFlag, Ring
 
@@ -99,35 +99,6 @@ def conduct_run(
             return close_log(ring, recorder, ending)
         finally:
             guardian.dismiss()  # only now: if the front dies here, the guardian finishes the log
-
-
-@contextmanager
-def block_signals() -> Iterator[None]:
-    """Block the signals that end a run; a process that is started within inherits the block."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextmanager
-def restore_signals() -> Iterator[None]:
-    """Restore the handlers of the signals that end a run, unless an exception ends the block.
-
-    The block reports the run as well: a further Ctrl-C, or a closed terminal, must not cut that
-    short.
-    """
-    before = {number: signal.getsignal(number) for number in STOP_SIGNALS}
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
-
-
-def ignore_signals() -> None:
-    """Let a process that a signal has ended go in its own way: further ones say nothing new."""
-    for number in STOP_SIGNALS:
-        signal.signal(number, signal.SIG_IGN)
 
 
 class _SignalForwarder:

@@ -7,6 +7,11 @@ whatever the cause, because only its death releases the output. This includes a 
 stopped by a debugger or by SIGSTOP.
 
 The guardian knows no backend: it asks a rig for `make_safe` only.
+
+Is a silent loop frozen, or does it only get no CPU? A shared virtual machine takes a core away for
+tens of milliseconds. The kernel's books tell the two apart: a starved process is runnable and its
+time on the CPU stands still. One that computes for ever uses CPU time, one that waits for a driver
+sleeps, and one that a signal has stopped is neither.
 """
 
 from __future__ import annotations
@@ -15,10 +20,10 @@ import os
 import select
 import signal
 import time
+from pathlib import Path
 from typing import NamedTuple
 
 from hal.rig import Rig, RigError
-from pamctl.processes.starvation import CpuBooks
 from pamctl.realtime.clock import SleepWatch
 from pamctl.recording.ring import LoopStage, Ring
 
@@ -216,3 +221,44 @@ def drive_safe(rig: Rig, patience_s: float = _SAFE_PATIENCE_S) -> RigError | Non
         if failure is None or time.monotonic() >= deadline_s:
             return failure
         time.sleep(_RETRY_S)
+
+
+_STARVED_SHARE = 0.5
+"""A process that ran for less than this share of the time got no CPU to speak of."""
+
+
+class CpuBooks:
+    """What the kernel has written down about one process."""
+
+    def __init__(self, pid: int) -> None:
+        """Read the books of `pid`, which need not live any more."""
+        self._pid = pid
+        self._begin_ns = 0
+        self._ran_ns: int | None = None
+
+    def open_account(self, now_ns: int) -> None:
+        """Count CPU time from now on."""
+        self._begin_ns, self._ran_ns = now_ns, self._read_ran_ns()
+
+    def is_starved(self, now_ns: int) -> bool:
+        """Tell whether the process has wanted to run since `open_account`, and could not."""
+        ran_ns = self._read_ran_ns()
+        is_runnable = read_state(self._pid) == "R"
+        if self._ran_ns is None or ran_ns is None or not is_runnable:
+            return False
+        return ran_ns - self._ran_ns < _STARVED_SHARE * (now_ns - self._begin_ns)
+
+    def _read_ran_ns(self) -> int | None:
+        try:
+            return int(Path(f"/proc/{self._pid}/schedstat").read_text().split()[0])
+        except (OSError, ValueError, IndexError):
+            return None
+
+
+def read_state(pid: int) -> str:
+    """Return the kernel's letter for what a process is doing; empty if it is gone."""
+    try:
+        # The name in brackets may hold spaces and brackets.
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except (OSError, IndexError):
+        return ""

@@ -15,10 +15,9 @@ from collections.abc import Sequence
 
 from hal.rig import Rig
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.processes.guardian import POLL_MS, Silence, Takeover, take_over
-from pamctl.processes.starvation import read_state
-from pamctl.realtime.loop_settings import LoopSettings
-from pamctl.recording.last_words import put_event_for_dead_loop
+from pamctl.processes.guardian import POLL_MS, Silence, Takeover, read_state, take_over
+from pamctl.realtime.clock import LoopSettings
+from pamctl.recording.journal import put_event_for_dead_loop
 from pamctl.recording.ring import Ring
 
 LOOK_EVERY_S = POLL_MS * 1e-3

@@ -3,32 +3,44 @@
 All it needs is in the ring's meta. The end of its standard input is the front's death. Its
 standard output is one JSON line: what it had to do. Signals do not end it: it stays as long as
 the loop does, and then until the front has finished the log.
+
+Without a ring it is the watchman of `doctor` and `calibrate`. They drive the valve from the process
+that talks to a person. The watchman waits for the death of that process, which the end of a pipe
+reports at once, and then drives the safe voltage. A line on the pipe says that the work ended well.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import select
+import subprocess
 import sys
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 
-from hal.rig import RigError
+from hal.child import child_command
+from hal.rig import Rig, RigError
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.processes.backends import build_clock, build_rig
+from pamctl.processes.backends import build_clock, build_rig, require_backend
 from pamctl.processes.finisher_main import start_finisher
 from pamctl.processes.guardian import LoopProcess, Takeover, drive_safe, guard
 from pamctl.processes.loop_supervisor import STARTS_WITHIN_S
 from pamctl.realtime.scheduling import keep_single_threaded, prepare_guardian
-from pamctl.recording.last_words import make_outcome_event, put_event_for_dead_loop
+from pamctl.recording.journal import make_outcome_event, put_event_for_dead_loop
 from pamctl.recording.recorder import outlive_signals
 from pamctl.recording.ring import Ring, RingError
-from pamctl.settings.resolve import from_resolved
+from pamctl.settings.resolve import RunSettings, from_resolved, settings_to_json
+
+_ALL_WELL = b"all is well\n"
 
 
 def main() -> int:
-    """Guard the loop of the ring that the first argument names; return the exit code."""
+    """Guard the loop of the ring that the first argument names, or else a person's work."""
     outlive_signals()
+    if len(sys.argv) < 2:
+        return _watch_person()
     keep_single_threaded()
     with Ring.attach(sys.argv[1]) as ring:
         try:
@@ -93,6 +105,56 @@ def _end_log(ring: Ring, takeover: Takeover | None) -> None:
                     put_event_for_dead_loop(run, make_outcome_event(ending))
                     run.loop_done = 1
             start_finisher(path)
+
+
+def _watch_person() -> int:
+    """Wait for the end of standard input; make the rig safe unless all is well."""
+    settings = from_resolved(json.loads(sys.stdin.buffer.readline()))
+    try:
+        # Loaded now, because it costs a fraction of a second.
+        require_backend(settings)
+    except RigError as error:
+        print(f"watchman: {error}", file=sys.stderr)
+        return int(ExitCode.UNAVAILABLE)
+    rig = build_rig(settings, build_clock(settings, may_spin=False)).rig
+    os.write(sys.stdout.fileno(), b"ready\n")
+    if sys.stdin.buffer.readline() == _ALL_WELL:
+        return int(ExitCode.OK)
+    failure = drive_safe(rig)
+    return int(ExitCode.OK if failure is None else ExitCode.UNAVAILABLE)
+
+
+@contextmanager
+def keep_watchman(settings: RunSettings, rig: Rig) -> Iterator[None]:
+    """Keep a watchman for the block; it makes the rig safe if this process dies in it.
+
+    The block closes the rig. Raises `RigError` where the watchman cannot work, or where neither
+    the block nor the watchman could make the rig safe.
+    """
+    watchman = subprocess.Popen(
+        child_command("pamctl.processes.guardian_main"),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        start_new_session=True,
+    )
+    assert watchman.stdin is not None
+    assert watchman.stdout is not None
+    try:
+        with suppress(BrokenPipeError):
+            watchman.stdin.write(json.dumps(settings_to_json(settings)).encode() + b"\n")
+            watchman.stdin.flush()
+        if watchman.stdout.readline() != b"ready\n":
+            raise RigError("the watchman process did not start", fix="see its message above")
+        yield
+    finally:
+        with suppress(BrokenPipeError):
+            if rig.safe_failure is None:
+                watchman.stdin.write(_ALL_WELL)
+            watchman.stdin.close()
+        watchman.wait()
+        watchman.stdout.close()
+    if rig.safe_failure is not None:
+        raise rig.safe_failure
 
 
 if __name__ == "__main__":

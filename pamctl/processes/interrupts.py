@@ -1,4 +1,4 @@
-"""Signals while a person works on the rig: the first ends the work, none cuts its end short."""
+"""Signals that end a run, or a person's work on the rig: none cuts the end itself short."""
 
 from __future__ import annotations
 
@@ -7,7 +7,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType, TracebackType
 
-_HEEDED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+from pamctl.exit_codes import ExitCode
+
+STOP_SIGNALS = {
+    signal.SIGINT: ExitCode.SIGINT,
+    signal.SIGTERM: ExitCode.SIGTERM,
+}
+if hasattr(signal, "SIGHUP"):  # Windows closes a terminal in other ways
+    STOP_SIGNALS[signal.SIGHUP] = ExitCode.SIGHUP
 
 
 class SignalInterrupt(Exception):
@@ -34,7 +41,7 @@ class Interrupts:
 
     def __enter__(self) -> Interrupts:
         """Take the signals over."""
-        for number in _HEEDED:
+        for number in STOP_SIGNALS:
             self._before[number] = signal.signal(number, self._note)
         self._before[signal.SIGTSTP] = signal.signal(signal.SIGTSTP, signal.SIG_IGN)
         return self
@@ -68,3 +75,32 @@ class Interrupts:
         if self._heeding:
             self._heeding = False
             raise SignalInterrupt(number)
+
+
+@contextmanager
+def block_signals() -> Iterator[None]:
+    """Block the signals that end a run; a process that is started within inherits the block."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def restore_signals() -> Iterator[None]:
+    """Restore the handlers of the signals that end a run, unless an exception ends the block.
+
+    The block reports the run as well: a further Ctrl-C, or a closed terminal, must not cut that
+    short.
+    """
+    before = {number: signal.getsignal(number) for number in STOP_SIGNALS}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def ignore_signals() -> None:
+    """Let a process that a signal has ended go in its own way: further ones say nothing new."""
+    for number in STOP_SIGNALS:
+        signal.signal(number, signal.SIG_IGN)

@@ -20,16 +20,19 @@ from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.backends import build_clock, build_rig, make_plant, require_backend
 from pamctl.processes.finisher_main import start_finisher
 from pamctl.processes.loop_supervisor import LoopSupervisor
-from pamctl.realtime.cued_helm import CuedHelm
 from pamctl.realtime.loop import ControlLoop
 from pamctl.realtime.orders import Orders
+from pamctl.realtime.program import CuedHelm
 from pamctl.realtime.scheduling import Preparation, SchedulingError, keep_single_threaded, prepare
 from pamctl.realtime.tick import TickSetup
-from pamctl.realtime.tick_cost import TickCost, rehearse_tick_s
-from pamctl.realtime.tick_runner import TickRunner
-from pamctl.recording.last_words import make_outcome_event, put_last_event
+from pamctl.realtime.tick_runner import TickCost, TickRunner, rehearse_tick_s
+from pamctl.recording.journal import (
+    RingJournal,
+    make_outcome_event,
+    put_last_event,
+    wait_for_recorder,
+)
 from pamctl.recording.ring import RecorderFlag, Ring, RingError, RingFull
-from pamctl.recording.run_journal import RingJournal, wait_for_recorder
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings, from_resolved
 from pamctl.simulate.many_ticks import find_many_ticks

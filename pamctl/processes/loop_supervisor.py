@@ -15,17 +15,11 @@ from collections.abc import Callable
 from types import FrameType
 
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.realtime.clock import SleepWatch
-from pamctl.realtime.loop_settings import LoopSettings
+from pamctl.processes.interrupts import STOP_SIGNALS
+from pamctl.realtime.clock import LoopSettings, SleepWatch
+from pamctl.recording.journal import SILENT_RECORDER_S
 from pamctl.recording.ring import RecorderFlag, Ring
-from pamctl.recording.run_journal import SILENT_RECORDER_S
 
-STOP_SIGNALS = {
-    signal.SIGINT: ExitCode.SIGINT,
-    signal.SIGTERM: ExitCode.SIGTERM,
-}
-if hasattr(signal, "SIGHUP"):  # Windows closes a terminal in other ways
-    STOP_SIGNALS[signal.SIGHUP] = ExitCode.SIGHUP
 _LOOK_EVERY_S = 8e-3
 _SLEPT = "safety trip: the PC slept"
 _FRONT_GONE = "the commanding process is gone"

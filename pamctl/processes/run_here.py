@@ -17,11 +17,11 @@ from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.writer import LogWriter
 from pamctl.processes.backends import build_clock, build_rig, require_backend
-from pamctl.realtime.cued_helm import CuedHelm
 from pamctl.realtime.loop import ControlLoop
-from pamctl.recording.last_words import make_outcome_event
+from pamctl.realtime.program import CuedHelm
+from pamctl.recording.drain import RowLogger
+from pamctl.recording.journal import make_outcome_event
 from pamctl.recording.log_journal import LogJournal
-from pamctl.recording.rows import RowLogger
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings
 from pamctl.simulate.many_ticks import find_many_ticks

@@ -7,7 +7,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ from pamctl.control.law_registry import describe_law, law_of
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.kernel import build
 from pamctl.log.annotation import NOTHING_SAID, Annotation, annotate_meta
-from pamctl.log.run_meta import RunMeta, bare_name
+from pamctl.log.run_meta import RunMeta, bare_name, make_dated_path
 from pamctl.plain_text import escape_name
 from pamctl.processes.backends import (
     SHARED_MEMORY,
@@ -34,10 +34,8 @@ from pamctl.processes.backends import (
 from pamctl.processes.front import FrontReport, ProcessCommands, conduct_run
 from pamctl.processes.keep_awake import keep_awake
 from pamctl.processes.mark_desk import MarkDesk, open_mark_desk
-from pamctl.realtime.keyframe import keyframe_fields
-from pamctl.realtime.tick import first_state
+from pamctl.realtime.tick import first_state, keyframe_fields
 from pamctl.realtime.tick_runner import TickRunner
-from pamctl.recording.log_path import choose_log_path
 from pamctl.recording.orphans import finish_orphans
 from pamctl.recording.ring import Ring
 from pamctl.report.progress_line import ProgressLine
@@ -269,3 +267,44 @@ def build_machine_code(settings: RunSettings, *, quiet: bool = False) -> None:
 
 def _tell_building() -> None:
     print("note: building machine code, once: some seconds", file=sys.stderr, flush=True)
+
+
+_LOG_DIRECTORY = Path("logs")
+
+
+class LogPathError(Exception):
+    """The log cannot be written at the given path."""
+
+    exit_code = ExitCode.USAGE
+
+
+def choose_log_path(asked: Path | None, controller: str, experiment: str) -> Path:
+    """Return a path that can be created and does not exist; raise `LogPathError`."""
+    path = (
+        _propose_log_path(f"{bare_name(controller)}-{bare_name(experiment)}")
+        if asked is None
+        else asked
+    )
+    try:
+        if path.exists():
+            raise LogPathError(f"--log {path}: exists, and a log is never overwritten")
+        if not path.parent.is_dir():
+            raise LogPathError(_explain_no_directory(path, by_default=asked is None))
+        path.touch(exist_ok=False)
+        path.unlink()
+    except OSError as error:
+        hint = "; give another place with --log" if asked is None else ""
+        raise LogPathError(f"--log {path}: cannot be created: {error.strerror}{hint}") from None
+    return path
+
+
+def _propose_log_path(what: str) -> Path:
+    with suppress(OSError):
+        _LOG_DIRECTORY.mkdir(exist_ok=True)
+    return make_dated_path(_LOG_DIRECTORY, what)
+
+
+def _explain_no_directory(path: Path, *, by_default: bool) -> str:
+    if by_default:
+        return f"{path.parent}/ cannot be created here; give another place with --log"
+    return f"--log {path}: there is no directory {path.parent}"

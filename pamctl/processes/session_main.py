@@ -24,14 +24,14 @@ from pamctl.processes.loop_main import (
     run_to_ending,
 )
 from pamctl.processes.loop_supervisor import LoopSupervisor
+from pamctl.realtime.clock import LoopSettings
 from pamctl.realtime.loop import ControlLoop
-from pamctl.realtime.loop_settings import LoopSettings
 from pamctl.realtime.orders import Orders
 from pamctl.realtime.scheduling import keep_single_threaded, prepare
 from pamctl.realtime.steering import SteeredProgram
 from pamctl.realtime.tick_runner import TickRunner
+from pamctl.recording.journal import SessionJournal
 from pamctl.recording.ring import Ring, RingFull
-from pamctl.recording.session_journal import SessionJournal
 from pamctl.settings.build import build_ordered_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings, from_resolved
 

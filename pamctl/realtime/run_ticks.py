@@ -27,7 +27,7 @@ from pamctl.plant.parameters import PlantParameters, PlantState
 from pamctl.plant.simulated import CommandLine, OnTheWay, advance_muscle, show_muscle
 from pamctl.realtime.clock import Wake
 from pamctl.realtime.tick import TickSetup, TickState, step
-from pamctl.recording.ring import COMPENSATED_TICK, PLAIN_TICK, TickRow
+from pamctl.recording.rows import COMPENSATED_TICK, PLAIN_TICK, TickRow
 from pamctl.signals import Decision, Reference, TickOutcome, TickRecord, Timing, Truth
 
 

@@ -19,14 +19,12 @@ from pamctl.control.law_registry import read_controller
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.json_text import to_json
 from pamctl.log.run_meta import RunMeta
-from pamctl.realtime.cued_helm import OrderSlot, put_mark, say_gain_change
 from pamctl.realtime.gain_ramp import GainRamp
-from pamctl.realtime.keyframe import freeze_state
-from pamctl.realtime.program import Program
-from pamctl.realtime.tick import TickSetup
+from pamctl.realtime.program import OrderSlot, Program, put_mark, say_gain_change
+from pamctl.realtime.tick import TickSetup, freeze_state
 from pamctl.realtime.tick_runner import RunningCourse, TickRunner
+from pamctl.recording.journal import SessionJournal
 from pamctl.recording.ring import Ring
-from pamctl.recording.session_journal import SessionJournal
 from pamctl.signals import Phase, Reference, Timing
 
 

@@ -1,24 +1,38 @@
 """Write the ring's rows into the log, until the run is over.
 
 The ring's tail moves only when a chunk is in the file. If this process dies before that, the rows
-are still in the ring, and `finish_from_ring.py` writes them.
+are still in the ring, and `finish_from_ring.py` writes them. Ticks are converted by columns.
+
+Disk space is reserved ahead: blocks after the end of the file are allocated before they are needed.
+When the disk is full, there is still room for all rows in the ring, the index and the footer.
 """
 
 from __future__ import annotations
 
+import ctypes
+import errno
 import os
+import struct
 import sys
+from collections import Counter
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from io import BufferedWriter
 from pathlib import Path
 from time import monotonic
-from typing import Protocol
+from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
+from pamctl.json_text import from_json, to_json
 from pamctl.log.framing import LogError
-from pamctl.log.writer import LogWriter
-from pamctl.recording.disk_space import Reserve, is_full
-from pamctl.recording.ring import ROW_BYTES, RecorderFlag, Ring
-from pamctl.recording.rows import RowLogger
+from pamctl.log.run_meta import RunMeta
+from pamctl.log.schema import EVENT_TOPIC, GAINS_TOPIC, KEYFRAME_TOPIC, TICK_TOPIC
+from pamctl.log.wire import TickLayout, make_message_record, make_message_records
+from pamctl.log.writer import LogWriter, begin_log
+from pamctl.recording.ring import RecorderFlag, Ring
+from pamctl.recording.rows import ROW_BYTES, Entry, RowBatch, RowKind, row_dtype
 
 ROUND_S = 0.05
 CHUNK_ROWS = 250
@@ -185,3 +199,155 @@ class _Recording:
             # The loop stops on this flag; until then its rows go into the reserve.
             self._full = True
             self._ring.raise_flag(RecorderFlag.DISK_FULL)
+
+
+STEP_BYTES = 4 << 20
+
+# The summary has an index entry for each chunk, and everything else.
+_SUMMARY_BYTES = 64 << 10
+_SUMMARY_BYTES_PER_CHUNK = 256
+_FALLOC_FL_KEEP_SIZE = 1
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_UNSUPPORTED = (errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL)
+
+
+def is_full(error: OSError) -> bool:
+    """Tell whether an error means that the disk, the quota or the file size limit is reached."""
+    return error.errno in _FULL
+
+
+class Reserve:
+    """Reserved space after the end of one file."""
+
+    def __init__(self, fd: int, backlog_bytes: int) -> None:
+        """`backlog_bytes` is the most that may still have to be written at any time."""
+        self._fd = fd
+        self._backlog = backlog_bytes
+        self._end = 0
+        self.supported = True
+        """Whether this file system can reserve space; if not, its free space is watched."""
+
+    def extend(self, position: int, chunks: int) -> None:
+        """Reserve space after `position`; raise OSError if the disk is full."""
+        needed = position + self._backlog + _SUMMARY_BYTES + chunks * _SUMMARY_BYTES_PER_CHUNK
+        if needed > self._end:
+            self._allocate(self._end, needed + STEP_BYTES)
+
+    def release(self, position: int) -> None:
+        """Return the space after the end of the finished file."""
+        os.ftruncate(self._fd, position)
+
+    def _allocate(self, start: int, end: int) -> None:
+        import resource  # other systems have none, and reserve nothing
+
+        limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
+        if limit != resource.RLIM_INFINITY and end > limit:
+            raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
+        if self.supported:
+            try:
+                _fallocate(self._fd, start, end - start)
+            except OSError as error:
+                if error.errno not in _UNSUPPORTED:
+                    raise
+                self.supported = False
+        if not self.supported:
+            self._require_free(end - start)
+        self._end = end
+
+    def _require_free(self, size: int) -> None:
+        disk = os.fstatvfs(self._fd)
+        if disk.f_bavail * disk.f_frsize < size:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def _fallocate(fd: int, start: int, size: int) -> None:
+    libc = ctypes.CDLL(None, use_errno=True)
+    allocate = getattr(libc, "fallocate64", None) or libc.fallocate
+    allocate.argtypes = (ctypes.c_int, ctypes.c_int, ctypes.c_int64, ctypes.c_int64)
+    while allocate(fd, _FALLOC_FL_KEEP_SIZE, start, size) != 0:
+        code = ctypes.get_errno()
+        if code != errno.EINTR:
+            raise OSError(code, os.strerror(code))
+
+
+_TOPICS = {
+    RowKind.EVENT: EVENT_TOPIC,
+    RowKind.GAINS: GAINS_TOPIC,
+    RowKind.KEYFRAME: KEYFRAME_TOPIC,
+}
+
+
+class RowLogger:
+    """Writes batches of a run's rows into its log."""
+
+    def __init__(self, writer: LogWriter, meta: RunMeta) -> None:
+        """Begin the log."""
+        self._writer = writer
+        self._meta = meta
+        self._layout = TickLayout.of_fields(meta.tick_fields)
+        self._row = row_dtype(meta.tick_fields)
+        self._channels = begin_log(writer, meta)
+        self.last_tick = -(1 << 62)
+        """Ticks up to this one are already in the log, and are left out."""
+        self.last_row = -1
+        """The same as `last_tick`, for all other rows."""
+        self.written: Counter[str] = Counter()
+        """Number of messages, by topic."""
+
+    def write(self, batch: RowBatch) -> None:
+        """Add a batch as one chunk, in the order in which it was put."""
+        rows = np.frombuffer(batch.data, self._row)
+        start = 0
+        for index in np.flatnonzero(rows["kind"] != RowKind.TICK).tolist():
+            self._write_ticks(rows[start:index])
+            start = index + 1
+            if rows["kind"][index] != RowKind.CONTINUATION:
+                self._write_entry(batch.entry(index))
+        self._write_ticks(rows[start:])
+        self._writer.end_chunk()
+
+    def _write_ticks(self, rows: NDArray[Any]) -> None:
+        is_new = rows["tick"] > self.last_tick
+        rows = rows if is_new.all() else rows[is_new]
+        messages = make_message_records(
+            self._layout.encode(rows["columns"]),
+            np.maximum(rows["t_ns"] + self._wall_less_mono, 0),
+            rows["tick"],
+        )
+        self._writer.add(self._channels[TICK_TOPIC], messages)
+        self.written[TICK_TOPIC] += len(rows)
+
+    def _write_entry(self, entry: Entry) -> None:
+        if entry.row <= self.last_row:
+            return
+        value = self._decode_entry(entry)
+        if value.get("event") in _METADATA_EVENTS:
+            self._writer.metadata(value["event"], _values_to_text(value))
+        where = {"tick": entry.tick, "t_ns": entry.t_ns, "row": entry.row}
+        time = max(entry.t_ns + self._wall_less_mono, 0)
+        topic = _TOPICS[entry.kind]
+        message = make_message_record(to_json({**value, **where}), time, entry.tick)
+        self._writer.add(self._channels[topic], message)
+        self.written[topic] += 1
+
+    def _decode_entry(self, entry: Entry) -> dict[str, Any]:
+        if entry.kind != RowKind.KEYFRAME:
+            return dict(from_json(entry.payload))
+        state = struct.unpack(f"<{len(entry.payload) // 8}d", entry.payload)
+        return {"state": dict(zip(self._meta.keyframe_fields, state, strict=True))}
+
+    @property
+    def _wall_less_mono(self) -> int:
+        return self._meta.start_wall_ns - self._meta.start_mono_ns
+
+
+_METADATA_EVENTS = ("timing_setup", "rig")
+"""Events at the start of the loop that describe the whole run: they become metadata too."""
+
+
+def _values_to_text(value: Mapping[str, object]) -> dict[str, str]:
+    return {
+        name: part if isinstance(part, str) else to_json(part).decode()
+        for name, part in value.items()
+        if name != "event"
+    }

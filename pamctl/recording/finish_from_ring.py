@@ -19,8 +19,8 @@ from typing import NamedTuple
 from pamctl.log.framing import LogError
 from pamctl.log.recover import LogCopy, Recovery, sign_recovery
 from pamctl.log.writer import LogWriter
+from pamctl.recording.drain import RowLogger
 from pamctl.recording.ring import RecorderFlag, Ring
-from pamctl.recording.rows import RowLogger
 
 LOOP_DEAD_NS = 2_000_000_000
 """A ring whose loop has been silent for this long may be finished."""

@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 
 from pamctl.json_text import to_json
 from pamctl.log.run_meta import RunMeta
-from pamctl.recording.ring import (
+from pamctl.recording.drain import RowLogger
+from pamctl.recording.rows import (
     PAYLOAD_BYTES,
     ROW_BYTES,
     ROW_HEADER,
@@ -15,7 +16,6 @@ from pamctl.recording.ring import (
     RowKind,
     tick_struct,
 )
-from pamctl.recording.rows import RowLogger
 
 CHUNK_ROWS = 2048
 

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from hal.child import child_command
 from pamctl.kept_memory import keep_freed_memory
-from pamctl.recording.disk_space import is_full
+from pamctl.recording.drain import is_full
 from pamctl.recording.ring import RecorderFlag, Ring, RingError
 
 RECORDER_PATIENCE_S = 5.0

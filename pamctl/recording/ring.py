@@ -8,8 +8,10 @@ process, or of both. Payloads longer than a row continue in the following rows, 
 with a single move of the head.
 
 Memory order: the loop stores the row and then the head; the recorder reads the head and then the
-row, and copies the row before it stores the tail. x86 keeps these orders. Elsewhere the readers
-call a barrier at each of these places, or the ring is refused: see `memory_order.py`.
+row, and copies the row before it stores the tail. x86 keeps these orders. Other processors may
+reorder stores and reads: there the side that reads asks the kernel for a full barrier on every CPU
+on which a process with a ring runs (`membarrier`), so that the loop pays nothing, or the ring is
+refused. Header words are eight aligned bytes: no processor of 64 bits tears them.
 
 Rows and header are little-endian; times are nanoseconds of the monotonic clock.
 """
@@ -17,47 +19,39 @@ Rows and header are little-endian; times are nanoseconds of the monotonic clock.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import mmap
 import os
+import platform
 import struct
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from time import monotonic_ns
-from typing import NamedTuple
 
 from hal.reservation import open_regular
 from pamctl.exit_codes import ExitCode
 from pamctl.json_text import to_json
-from pamctl.kernel.layout import Rows
 from pamctl.log.run_meta import RunMeta
-from pamctl.recording.memory_order import barrier_of_this_machine
-from pamctl.signals import COMPENSATION_FIELDS, TICK_FIELDS, Field, TickRecord, make_empty_record
+from pamctl.recording.rows import (
+    PAYLOAD_BYTES,
+    ROW_BYTES,
+    ROW_HEADER,
+    RowBatch,
+    RowKind,
+    count_rows,
+    tick_struct,
+)
 
-ROW_BYTES = 512
 HEADER_BYTES = 4096
-ROW_HEADER = struct.Struct("<IIqq")
-"""Kind, payload bytes (of all rows that it spans), tick, monotonic time (ns)."""
-PAYLOAD_BYTES = ROW_BYTES - ROW_HEADER.size
 
 _MAGIC = b"PAMRING\n"
 _VERSION = 2
-_CODES = {int: "q", float: "d", bool: "?7x"}
-"""Each fills 8 bytes: a row is what a kernel has in memory (`pamctl.kernel.layout`)."""
 _HEAD = 8
 _MADV_POPULATE_WRITE, _MADV_DONTNEED_LOCKED = 23, 24
 _POPULATE_BYTES = 64 * mmap.PAGESIZE
 """Touched at once: some tens of microseconds."""
-
-
-class RowKind:
-    """The content of a row."""
-
-    TICK = 1
-    EVENT = 2
-    GAINS = 3
-    KEYFRAME = 4
-    CONTINUATION = 5
 
 
 class RecorderFlag:
@@ -88,50 +82,6 @@ class RingFull(RingError):
     """No room for the row: the recorder is behind, or gone."""
 
 
-class Entry(NamedTuple):
-    """One entry: `payload` is a tick row's packed columns, JSON, or doubles."""
-
-    row: int
-    kind: int
-    tick: int
-    t_ns: int
-    payload: bytes
-
-
-@dataclass(frozen=True, slots=True)
-class RowBatch:
-    """Rows copied out of the ring; it never ends within an entry."""
-
-    first_row: int
-    """Number of rows put before this one."""
-    data: bytes
-
-    @property
-    def rows(self) -> int:
-        """Number of rows."""
-        return len(self.data) // ROW_BYTES
-
-    @property
-    def end_row(self) -> int:
-        """The argument of `commit` once these rows are in the log."""
-        return self.first_row + self.rows
-
-    def entry(self, index: int) -> Entry:
-        """Return the entry that begins at row `index` of this batch."""
-        kind, size, tick, t_ns = ROW_HEADER.unpack_from(self.data, index * ROW_BYTES)
-        span = range(index, index + _rows_for(size))
-        pieces = (self.data[at * ROW_BYTES + ROW_HEADER.size : (at + 1) * ROW_BYTES] for at in span)
-        return Entry(self.first_row + index, kind, tick, t_ns, b"".join(pieces)[:size])
-
-    def entries(self) -> Iterator[Entry]:
-        """Yield all entries."""
-        index = 0
-        while index < self.rows:
-            entry = self.entry(index)
-            yield entry
-            index += _rows_for(len(entry.payload))
-
-
 @contextlib.contextmanager
 def _explain_errors(what: str) -> Iterator[None]:
     try:
@@ -159,15 +109,6 @@ def _give_name(fd: int, path: Path) -> None:
         os.link(f"/proc/self/fd/{fd}", path.name, dst_dir_fd=directory, follow_symlinks=True)
     finally:
         os.close(directory)
-
-
-def _rows_for(size: int) -> int:
-    return max(1, -(-size // PAYLOAD_BYTES))
-
-
-def tick_struct(fields: Sequence[Field]) -> struct.Struct:
-    """Return the packing of a tick's columns, each in 8 bytes."""
-    return struct.Struct("<" + "".join(_CODES[field.kind] for field in fields))
 
 
 class _Word:
@@ -397,7 +338,7 @@ class Ring:
         self._put(RowKind.KEYFRAME, tick, t_ns, self._keyframe.pack(*state))
 
     def _put(self, kind: int, tick: int, t_ns: int, payload: bytes) -> None:
-        span = _rows_for(len(payload))
+        span = count_rows(len(payload))
         if span > self.rows // 2:
             raise RingError(f"{len(payload)} bytes of JSON exceed half the ring")
         if self._head + span > self._full_at:
@@ -577,28 +518,49 @@ class Ring:
         self.close()
 
 
-class TickRow(NamedTuple):
-    """A row with a tick, as a kernel sets it."""
-
-    kind_and_bytes: int
-    """`PLAIN_TICK` or `COMPENSATED_TICK`."""
-    tick: int
-    t_ns: int
-    record: TickRecord
+_IN_ORDER = frozenset({"x86_64", "amd64", "i686", "i386"})
+_MEMBARRIER = {"aarch64": 283, "riscv64": 283, "loongarch64": 283, "x86_64": 324, "ppc64le": 365}
+"""Number of the system call."""
+_GLOBAL_EXPEDITED, _REGISTER_GLOBAL_EXPEDITED = 2, 4
 
 
-def make_rows(compensates: bool, count: int, stride_bytes: int | None = ROW_BYTES) -> Rows[TickRow]:
-    """Return rows of ticks that a kernel can set, by default as wide as those of the ring.
+class MemoryOrderError(OSError):
+    """No order can be promised of what another process sees of a ring."""
 
-    None: one behind the other.
+
+def choose_barrier(machine: str, byte_order: str = sys.byteorder) -> Callable[[], None]:
+    """Return what a reader calls between two accesses that must stay in their order.
+
+    On a machine that needs barriers this process takes part in them from now on. Raises
+    `MemoryOrderError` where the machine is big-endian, or the kernel offers no barrier.
     """
-    return Rows(TickRow(0, 0, 0, make_empty_record(compensates)), count, stride_bytes)
+    if byte_order != "little":
+        raise MemoryOrderError(f"rings are little-endian, {machine} is not")
+    if machine.lower() in _IN_ORDER:
+        return _do_nothing
+    return _make_kernel_barrier(machine)
 
 
-def _pack_kind(fields: Sequence[Field]) -> int:
-    return RowKind.TICK | tick_struct(fields).size << 32
+def _do_nothing() -> None:
+    """The processor keeps the order."""
 
 
-PLAIN_TICK = _pack_kind(TICK_FIELDS)
-COMPENSATED_TICK = _pack_kind((*TICK_FIELDS, *COMPENSATION_FIELDS))
-"""Kind and size of the row of a tick, in a run that compensates."""
+def _make_kernel_barrier(machine: str) -> Callable[[], None]:
+    number = _MEMBARRIER.get(machine)
+    if number is None:
+        raise MemoryOrderError(f"no barrier between processes is known for {machine}")
+    call = ctypes.CDLL(None, use_errno=True).syscall
+
+    def membarrier(command: int) -> None:
+        arguments = (number, command, 0, 0)
+        if call(*map(ctypes.c_long, arguments)):
+            error = os.strerror(ctypes.get_errno())
+            raise MemoryOrderError(f"{machine} reorders stores, and membarrier failed: {error}")
+
+    membarrier(_REGISTER_GLOBAL_EXPEDITED)
+    return lambda: membarrier(_GLOBAL_EXPEDITED)
+
+
+def barrier_of_this_machine() -> Callable[[], None]:
+    """Return the barrier of the machine that this process runs on."""
+    return choose_barrier(platform.machine())

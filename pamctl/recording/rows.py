@@ -1,105 +1,92 @@
-"""Turn the ring's rows into the log's messages; ticks are converted by columns."""
+"""A row of the ring: what it holds, how a tick is packed into it, and how it is read again.
+
+Rows are little-endian and 512 bytes long. A payload that is longer goes on in the rows behind it.
+"""
 
 from __future__ import annotations
 
 import struct
-from collections import Counter
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
+from pamctl.kernel.layout import Rows
+from pamctl.signals import COMPENSATION_FIELDS, TICK_FIELDS, Field, TickRecord, make_empty_record
 
-from pamctl.json_text import from_json, to_json
-from pamctl.log.run_meta import RunMeta
-from pamctl.log.schema import EVENT_TOPIC, GAINS_TOPIC, KEYFRAME_TOPIC, TICK_TOPIC
-from pamctl.log.wire import TickLayout, make_message_record, make_message_records
-from pamctl.log.writer import LogWriter, begin_log
-from pamctl.recording.ring import ROW_BYTES, ROW_HEADER, Entry, RowBatch, RowKind
-from pamctl.signals import Field
+if TYPE_CHECKING:
+    import numpy as np
 
-_TOPICS = {
-    RowKind.EVENT: EVENT_TOPIC,
-    RowKind.GAINS: GAINS_TOPIC,
-    RowKind.KEYFRAME: KEYFRAME_TOPIC,
-}
+ROW_BYTES = 512
+ROW_HEADER = struct.Struct("<IIqq")
+"""Kind, payload bytes (of all rows that it spans), tick, monotonic time (ns)."""
+PAYLOAD_BYTES = ROW_BYTES - ROW_HEADER.size
+_CODES = {int: "q", float: "d", bool: "?7x"}
+"""Each fills 8 bytes: a row is what a kernel has in memory (`pamctl.kernel.layout`)."""
 _NUMPY_TYPES = {int: "<i8", float: "<f8", bool: "?"}
 
 
-class RowLogger:
-    """Writes batches of a run's rows into its log."""
+class RowKind:
+    """The content of a row."""
 
-    def __init__(self, writer: LogWriter, meta: RunMeta) -> None:
-        """Begin the log."""
-        self._writer = writer
-        self._meta = meta
-        self._layout = TickLayout.of_fields(meta.tick_fields)
-        self._row = row_dtype(meta.tick_fields)
-        self._channels = begin_log(writer, meta)
-        self.last_tick = -(1 << 62)
-        """Ticks up to this one are already in the log, and are left out."""
-        self.last_row = -1
-        """The same as `last_tick`, for all other rows."""
-        self.written: Counter[str] = Counter()
-        """Number of messages, by topic."""
+    TICK = 1
+    EVENT = 2
+    GAINS = 3
+    KEYFRAME = 4
+    CONTINUATION = 5
 
-    def write(self, batch: RowBatch) -> None:
-        """Add a batch as one chunk, in the order in which it was put."""
-        rows = np.frombuffer(batch.data, self._row)
-        start = 0
-        for index in np.flatnonzero(rows["kind"] != RowKind.TICK).tolist():
-            self._write_ticks(rows[start:index])
-            start = index + 1
-            if rows["kind"][index] != RowKind.CONTINUATION:
-                self._write_entry(batch.entry(index))
-        self._write_ticks(rows[start:])
-        self._writer.end_chunk()
 
-    def _write_ticks(self, rows: NDArray[Any]) -> None:
-        is_new = rows["tick"] > self.last_tick
-        rows = rows if is_new.all() else rows[is_new]
-        messages = make_message_records(
-            self._layout.encode(rows["columns"]),
-            np.maximum(rows["t_ns"] + self._wall_less_mono, 0),
-            rows["tick"],
-        )
-        self._writer.add(self._channels[TICK_TOPIC], messages)
-        self.written[TICK_TOPIC] += len(rows)
+class Entry(NamedTuple):
+    """One entry: `payload` is a tick row's packed columns, JSON, or doubles."""
 
-    def _write_entry(self, entry: Entry) -> None:
-        if entry.row <= self.last_row:
-            return
-        value = self._decode_entry(entry)
-        if value.get("event") in _METADATA_EVENTS:
-            self._writer.metadata(value["event"], _values_to_text(value))
-        where = {"tick": entry.tick, "t_ns": entry.t_ns, "row": entry.row}
-        time = max(entry.t_ns + self._wall_less_mono, 0)
-        topic = _TOPICS[entry.kind]
-        message = make_message_record(to_json({**value, **where}), time, entry.tick)
-        self._writer.add(self._channels[topic], message)
-        self.written[topic] += 1
+    row: int
+    kind: int
+    tick: int
+    t_ns: int
+    payload: bytes
 
-    def _decode_entry(self, entry: Entry) -> dict[str, Any]:
-        if entry.kind != RowKind.KEYFRAME:
-            return dict(from_json(entry.payload))
-        state = struct.unpack(f"<{len(entry.payload) // 8}d", entry.payload)
-        return {"state": dict(zip(self._meta.keyframe_fields, state, strict=True))}
+
+@dataclass(frozen=True, slots=True)
+class RowBatch:
+    """Rows copied out of the ring; it never ends within an entry."""
+
+    first_row: int
+    """Number of rows put before this one."""
+    data: bytes
 
     @property
-    def _wall_less_mono(self) -> int:
-        return self._meta.start_wall_ns - self._meta.start_mono_ns
+    def rows(self) -> int:
+        """Number of rows."""
+        return len(self.data) // ROW_BYTES
+
+    @property
+    def end_row(self) -> int:
+        """The argument of `commit` once these rows are in the log."""
+        return self.first_row + self.rows
+
+    def entry(self, index: int) -> Entry:
+        """Return the entry that begins at row `index` of this batch."""
+        kind, size, tick, t_ns = ROW_HEADER.unpack_from(self.data, index * ROW_BYTES)
+        span = range(index, index + count_rows(size))
+        pieces = (self.data[at * ROW_BYTES + ROW_HEADER.size : (at + 1) * ROW_BYTES] for at in span)
+        return Entry(self.first_row + index, kind, tick, t_ns, b"".join(pieces)[:size])
+
+    def entries(self) -> Iterator[Entry]:
+        """Yield all entries."""
+        index = 0
+        while index < self.rows:
+            entry = self.entry(index)
+            yield entry
+            index += count_rows(len(entry.payload))
 
 
-_METADATA_EVENTS = ("timing_setup", "rig")
-"""Events at the start of the loop that describe the whole run: they become metadata too."""
+def count_rows(size: int) -> int:
+    """Return how many rows a payload of so many bytes spans."""
+    return max(1, -(-size // PAYLOAD_BYTES))
 
 
-def _values_to_text(value: Mapping[str, object]) -> dict[str, str]:
-    return {
-        name: part if isinstance(part, str) else to_json(part).decode()
-        for name, part in value.items()
-        if name != "event"
-    }
+def tick_struct(fields: Sequence[Field]) -> struct.Struct:
+    """Return the packing of a tick's columns, each in 8 bytes."""
+    return struct.Struct("<" + "".join(_CODES[field.kind] for field in fields))
 
 
 def row_dtype(fields: Sequence[Field], stride_bytes: int | None = ROW_BYTES) -> np.dtype[Any]:
@@ -107,6 +94,8 @@ def row_dtype(fields: Sequence[Field], stride_bytes: int | None = ROW_BYTES) -> 
 
     Rows without a stride are one behind the other.
     """
+    import numpy as np  # the loop does without
+
     columns = np.dtype(
         {
             "names": [field.name for field in fields],
@@ -123,3 +112,30 @@ def row_dtype(fields: Sequence[Field], stride_bytes: int | None = ROW_BYTES) -> 
             "itemsize": stride_bytes or ROW_HEADER.size + columns.itemsize,
         }
     )
+
+
+class TickRow(NamedTuple):
+    """A row with a tick, as a kernel sets it."""
+
+    kind_and_bytes: int
+    """`PLAIN_TICK` or `COMPENSATED_TICK`."""
+    tick: int
+    t_ns: int
+    record: TickRecord
+
+
+def make_rows(compensates: bool, count: int, stride_bytes: int | None = ROW_BYTES) -> Rows[TickRow]:
+    """Return rows of ticks that a kernel can set, by default as wide as those of the ring.
+
+    None: one behind the other.
+    """
+    return Rows(TickRow(0, 0, 0, make_empty_record(compensates)), count, stride_bytes)
+
+
+def _pack_kind(fields: Sequence[Field]) -> int:
+    return RowKind.TICK | tick_struct(fields).size << 32
+
+
+PLAIN_TICK = _pack_kind(TICK_FIELDS)
+COMPENSATED_TICK = _pack_kind((*TICK_FIELDS, *COMPENSATION_FIELDS))
+"""Kind and size of the row of a tick, in a run that compensates."""

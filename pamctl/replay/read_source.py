@@ -12,8 +12,7 @@ from pamctl.control.law_registry import compare_law_source, explain_absent_law
 from pamctl.json_text import to_json
 from pamctl.log import Log
 from pamctl.log.schema import CUT
-from pamctl.realtime.keyframe import thaw_state
-from pamctl.realtime.tick import TickState, first_state
+from pamctl.realtime.tick import TickState, first_state, thaw_state
 from pamctl.replay.replay_source import GainChange, NotReplayable, ReplaySource
 from pamctl.replay.stretch import REPLAY_INPUTS, REPLAYED_FIELDS
 from pamctl.settings.build import build_tick_setup

@@ -11,8 +11,7 @@ from pamctl.kernel.calls import PlainCall, recall
 from pamctl.realtime.run_ticks import NOWHERE, Guide, LoggedRig, Nothing, run_ticks, start_loop
 from pamctl.realtime.tick import TickSetup, TickState
 from pamctl.realtime.tick_runner import UPDATES
-from pamctl.recording.ring import make_rows
-from pamctl.recording.rows import row_dtype
+from pamctl.recording.rows import make_rows, row_dtype
 from pamctl.signals import COMPENSATION_FIELDS, TICK_FIELDS, Field, Reference, list_tick_fields
 
 if TYPE_CHECKING:

@@ -7,8 +7,7 @@ import numpy as np
 from hal.calibration import Zero
 from pamctl.control.filters import UNPRIMED
 from pamctl.control.law_registry import installed_laws
-from pamctl.realtime.keyframe import freeze_state, keyframe_fields
-from pamctl.realtime.tick import TickState
+from pamctl.realtime.tick import TickState, freeze_state, keyframe_fields
 from pamctl.replay.differences import Differences, Floats, StageField
 from pamctl.replay.program_replay import ProgramAnswer, ProgramReplay
 from pamctl.replay.replay_source import ReplaySource

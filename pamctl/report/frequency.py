@@ -20,8 +20,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from pamctl.control.experiment import ExperimentSettings, plan_experiment
 from pamctl.control.forms import ChirpForm, MultisineForm
-from pamctl.report.drawing.svg import PlotAxis, SvgPlot
-from pamctl.report.html_page import Page
+from pamctl.report.figure import Plot, PlotAxis
+from pamctl.report.report import Figure, Report, Section, Text
 from pamctl.report.reported_run import ReportedRun
 
 Floats = NDArray[np.float64]
@@ -285,34 +285,36 @@ def _find_f_quantile(freedom: float) -> float:
 _MM = 1e3
 
 
-def write_frequency_response(page: Page, runs: Sequence[ReportedRun]) -> None:
+def write_frequency_response(page: Report, runs: Sequence[ReportedRun]) -> None:
     """Write gain, phase and coherence of closed loop and plant, where a run excites them."""
     found = [(run, responses) for run in runs if (responses := find_responses(run)) is not None]
     if not found:
         return
-    page.section("Frequency response")
+    page.add(Section("Frequency response"))
     closed = [(run.name, r.closed_loop, r) for run, r in found if r.closed_loop is not None]
     if closed:
-        page.heading("Closed loop: displacement per reference")
-        page.figure(*_plot(closed, 1.0, ""), caption=_make_caption(closed, _find_bandwidth))
+        page.add(Section("Closed loop: displacement per reference", is_part=True))
+        page.add(Figure([*_plot(closed, 1.0, "")], _make_caption(closed, _find_bandwidth)))
     plants = [(run.name, r.plant, r) for run, r in found]
-    page.heading("Plant: displacement per volt at the valve")
-    page.figure(*_plot(plants, _MM, "mm/V"), caption=_make_caption(plants, lambda curve: ""))
-    page.text(
-        "The plant's response holds about this working point and for this amplitude: friction and "
-        "valve are not linear. A multisine that repeats shows what noise adds; what the plant's "
-        "curvature adds repeats too, and another amplitude or seed shows it."
+    page.add(Section("Plant: displacement per volt at the valve", is_part=True))
+    page.add(Figure([*_plot(plants, _MM, "mm/V")], _make_caption(plants, lambda curve: "")))
+    page.add(
+        Text(
+            "The plant's response holds about this working point and for this amplitude: "
+            "friction and valve are not linear. A multisine that repeats shows what noise adds; "
+            "what the plant's curvature adds repeats too, and another amplitude or seed shows it."
+        )
     )
 
 
 _Curves = Sequence[tuple[str, FrequencyResponse, RunResponses]]
 
 
-def _plot(curves: _Curves, scale: float, unit: str) -> list[SvgPlot]:
+def _plot(curves: _Curves, scale: float, unit: str) -> list[Plot]:
     axis = PlotAxis("frequency", "Hz", log=True, tight=True)
-    gain = SvgPlot("Gain", axis, PlotAxis("gain", unit, log=True))
-    phase = SvgPlot("Phase", axis, PlotAxis("phase", "degrees"), height_px=140)
-    coherence = SvgPlot(
+    gain = Plot("Gain", axis, PlotAxis("gain", unit, log=True))
+    phase = Plot("Phase", axis, PlotAxis("phase", "degrees"), height_px=140)
+    coherence = Plot(
         "Coherence", axis, PlotAxis("coherence", "", low=0.0, high=1.02), height_px=100
     )
     for colour, (name, curve, _) in enumerate(curves):
@@ -328,9 +330,7 @@ def _plot(curves: _Curves, scale: float, unit: str) -> list[SvgPlot]:
     return [gain, phase, coherence]
 
 
-def _draw_band(
-    plot: SvgPlot, f: np.ndarray, low: np.ndarray, high: np.ndarray, colour: int
-) -> None:
+def _draw_band(plot: Plot, f: np.ndarray, low: np.ndarray, high: np.ndarray, colour: int) -> None:
     known = np.isfinite(low) & np.isfinite(high)
     if known.any():
         plot.band(f[known], low[known], high[known], colour=colour)

@@ -1,15 +1,9 @@
-"""One HTML file that holds everything: no network; light, dark and in print.
-
-    page = Page("Run of qsmc", "tracking-2, 20 November")
-    page.section("Tracking")
-    page.text("...")
-    page.table(["", "max, um"], [["measured", "38.5"]])
-    page.figure(plot, another, caption="One time axis.")
-    page.fold("Configuration", text)
-    Path("run.html").write_text(page.html(), encoding="utf-8")
+"""One HTML file that holds a whole report: no network; light, dark and in print.
 
 Every text is escaped, and loses its control characters. There is no script, unless the page is
-asked to be interactive: then its plots over time and frequency zoom, and have a cursor.
+asked to be interactive: then its plots over time and frequency zoom, and have a cursor. Every
+drawn picture stays in the page: a browser without scripts shows it, and `uplot/plots.js` replaces
+it. The page's policy permits these two scripts by their hashes, and nothing else.
 """
 
 from __future__ import annotations
@@ -20,14 +14,26 @@ from collections.abc import Mapping, Sequence
 from hashlib import sha256
 from html import escape
 from importlib.resources import files
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pamctl.json_text import to_json
 from pamctl.plain_text import clean_lines, clean_text
-from pamctl.report.drawing.scale import Floats, Scale
-from pamctl.report.drawing.svg import PlotAxis, SvgPlot, share_x_axis
+from pamctl.report.figure import Floats, Levels, Plot, PlotAxis, Scale, share_axis
+from pamctl.report.picture import draw_levels, draw_plot
+from pamctl.report.report import (
+    Facts,
+    Figure,
+    Fold,
+    Part,
+    Points,
+    Report,
+    ReportTable,
+    Section,
+    Text,
+    is_number_column,
+)
 
 COLOURS = """
 :root{color-scheme:light dark;--bg:#fff;--fg:#1c2024;--dim:#5c6670;--rule:#dfe3e8;--panel:#f6f7f9;
@@ -110,6 +116,120 @@ pre{white-space:pre-wrap}.wide{overflow:visible}@page{margin:14mm}}
 STYLE = COLOURS + _PAGE
 """The style sheet of all written pages."""
 
+_SHORT = 16
+_CODE = re.compile("`([^`]+)`")
+_POLICY = ("default-src 'none'", "style-src 'unsafe-inline'")
+"""The browser itself refuses to load or send anything."""
+
+
+def write_html(report: Report, *, interactive: bool = False) -> str:
+    """Return the page of a report. If `interactive`, its plots can be zoomed and have a cursor."""
+    zoomed: list[Plot] | None = [] if interactive else None
+    title = escape(report.title)
+    under = f'<p class="subtitle">{escape(report.subtitle)}</p>' if report.subtitle else ""
+    verdict = [_write_part(Text(report.verdict, report.kind))] if report.verdict else []
+    links: list[str] = []
+    body, figures = verdict, 0
+    for part in report.parts:
+        if isinstance(part, Section) and not part.is_part:
+            links.append(f'<a href="#s{len(links) + 1}">{escape(part.heading)}</a>')
+            body.append(f'<h2 id="s{len(links)}">{escape(part.heading)}</h2>')
+        elif isinstance(part, Section):
+            level = "h3" if links else "h2"
+            body.append(f"<{level}>{escape(part.heading)}</{level}>")
+        elif isinstance(part, Figure):
+            figures += 1
+            number = f"<b>Figure {figures}.</b> " if report.numbers_figures else ""
+            under_it = f"<figcaption>{number}{escape(part.caption)}</figcaption>"
+            drawn = _draw_figure(part, zoomed)
+            body.append(f"<figure>{drawn}{under_it if part.caption else ''}</figure>")
+        else:
+            body.append(_write_part(part))
+    contents = f"<nav>{''.join(links)}</nav>" if len(links) > 1 else ""
+    policy, style, script = list(_POLICY), STYLE, ""
+    if zoomed:
+        embedded = embed_plots(zoomed)
+        policy.append(embedded.policy)
+        style, script = style + embedded.style, embedded.body
+    whole = clean_lines(
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        f'<meta http-equiv="Content-Security-Policy" content="{"; ".join(policy)}">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        '<meta name="color-scheme" content="light dark">'
+        f"<title>{title}</title><style>{style}</style></head>\n<body><main>"
+        f"<header><h1>{title}</h1>{under}{contents}</header>\n" + "\n".join(body) + "\n</main>"
+    )
+    return f"{whole}{script}</body></html>\n"
+
+
+def _write_part(part: Part) -> str:
+    match part:
+        case Text(text, "text"):
+            return f"<p>{_format_inline(text)}</p>"
+        case Text(text, kind):
+            return f'<p class="callout {escape(kind)}">{_format_inline(text)}</p>'
+        case Points(items):
+            return f"<ul>{''.join(f'<li>{_format_inline(item)}</li>' for item in items)}</ul>"
+        case Facts(facts):
+            pairs = (
+                f"<div><dt>{escape(str(name))}</dt><dd>{escape(str(value))}</dd></div>"
+                for name, value in facts.items()
+            )
+            return f'<dl class="facts">{"".join(pairs)}</dl>'
+        case Fold(heading, text):
+            return (
+                f"<details><summary>{escape(heading)}</summary>"
+                f'<pre tabindex="0">{escape(text)}</pre></details>'
+            )
+        case ReportTable():
+            return _write_table(part)
+    raise TypeError(f"a page cannot show {part!r}")
+
+
+def _write_table(table: ReportTable) -> str:
+    # A column of numbers is right-aligned, with its head and its dashes; short texts stay whole.
+    columns = zip(*table.rows, strict=True) if table.rows else ([] for _ in table.header)
+    classes = [
+        ' class="num"'
+        if is_number_column(column)
+        else ' class="short"' * all(len(cell) <= _SHORT for cell in column)
+        for column in columns
+    ]
+
+    def write_row(cells: Sequence[str], tag: str) -> str:
+        begin = 'th scope="col"' if tag == "th" else tag
+        pairs = zip(classes, cells, strict=True)
+        return "".join(f"<{begin}{css}>{escape(cell)}</{tag}>" for css, cell in pairs)
+
+    rows = "".join(f"<tr>{write_row(row, 'td')}</tr>" for row in table.rows)
+    titled = f'<p class="caption">{escape(table.caption)}</p>' if table.caption else ""
+    return (
+        f'{titled}<div class="wide" role="group" tabindex="0" aria-label="table"><table>'
+        f"<thead><tr>{write_row(table.header, 'th')}</tr></thead>"
+        f"<tbody>{rows}</tbody></table></div>"
+    )
+
+
+def _draw_figure(figure: Figure, zoomed: list[Plot] | None) -> str:
+    """Return a figure as HTML; put its plots that a script may draw into `zoomed`, if given."""
+    if not figure.is_grid:
+        share_axis([plot for plot in figure.plots if isinstance(plot, Plot)], "x")
+    parts = []
+    for plot in figure.plots:
+        if isinstance(plot, Levels):
+            parts.append(draw_levels(plot))
+        elif zoomed is not None and plot.can_be_zoomed:
+            parts.append(f'<div data-plot="{len(zoomed)}">{draw_plot(plot)}</div>')
+            zoomed.append(plot)
+        else:
+            parts.append(draw_plot(plot))
+    inside = "".join(parts)
+    return f'<div class="grid2">{inside}</div>' if figure.is_grid else inside
+
+
+def _format_inline(text: str) -> str:
+    return _CODE.sub(r"<code>\1</code>", escape(text))
+
 
 class EmbeddedPlots(NamedTuple):
     """What makes a page interactive."""
@@ -121,7 +241,7 @@ class EmbeddedPlots(NamedTuple):
     """Data and scripts, for the end of the page."""
 
 
-def embed_plots(plots: Sequence[SvgPlot]) -> EmbeddedPlots:
+def embed_plots(plots: Sequence[Plot]) -> EmbeddedPlots:
     """Return data and scripts for plots, which stand in the page as `data-plot="0"` and so on."""
     arrays = _Arrays()
     described = [_describe_plot(plot, arrays) for plot in plots]
@@ -155,11 +275,11 @@ class _Arrays:
         return self._known[key]
 
 
-def _describe_plot(plot: SvgPlot, arrays: _Arrays) -> dict[str, Any]:
-    frame = plot.make_frame()
+def _describe_plot(plot: Plot, arrays: _Arrays) -> dict[str, Any]:
+    x_scale, y_scale = plot.scales
     marks = []
     for mark in plot.marks:
-        (x,), ys = mark.xs, mark.ys
+        x, ys = mark.x, mark.ys
         marks.append(
             {
                 "kind": mark.kind,
@@ -172,8 +292,8 @@ def _describe_plot(plot: SvgPlot, arrays: _Arrays) -> dict[str, Any]:
     return {
         "title": clean_text(plot.title),
         "height": plot.height_px,
-        "x": {**_describe_axis(plot.x, frame.x), "named": plot.names_x},
-        "y": _describe_axis(plot.y, frame.y),
+        "x": {**_describe_axis(plot.x, x_scale), "named": plot.names_x},
+        "y": _describe_axis(plot.y, y_scale),
         "marks": marks,
         "lines": [
             line._replace(label=clean_text(line.label))._asdict() for line in plot.straight_lines
@@ -191,173 +311,54 @@ def _describe_axis(axis: PlotAxis, scale: Scale) -> dict[str, Any]:
     }
 
 
-_NUMBER = re.compile(
-    r"^[\s<>\N{MINUS SIGN}+-]*[\d.][\d\s.,e/:%x\N{MULTIPLICATION SIGN}+-]*( [µmk]?[mNVsPa/]+)?$"
-)
-_SHORT = 16
-_NO_NUMBER = ("", "-", "nan", "trips")
-_CODE = re.compile("`([^`]+)`")
-_POLICY = ("default-src 'none'", "style-src 'unsafe-inline'")
-"""The browser itself refuses to load or send anything."""
+class Page(Report):
+    """A report that is written from top to bottom by calls; for the rooms that still do so."""
 
-
-class Drawable(Protocol):
-    """An element of a figure: a `SvgPlot`, or `Levels`."""
-
-    def html(self) -> str:
-        """Return it as escaped HTML."""
-        ...
-
-
-class _Figure(NamedTuple):
-    plots: Sequence[Drawable]
-    under: str
-    is_grid: bool
-
-
-class Page:
-    """A page, written from top to bottom."""
-
-    def __init__(self, title: str, subtitle: str = "", *, numbered: bool = True) -> None:
-        """`numbered` counts the figures; switch it off if they have numbers of their own."""
-        self.title, self.subtitle = title, subtitle
-        self._body: list[str | _Figure] = []
-        self._sections: list[str] = []
-        self._numbered, self._figures = numbered, 0
+    def __init__(self, title: str, subtitle: str = "") -> None:
+        super().__init__(title, subtitle=subtitle)
 
     def section(self, heading: str) -> None:
-        """Begin a section, with an entry in the table of contents at the top."""
-        self._sections.append(heading)
-        self._body.append(f'<h2 id="s{len(self._sections)}">{escape(heading)}</h2>')
+        """Begin a section."""
+        self.add(Section(heading))
 
     def heading(self, heading: str) -> None:
-        """Begin a subsection, or a part before the first section."""
-        level = "h3" if self._sections else "h2"
-        self._body.append(f"<{level}>{escape(heading)}</{level}>")
+        """Begin a part of a section."""
+        self.add(Section(heading, is_part=True))
 
     def text(self, *paragraphs: str) -> None:
-        """Write paragraphs. Here, in points and in notes, text `between backticks` is code."""
-        self._body += [f"<p>{_format_inline(paragraph)}</p>" for paragraph in paragraphs]
+        """Write paragraphs."""
+        self.add(*map(Text, paragraphs))
 
     def points(self, *items: str) -> None:
         """Write a list."""
-        self._body.append(
-            "<ul>" + "".join(f"<li>{_format_inline(i)}</li>" for i in items) + "</ul>"
-        )
+        self.add(Points(items))
 
     def note(self, text: str, *, kind: str = "note") -> None:
-        """Write a note of kind `note`, `good` or `bad`."""
-        self._body.append(f'<p class="callout {escape(kind)}">{_format_inline(text)}</p>')
+        """Write a note."""
+        self.add(Text(text, kind))
 
     def facts(self, facts: Mapping[str, object]) -> None:
         """Write names and values."""
-        pairs = (
-            f"<div><dt>{escape(str(name))}</dt><dd>{escape(str(value))}</dd></div>"
-            for name, value in facts.items()
-        )
-        self._body.append(f'<dl class="facts">{"".join(pairs)}</dl>')
+        self.add(Facts(facts))
 
     def table(
         self, header: Sequence[str], rows: Sequence[Sequence[str]], *, caption: str = ""
     ) -> None:
-        """Write a table; every row is as long as the header."""
-        titled = f'<p class="caption">{escape(caption)}</p>' if caption else ""
-        # A column of numbers is right-aligned, with its heading and its dashes; short texts do not
-        # break.
-        columns = zip(*rows, strict=True) if rows else ([] for _ in header)
-        classes = [_classify_column(column) for column in columns]
-        head = "".join(
-            f'<th scope="col"{css}>{escape(cell)}</th>'
-            for css, cell in zip(classes, header, strict=True)
-        )
-        body = "".join(
-            "<tr>"
-            + "".join(
-                f"<td{css}>{escape(cell)}</td>" for css, cell in zip(classes, row, strict=True)
-            )
-            + "</tr>"
-            for row in rows
-        )
-        self._body.append(
-            f'{titled}<div class="wide" role="group" tabindex="0" aria-label="table"><table>'
-            f"<thead><tr>{head}</tr></thead>"
-            f"<tbody>{body}</tbody></table></div>"
-        )
+        """Write a table."""
+        self.add(ReportTable(header, rows, caption))
 
-    def figure(self, *plots: SvgPlot, caption: str = "", one_x: bool = True) -> None:
-        """Write a figure of plots in a column, with one x axis unless `one_x` is false."""
-        if one_x:
-            share_x_axis(plots)
-        self._add_figure(plots, caption, is_grid=False)
+    def figure(self, *plots: Plot, caption: str = "") -> None:
+        """Write plots in a column."""
+        self.add(Figure(plots, caption))
 
-    def grid(self, *plots: Drawable, caption: str = "") -> None:
-        """Write a figure of plots in a row; on a narrow screen in a column."""
-        self._add_figure(plots, caption, is_grid=True)
+    def grid(self, *plots: Plot | Levels, caption: str = "") -> None:
+        """Write plots in a row."""
+        self.add(Figure(plots, caption, is_grid=True))
 
     def fold(self, heading: str, text: str) -> None:
-        """Write a folded text, which opens on demand and in print."""
-        self._body.append(
-            f"<details><summary>{escape(heading)}</summary>"
-            f'<pre tabindex="0">{escape(text)}</pre></details>'
-        )
+        """Write a folded text."""
+        self.add(Fold(heading, text))
 
     def html(self, *, interactive: bool = False) -> str:
-        """Return the whole file. If `interactive`, its plots can be zoomed and have a cursor."""
-        title = escape(self.title)
-        links = "".join(
-            f'<a href="#s{number}">{escape(heading)}</a>'
-            for number, heading in enumerate(self._sections, 1)
-        )
-        contents = f"<nav>{links}</nav>" if len(self._sections) > 1 else ""
-        under = f'<p class="subtitle">{escape(self.subtitle)}</p>' if self.subtitle else ""
-        zoomed: list[SvgPlot] = []
-        body = "\n".join(
-            part if isinstance(part, str) else _draw_figure(part, zoomed if interactive else None)
-            for part in self._body
-        )
-        policy, style, script = list(_POLICY), STYLE, ""
-        if zoomed:
-            from pamctl.report.html_page import embed_plots
-
-            embedded = embed_plots(zoomed)
-            policy.append(embedded.policy)
-            style, script = style + embedded.style, embedded.body
-        whole = clean_lines(
-            '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-            f'<meta http-equiv="Content-Security-Policy" content="{"; ".join(policy)}">'
-            '<meta name="viewport" content="width=device-width, initial-scale=1">'
-            '<meta name="color-scheme" content="light dark">'
-            f"<title>{title}</title><style>{style}</style></head>\n<body><main>"
-            f"<header><h1>{title}</h1>{under}{contents}</header>\n{body}\n</main>"
-        )
-        return f"{whole}{script}</body></html>\n"
-
-    def _add_figure(self, plots: Sequence[Drawable], caption: str, *, is_grid: bool) -> None:
-        self._figures += 1
-        number = f"<b>Figure {self._figures}.</b> " if self._numbered else ""
-        under = f"<figcaption>{number}{escape(caption)}</figcaption>" if caption else ""
-        self._body.append(_Figure(plots, under, is_grid))
-
-
-def _draw_figure(figure: _Figure, zoomed: list[SvgPlot] | None) -> str:
-    """Return a figure as HTML; put its plots that a script may draw into `zoomed`, if given."""
-    parts = []
-    for plot in figure.plots:
-        drawn = plot.html()
-        if zoomed is not None and isinstance(plot, SvgPlot) and plot.can_be_zoomed:
-            drawn = f'<div data-plot="{len(zoomed)}">{drawn}</div>'
-            zoomed.append(plot)
-        parts.append(drawn)
-    inside = "".join(parts)
-    grid = f'<div class="grid2">{inside}</div>' if figure.is_grid else inside
-    return f"<figure>{grid}{figure.under}</figure>"
-
-
-def _format_inline(text: str) -> str:
-    return _CODE.sub(r"<code>\1</code>", escape(text))
-
-
-def _classify_column(column: Sequence[str]) -> str:
-    if any(column) and all(cell in _NO_NUMBER or _NUMBER.match(cell) for cell in column):
-        return ' class="num"'
-    return ' class="short"' if all(len(cell) <= _SHORT for cell in column) else ""
+        """Return the page."""
+        return write_html(self, interactive=interactive)

@@ -9,8 +9,8 @@ import numpy as np
 
 from pamctl.control.law import Term
 from pamctl.log.moments import Moment
-from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot, plot_apart
-from pamctl.report.html_page import Page
+from pamctl.report.figure import MUTED, Plot, PlotAxis, plot_apart
+from pamctl.report.report import Figure, Points, Report, Section, Text
 from pamctl.report.reported_run import MICRO, ReportedRun, law_name, paper_rows, rms_of_finite
 
 KPA, MM = 1e-3, 1e3
@@ -23,26 +23,26 @@ def make_time_axis(runs: Sequence[ReportedRun]) -> PlotAxis:
     return PlotAxis(since, "s", low=0.0, high=max(ends_s, default=0.0) or None, tight=True)
 
 
-def write_motion(page: Page, runs: Sequence[ReportedRun]) -> None:
+def write_motion(page: Report, runs: Sequence[ReportedRun]) -> None:
     """Write displacement, error, pressure and command of runs of one experiment."""
-    page.section("Motion")
+    page.add(Section("Motion"))
     for group in group_by_experiment(runs):
         if len(group) < len(runs):
-            page.heading(", ".join(run.name for run in group))
+            page.add(Section(", ".join(run.name for run in group), is_part=True))
         makers = (_plot_displacement, _plot_error, _plot_pressure, _plot_force, _plot_command)
         plots = [plot for make in makers for plot in plot_runs(group, make)]
         if not plots:
-            page.text("The log has no displacement, no pressure and no command to show.")
+            page.add(Text("The log has no displacement, no pressure and no command to show."))
             continue
-        page.figure(*plots, caption=_make_caption(group))
+        page.add(Figure([*plots], _make_caption(group)))
 
 
 def plot_runs(
-    group: Sequence[ReportedRun], make: Callable[[Sequence[ReportedRun]], SvgPlot | None]
-) -> list[SvgPlot]:
+    group: Sequence[ReportedRun], make: Callable[[Sequence[ReportedRun]], Plot | None]
+) -> list[Plot]:
     """Return one plot of these runs, or one for each run; with their moments."""
 
-    def draw(runs: Sequence[ReportedRun]) -> SvgPlot | None:
+    def draw(runs: Sequence[ReportedRun]) -> Plot | None:
         plot = make(runs)
         if plot is not None and len(runs) < len(group):
             plot.title = f"{plot.title}, {runs[0].name}"
@@ -59,7 +59,7 @@ MOST_MOMENTS = 30
 _SMALL_PX = 110
 
 
-def mark_moments(plots: Iterable[SvgPlot], moments: Sequence[Moment], colour: int = MUTED) -> None:
+def mark_moments(plots: Iterable[Plot], moments: Sequence[Moment], colour: int = MUTED) -> None:
     """Draw a line through the plots at each mark, change of gains and trip, with its name.
 
     Of more than `MOST_MOMENTS` the first ones are drawn: the table of a run has all.
@@ -103,8 +103,8 @@ def _label_run(group: Sequence[ReportedRun], run: ReportedRun, alone: str) -> st
     return run.name if len(group) > 1 else alone
 
 
-def _plot_displacement(group: Sequence[ReportedRun]) -> SvgPlot | None:
-    plot = SvgPlot("Displacement", make_time_axis(group), PlotAxis("displacement", "mm"))
+def _plot_displacement(group: Sequence[ReportedRun]) -> Plot | None:
+    plot = Plot("Displacement", make_time_axis(group), PlotAxis("displacement", "mm"))
     reference = group[0].column("reference_m", MM)
     if reference is not None:
         shown = group[0].shown
@@ -113,10 +113,10 @@ def _plot_displacement(group: Sequence[ReportedRun]) -> SvgPlot | None:
     return plot if drawn or reference is not None else None
 
 
-def _plot_error(group: Sequence[ReportedRun]) -> SvgPlot | None:
+def _plot_error(group: Sequence[ReportedRun]) -> Plot | None:
     low, high = _find_error_range_um(group)
     error_axis = PlotAxis("x \N{MINUS SIGN} x_D", "µm", low=low, high=high)
-    plot = SvgPlot("Tracking error", make_time_axis(group), error_axis)
+    plot = Plot("Tracking error", make_time_axis(group), error_axis)
     drawn = False
     for run in group:
         if run.error_m is None:
@@ -148,22 +148,22 @@ def _find_error_range_um(group: Sequence[ReportedRun]) -> tuple[float | None, fl
     return float(np.nanmin(error_um)) - margin, float(np.nanmax(error_um)) + margin
 
 
-def _plot_pressure(group: Sequence[ReportedRun]) -> SvgPlot | None:
-    plot = SvgPlot("Pressure", make_time_axis(group), PlotAxis("absolute", "kPa"), height_px=140)
+def _plot_pressure(group: Sequence[ReportedRun]) -> Plot | None:
+    plot = Plot("Pressure", make_time_axis(group), PlotAxis("absolute", "kPa"), height_px=140)
     limit = group[0].log.config.get("rig", {}).get("limits", {}).get("pressure_pa")
     if isinstance(limit, int | float):
         plot.level(limit * KPA, "limit")
     return plot if _draw_column(plot, group, "pressure_pa", KPA, "measured") else None
 
 
-def _plot_force(group: Sequence[ReportedRun]) -> SvgPlot | None:
-    plot = SvgPlot("Force", make_time_axis(group), PlotAxis("pull", "N"), height_px=140)
+def _plot_force(group: Sequence[ReportedRun]) -> Plot | None:
+    plot = Plot("Force", make_time_axis(group), PlotAxis("pull", "N"), height_px=140)
     return plot if _draw_column(plot, group, "force_n", 1.0, "measured") else None
 
 
-def _plot_command(group: Sequence[ReportedRun]) -> SvgPlot | None:
+def _plot_command(group: Sequence[ReportedRun]) -> Plot | None:
     """Plot the law's command and the voltage at the valve, with a dot where either was limited."""
-    plot = SvgPlot("Command", make_time_axis(group), PlotAxis("u", "V"), height_px=140)
+    plot = Plot("Command", make_time_axis(group), PlotAxis("u", "V"), height_px=140)
     if len(group) == 1 and (asked := group[0].column("command_v")) is not None:
         shown = group[0].shown
         plot.line(group[0].t_s[shown], asked[shown], "command of the law", colour=MUTED, thick=True)
@@ -186,7 +186,7 @@ def _find_cut_ticks(run: ReportedRun) -> np.ndarray:
 
 
 def _draw_column(
-    plot: SvgPlot,
+    plot: Plot,
     group: Sequence[ReportedRun],
     column: str,
     scale: float,
@@ -208,25 +208,29 @@ CLOSE_S = 0.06
 """Time before and after the place of the close-up."""
 
 
-def write_filtering(page: Page, runs: Sequence[ReportedRun]) -> None:
+def write_filtering(page: Report, runs: Sequence[ReportedRun]) -> None:
     """Write the effect of LPF_1 and LPF_2 for each run that has a filtered displacement."""
     filtering = [run for run in runs if _compute_shift_um(run) is not None]
     if not filtering:
         return
-    page.section("Filters")
+    page.add(Section("Filters"))
     for group in group_by_experiment(filtering):
-        page.figure(
-            *plot_runs(group, _plot_shift),
-            caption="The difference that the filter makes to the displacement, lag included.",
+        page.add(
+            Figure(
+                [*plot_runs(group, _plot_shift)],
+                "The difference that the filter makes to the displacement, lag included.",
+            )
         )
     for run in filtering:
         if (close := _plot_close_look(run)) is not None:
-            page.grid(*close, caption=_describe_close_look(run, alone=len(filtering) == 1))
+            page.add(
+                Figure([*close], _describe_close_look(run, alone=len(filtering) == 1), is_grid=True)
+            )
 
 
-def _plot_shift(group: Sequence[ReportedRun]) -> SvgPlot:
+def _plot_shift(group: Sequence[ReportedRun]) -> Plot:
     axis = PlotAxis("LPF_1", "µm")
-    plot = SvgPlot("Filtered minus raw displacement", make_time_axis(group), axis, height_px=120)
+    plot = Plot("Filtered minus raw displacement", make_time_axis(group), axis, height_px=120)
     for run in group:
         moved = _compute_shift_um(run)
         label = run.name if len(group) > 1 else ""
@@ -250,7 +254,7 @@ def _describe_close_look(run: ReportedRun, *, alone: bool) -> str:
     return f"{whose}Close-up of the place where the filter changes the displacement most. {cutoffs}"
 
 
-def _plot_close_look(run: ReportedRun) -> list[SvgPlot] | None:
+def _plot_close_look(run: ReportedRun) -> list[Plot] | None:
     moved_um, error_m = _compute_shift_um(run), run.error_m
     if moved_um is None or error_m is None:
         return None
@@ -262,14 +266,14 @@ def _plot_close_look(run: ReportedRun) -> list[SvgPlot] | None:
     t_s, axis = run.t_s[near], PlotAxis(make_time_axis([run]).label, "s", tight=True)
     # Without the reference: the motion would hide a difference of micrometres.
     error_um = error_m[near] * MICRO
-    close = SvgPlot("Error, close-up", axis, PlotAxis("x \N{MINUS SIGN} x_D", "µm"))
+    close = Plot("Error, close-up", axis, PlotAxis("x \N{MINUS SIGN} x_D", "µm"))
     close.line(t_s, error_um, "raw", colour=MUTED, step=True)
     close.line(t_s, error_um + moved_um[near], "after LPF_1")
     plots = [close]
     rate = run.column("error_rate_m_per_s", MM)
     if rate is not None and len(t_s) > 1:
         raw_rate = np.gradient(error_m[near] * MM, t_s)
-        derivative = SvgPlot("Rate of the error, close-up", axis, PlotAxis("e'", "mm/s"))
+        derivative = Plot("Rate of the error, close-up", axis, PlotAxis("e'", "mm/s"))
         derivative.line(t_s, raw_rate, "raw difference", colour=MUTED)
         derivative.line(t_s, rate[near], "after LPF_2")
         plots.append(derivative)
@@ -279,14 +283,14 @@ def _plot_close_look(run: ReportedRun) -> list[SvgPlot] | None:
 _ERROR = PlotAxis("e", "µm")
 
 
-def write_law(page: Page, runs: Sequence[ReportedRun]) -> None:
+def write_law(page: Report, runs: Sequence[ReportedRun]) -> None:
     """Write phase planes and terms of the runs in which a law tracked something."""
     lawful = [run for run in runs if run.error_m is not None]
     # Beside runs that tracked, the large error of a run that never did would hide the others.
     lawful = [run for run in lawful if run.tracked.any()] or lawful
     if not lawful:
         return
-    page.section("Law")
+    page.add(Section("Law"))
     _write_equations(page, lawful)
     surfaces = _plot_surfaces(lawful)
     caption = (
@@ -298,17 +302,17 @@ def write_law(page: Page, runs: Sequence[ReportedRun]) -> None:
             " On the sliding surface, where its value is 0, the error dies out as the law's poles "
             "say. The robust term works on the distance from the surface."
         )
-    page.grid(*surfaces, *_plot_phase_planes(lawful), caption=caption)
+    page.add(Figure([*surfaces, *_plot_phase_planes(lawful)], caption, is_grid=True))
     _write_terms(page, lawful)
 
 
-def _write_equations(page: Page, runs: Sequence[ReportedRun]) -> None:
+def _write_equations(page: Report, runs: Sequence[ReportedRun]) -> None:
     equations = {run.law.title: run.law.equation for run in runs if run.law.equation}
     if equations:
-        page.points(*(f"{title}: {equation}" for title, equation in equations.items()))
+        page.add(Points([*(f"{title}: {equation}" for title, equation in equations.items())]))
 
 
-def _plot_surfaces(runs: Sequence[ReportedRun]) -> list[SvgPlot]:
+def _plot_surfaces(runs: Sequence[ReportedRun]) -> list[Plot]:
     """Return a plot for each run whose law has a sliding surface."""
     plots = []
     for run in runs:
@@ -320,7 +324,7 @@ def _plot_surfaces(runs: Sequence[ReportedRun]) -> list[SvgPlot]:
     return plots
 
 
-def _plot_phase_planes(runs: Sequence[ReportedRun]) -> list[SvgPlot]:
+def _plot_phase_planes(runs: Sequence[ReportedRun]) -> list[Plot]:
     axis, rates = PlotAxis("e'", "mm/s"), [run.column("error_rate_m_per_s", MM) for run in runs]
     return [
         _plot_density("Phase plane", runs, run, axis, rate)
@@ -331,10 +335,10 @@ def _plot_phase_planes(runs: Sequence[ReportedRun]) -> list[SvgPlot]:
 
 def _plot_density(
     title: str, runs: Sequence[ReportedRun], run: ReportedRun, axis: PlotAxis, values: np.ndarray
-) -> SvgPlot:
+) -> Plot:
     """Return how often the error and `values`, shape (n,), went together while the law worked."""
     assert run.error_m is not None
-    plot = SvgPlot(f"{title}{_name_run(runs, run)}", _ERROR, axis, height_px=240)
+    plot = Plot(f"{title}{_name_run(runs, run)}", _ERROR, axis, height_px=240)
     error_um = run.error_m[run.law_at_work] * MICRO
     return plot.density(error_um, values[run.law_at_work], colour=run.colour)
 
@@ -343,7 +347,7 @@ def _name_run(runs: Sequence[ReportedRun], run: ReportedRun) -> str:
     return f", {run.name}" if len(runs) > 1 else ""
 
 
-def _write_terms(page: Page, runs: Sequence[ReportedRun]) -> None:
+def _write_terms(page: Report, runs: Sequence[ReportedRun]) -> None:
     for group in group_by_experiment(runs):
         plots = []
         for run in group:
@@ -351,14 +355,14 @@ def _write_terms(page: Page, runs: Sequence[ReportedRun]) -> None:
             if equivalent is None or robust is None:
                 continue
             title = f"Terms of the command{_name_run(runs, run)}"
-            plot = SvgPlot(title, make_time_axis(group), PlotAxis("u", "V"), height_px=150)
+            plot = Plot(title, make_time_axis(group), PlotAxis("u", "V"), height_px=150)
             over, terms = run.t_s[run.law_at_work], run.law.terms
             plot.line(over, equivalent[run.law_at_work], _name_term(terms.equivalent))
             plot.line(over, robust[run.law_at_work], _name_term(terms.robust), colour=1)
             mark_moments([plot], run.moments)
             plots.append(plot)
         if plots:
-            page.figure(*plots, caption="What the command is made of.")
+            page.add(Figure([*plots], "What the command is made of."))
 
 
 def _name_term(term: Term) -> str:

@@ -16,9 +16,9 @@ from pamctl.log.annotation import ANNOTATION, Annotation
 from pamctl.log.measured_signals import judge_ticks
 from pamctl.log.moments import describe_running_changes, list_gain_changes, spell_controller
 from pamctl.plain_text import clean_text
-from pamctl.report.drawing.svg import PlotAxis, SvgPlot
+from pamctl.report.figure import Plot, PlotAxis
 from pamctl.report.frequency import write_frequency_response
-from pamctl.report.html_page import Page
+from pamctl.report.report import Facts, Figure, Fold, Report, ReportTable, Section, Text
 from pamctl.report.reported_run import MICRO, ReportedRun, law_name, name_runs, paper_rows
 from pamctl.report.run_motion import write_filtering, write_law, write_motion
 from pamctl.safety import VERDICTS
@@ -27,30 +27,30 @@ from pamctl.simulate.merit import Merit, compute_merit, summarise_durations
 _HEADER = ("tracking error, µm", "max", "RMS", "steady")
 
 
-def write_summary(page: Page, runs: Sequence[ReportedRun]) -> None:
+def write_summary(page: Report, runs: Sequence[ReportedRun]) -> None:
     """Write the ending, the facts and the figures of merit of every run."""
-    page.section("Summary")
+    page.add(Section("Summary"))
     for run in runs:
         if len(runs) > 1:
-            page.heading(run.name)
+            page.add(Section(run.name, is_part=True))
         _write_ending(page, run)
-        page.facts(_collect_facts(run))
+        page.add(Facts(_collect_facts(run)))
     _write_merits(page, runs)
 
 
-def _write_ending(page: Page, run: ReportedRun) -> None:
+def _write_ending(page: Report, run: ReportedRun) -> None:
     if run.log.is_imported:
         source = run.log.metadata.get("import", {}).get("source", "another system")
-        page.note(f"Imported measurement of another system: {source}")
+        page.add(Text(f"Imported measurement of another system: {source}", "note"))
         return
     ended = run.outcome
     if ended is None:
-        page.note("The log does not say how the run ended: it was not finished.", kind="bad")
+        page.add(Text("The log does not say how the run ended: it was not finished.", "bad"))
         return
     code = int(ended.get("code", -1))
     kind = "good" if code == ExitCode.OK else "bad"
     reason = str(ended.get("reason", ""))
-    page.note(f"Ended with exit code {code}: {reason[:1].upper()}{reason[1:]}.", kind=kind)
+    page.add(Text(f"Ended with exit code {code}: {reason[:1].upper()}{reason[1:]}.", kind))
 
 
 def _collect_facts(run: ReportedRun) -> dict[str, object]:
@@ -84,11 +84,11 @@ def _collect_facts(run: ReportedRun) -> dict[str, object]:
     return facts
 
 
-def _write_merits(page: Page, runs: Sequence[ReportedRun]) -> None:
+def _write_merits(page: Report, runs: Sequence[ReportedRun]) -> None:
     rows = [row for run in runs for row in make_merit_rows(run)]
     if not rows:
         if any(len(run) for run in runs):
-            page.text("Nothing was tracked: there is no error to compare with Table IV.")
+            page.add(Text("Nothing was tracked: there is no error to compare with Table IV."))
         return
     experiments = {run.paper_experiment for run in runs if run.tracked.any()}
     for experiment in sorted(name for name in experiments if name):
@@ -96,13 +96,17 @@ def _write_merits(page: Page, runs: Sequence[ReportedRun]) -> None:
             [f"paper's {law_name(row.law)} on its rig, {experiment}", *format_merit(row.merit)]
             for row in paper_rows(experiment)
         ]
-    page.table(
-        _HEADER,
-        rows,
-        caption="Without the approach; steady is the largest error in the last 5 s of rests.",
+    page.add(
+        ReportTable(
+            _HEADER,
+            rows,
+            "Without the approach; steady is the largest error in the last 5 s of rests.",
+        )
     )
     if None in experiments:
-        page.text("Where settings differ from the paper's experiments, Table IV does not apply.")
+        page.add(
+            Text("Where settings differ from the paper's experiments, Table IV does not apply.")
+        )
 
 
 def make_merit_rows(run: ReportedRun) -> list[list[str]]:
@@ -128,15 +132,15 @@ MOST_EVENTS = 200
 _WHERE = ("event", "tick", "t_ns", "row")
 
 
-def write_safety(page: Page, runs: Sequence[ReportedRun]) -> None:
+def write_safety(page: Report, runs: Sequence[ReportedRun]) -> None:
     """Write every clip and trip with its reason and time."""
-    page.section("Safety")
+    page.add(Section("Safety"))
     for run in runs:
         if len(runs) > 1:
-            page.heading(run.name)
+            page.add(Section(run.name, is_part=True))
         verdicts = run.log.columns.get("verdicts")
         if verdicts is None:
-            page.text("The log was made without these safety rules: clips are unknown.")
+            page.add(Text("The log was made without these safety rules: clips are unknown."))
             continue
         rows = [
             ["clip" if bit < 1 << 8 else "trip", meaning, str(len(at)), *_show_span(run, at)]
@@ -144,33 +148,33 @@ def write_safety(page: Page, runs: Sequence[ReportedRun]) -> None:
             if len(at := np.flatnonzero(np.asarray(verdicts, np.int64) & bit))
         ]
         if rows:
-            page.table(["", "reason", "ticks", "first, s", "last, s"], rows)
+            page.add(ReportTable(["", "reason", "ticks", "first, s", "last, s"], rows))
         else:
-            page.text("Safety clipped no command and did not trip.")
+            page.add(Text("Safety clipped no command and did not trip."))
 
 
 def _show_span(run: ReportedRun, at: np.ndarray) -> tuple[str, str]:
     return f"{run.t_s[at[0]]:.3f}", f"{run.t_s[at[-1]]:.3f}"
 
 
-def write_events(page: Page, runs: Sequence[ReportedRun]) -> None:
+def write_events(page: Report, runs: Sequence[ReportedRun]) -> None:
     """Write the events in order."""
-    page.section("Events")
+    page.add(Section("Events"))
     for run in runs:
         if len(runs) > 1:
-            page.heading(run.name)
+            page.add(Section(run.name, is_part=True))
         events = run.log.events
         if not events:
-            page.text("The log has no events.")
+            page.add(Text("The log has no events."))
             continue
         rows = [[_show_time(run, e), str(e.get("event", "")), _show_details(e)] for e in events]
-        page.table(["at, s", "event", "details"], rows[:MOST_EVENTS])
+        page.add(ReportTable(["at, s", "event", "details"], rows[:MOST_EVENTS]))
         if len(rows) > MOST_EVENTS:
-            page.text(f"{len(rows) - MOST_EVENTS} more events are in the log.")
+            page.add(Text(f"{len(rows) - MOST_EVENTS} more events are in the log."))
         _write_gain_changes(page, run)
 
 
-def _write_gain_changes(page: Page, run: ReportedRun) -> None:
+def _write_gain_changes(page: Report, run: ReportedRun) -> None:
     """Write the gains that changed while the law ran; the first are in the configuration."""
     rows = [
         [
@@ -184,7 +188,7 @@ def _write_gain_changes(page: Page, run: ReportedRun) -> None:
     ]
     if rows:
         header = ["at, s", "gain", "from", "to", "within, s"]
-        page.table(header, rows[:MOST_EVENTS], caption="Changed gains.")
+        page.add(ReportTable(header, rows[:MOST_EVENTS], "Changed gains."))
 
 
 def _show_time(run: ReportedRun, event: Mapping[str, Any]) -> str:
@@ -203,9 +207,9 @@ def _show_short(value: object) -> str:
     return clean_text(value) if isinstance(value, str) else to_json(value).decode()
 
 
-def write_differences(page: Page, runs: Sequence[ReportedRun]) -> None:
+def write_differences(page: Report, runs: Sequence[ReportedRun]) -> None:
     """Write a table of the settings that differ between the runs."""
-    page.section("What differs")
+    page.add(Section("What differs"))
     settings = [dict(_flatten_settings(run.log.config)) for run in runs]
     keys = dict.fromkeys(key for setting in settings for key in setting)
     rows = [
@@ -214,9 +218,9 @@ def write_differences(page: Page, runs: Sequence[ReportedRun]) -> None:
         if len({_show_short(setting.get(key, "-")) for setting in settings}) > 1
     ]
     if rows:
-        page.table(["setting", *(run.name for run in runs)], rows)
+        page.add(ReportTable(["setting", *(run.name for run in runs)], rows))
     else:
-        page.text("The runs have the same settings.")
+        page.add(Text("The runs have the same settings."))
 
 
 def _flatten_settings(settings: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
@@ -227,9 +231,9 @@ def _flatten_settings(settings: Mapping[str, Any], above: str = "") -> Iterator[
             yield f"{above}{name}", value
 
 
-def write_settings(page: Page, runs: Sequence[ReportedRun]) -> None:
+def write_settings(page: Report, runs: Sequence[ReportedRun]) -> None:
     """Write versions, rig and resolved configuration, folded."""
-    page.section("Configuration")
+    page.add(Section("Configuration"))
     for run in runs:
         whose = f" of {run.name}" if len(runs) > 1 else ""
         for name, title in (
@@ -239,11 +243,11 @@ def write_settings(page: Page, runs: Sequence[ReportedRun]) -> None:
             ("import", "Import"),
         ):
             if name in run.log.metadata:
-                page.fold(f"{title}{whose}", _format_yaml(dict(run.log.metadata[name])))
+                page.add(Fold(f"{title}{whose}", _format_yaml(dict(run.log.metadata[name]))))
         if run.log.config:
-            page.fold(f"Resolved configuration{whose}", _format_yaml(run.log.config))
+            page.add(Fold(f"Resolved configuration{whose}", _format_yaml(run.log.config)))
         else:
-            page.text(f"The log{whose} carries no configuration.")
+            page.add(Text(f"The log{whose} carries no configuration."))
 
 
 def _format_yaml(value: Mapping[str, Any]) -> str:
@@ -261,17 +265,17 @@ _DURATIONS = (
 )
 
 
-def write_timing(page: Page, runs: Sequence[ReportedRun]) -> None:
+def write_timing(page: Report, runs: Sequence[ReportedRun]) -> None:
     """Write the durations of a tick's parts, and which ticks were late or missed."""
-    page.section("Timing")
+    page.add(Section("Timing"))
     for run in runs:
         if len(runs) > 1:
-            page.heading(run.name)
+            page.add(Section(run.name, is_part=True))
         if run.fast:
-            page.text("Simulated without a clock: there is no timing to show.")
+            page.add(Text("Simulated without a clock: there is no timing to show."))
             continue
         if len(run) < 2:
-            page.text("Too few ticks for timing figures.")
+            page.add(Text("Too few ticks for timing figures."))
             continue
         _write_spreads(page, run)
         _plot_histograms(page, run)
@@ -279,7 +283,7 @@ def write_timing(page: Page, runs: Sequence[ReportedRun]) -> None:
         _write_missed(page, run)
 
 
-def _write_spreads(page: Page, run: ReportedRun) -> None:
+def _write_spreads(page: Report, run: ReportedRun) -> None:
     rows = []
     for name, label in _DURATIONS:
         values = run.column(name)
@@ -287,10 +291,10 @@ def _write_spreads(page: Page, run: ReportedRun) -> None:
             found = summarise_durations(values[np.isfinite(values)])
             rows.append([label, *(f"{part * MICRO:.1f}" for part in found)])
     if rows:
-        page.table(["µs", "p50", "p99", "max"], rows)
+        page.add(ReportTable(["µs", "p50", "p99", "max"], rows))
 
 
-def _plot_histograms(page: Page, run: ReportedRun) -> None:
+def _plot_histograms(page: Report, run: ReportedRun) -> None:
     plots = []
     for name, label in (("late_s", "wake-up behind deadline"), ("work", "read, tick and write")):
         values = _compute_work_s(run) if name == "work" else run.column(name)
@@ -301,22 +305,26 @@ def _plot_histograms(page: Page, run: ReportedRun) -> None:
         used = np.flatnonzero(counts)
         first, last = max(0, used[0] - 2), min(len(counts), used[-1] + 3)
         duration = PlotAxis("duration (0.1 means 0.1 or less)", "µs", log=True, tight=True)
-        plot = SvgPlot(
+        plot = Plot(
             label.capitalize(), duration, PlotAxis("ticks", low=0.5, log=True), height_px=150
         )
         plots.append(plot.bars(edges[first : last + 1], counts[first:last]))
     if plots:
-        page.grid(*plots, caption="Both axes are logarithmic: a single tick is still a bar.")
+        page.add(
+            Figure(
+                [*plots], "Both axes are logarithmic: a single tick is still a bar.", is_grid=True
+            )
+        )
         return
     steps_ms = np.diff(run.log["t_s"]) * 1e3
     # Steps that differ only by rounding become one bar, not many bars without width.
     usual_ms = float(np.median(steps_ms))
     over = (min(float(steps_ms.min()), 0.9 * usual_ms), max(float(steps_ms.max()), 1.1 * usual_ms))
     counts, edges = np.histogram(steps_ms, 81, over)
-    plot = SvgPlot(
+    plot = Plot(
         "Time between samples", PlotAxis("step", "ms"), PlotAxis("ticks", low=0.5, log=True)
     )
-    page.figure(plot.bars(edges, counts), caption="This log has no other timing data.")
+    page.add(Figure([plot.bars(edges, counts)], "This log has no other timing data."))
 
 
 def _compute_work_s(run: ReportedRun) -> np.ndarray | None:
@@ -325,7 +333,7 @@ def _compute_work_s(run: ReportedRun) -> np.ndarray | None:
     return np.sum(known, axis=0) if len(known) == len(parts) else None
 
 
-def _write_worst(page: Page, run: ReportedRun) -> None:
+def _write_worst(page: Report, run: ReportedRun) -> None:
     late, work = run.column("late_s"), _compute_work_s(run)
     if late is None or work is None:
         return
@@ -340,22 +348,26 @@ def _write_worst(page: Page, run: ReportedRun) -> None:
         ]
         for i in worst
     ]
-    page.table(
-        ["tick", "at, s", "late", "read", "tick", "write", "missed before"],
-        rows,
-        caption=f"The {len(rows)} worst ticks, in µs.",
+    page.add(
+        ReportTable(
+            ["tick", "at, s", "late", "read", "tick", "write", "missed before"],
+            rows,
+            f"The {len(rows)} worst ticks, in µs.",
+        )
     )
 
 
-def _write_missed(page: Page, run: ReportedRun) -> None:
+def _write_missed(page: Report, run: ReportedRun) -> None:
     missed = run.log["missed"]
     at = np.flatnonzero(missed > 0)
     if not len(at):
-        page.text("No tick was missed.")
+        page.add(Text("No tick was missed."))
         return
     largest = at[np.argsort(-missed[at], kind="stable")][:WORST]
     longest = ", ".join(f"{missed[i]} before {run.t_s[i]:.3f} s" for i in sorted(largest))
-    page.text(f"{int(missed.sum())} ticks were missed in {len(at)} places; the most: {longest}.")
+    page.add(
+        Text(f"{int(missed.sum())} ticks were missed in {len(at)} places; the most: {longest}.")
+    )
 
 
 def find_doubts(log: Log) -> list[str]:
@@ -365,25 +377,25 @@ def find_doubts(log: Log) -> list[str]:
     return [f"holds {'one tick' if len(log) else 'no ticks'}: the run ended at once"]
 
 
-def compose_report(logs: Sequence[Log], doubts: Sequence[Sequence[str]] | None = None) -> Page:
+def compose_report(logs: Sequence[Log], doubts: Sequence[Sequence[str]] | None = None) -> Report:
     """Return the page of at least one log; missing data are left out or mentioned.
 
     `doubts` has what `find_doubts` says of each log, if it is known.
     """
     doubts = [find_doubts(log) for log in logs] if doubts is None else doubts
     runs = name_runs(logs)
-    page = Page(_make_title(runs), ", ".join(str(run.log.path.name) for run in runs))
+    page = Report(_make_title(runs), subtitle=", ".join(str(run.log.path.name) for run in runs))
     write_summary(page, runs)
     for run, found in zip(runs, doubts, strict=True):
         for doubt in found if len(run) > 1 else ():
-            page.note(f"Doubtful in {run.name}: {doubt}.", kind="bad")
+            page.add(Text(f"Doubtful in {run.name}: {doubt}.", "bad"))
     if len(runs) > 1:
         write_differences(page, runs)
     measured = [run for run in runs if len(run)]
     for run in runs:
         if not len(run):
-            page.note(
-                f"{run.name} holds no ticks: the run ended before its first tick.", kind="bad"
+            page.add(
+                Text(f"{run.name} holds no ticks: the run ended before its first tick.", "bad")
             )
     if measured:
         for write in (

@@ -17,11 +17,11 @@ from pamctl import __version__
 from pamctl.control.law_registry import find_law
 from pamctl.control.smc import SmcSettings, linearise_model
 from pamctl.plant.model import plant_parameters
-from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot
-from pamctl.report.html_page import Page
+from pamctl.report.figure import MUTED, Plot, PlotAxis
+from pamctl.report.report import Figure, Points, Report, ReportTable, Section, Text
 from pamctl.settings.resolve import resolve
 from pamctl.signals import Phase
-from pamctl.simulate.batch import SimulatedRun, simulate_run
+from pamctl.simulate.closed_loop import SimulatedRun, simulate_run
 from pamctl.simulate.merit import TABLE_IV
 
 PLANTS = {"paper": "of Tables I and II", "paper-valve109": "with the valve's 109 Hz"}
@@ -93,45 +93,51 @@ _ANY_LAW = Case("open loop", "paper-table3-qsmc")
 """No law acts in open loop, but the settings of a run need one."""
 
 
-def write_fig3(page: Page, seed: int) -> dict[str, Any]:
+def write_fig3(page: Report, seed: int) -> dict[str, Any]:
     """Write Fig. 3; return ranges and rise times of the last cycle, by frequency and plant."""
-    page.section("Fig. 3: square waves, open loop")
-    page.text(
-        "Full-scale squares of the command, ±5 V about the closed valve, on the model of "
-        "Tables I and II, and with the valve's 109 Hz, which the paper states but does "
-        "not simulate. The paper draws its measurement beside its model. Its curves are not "
-        "published as numbers: only the model is shown here, and the comparison is by "
-        "eye."
+    page.add(Section("Fig. 3: square waves, open loop"))
+    page.add(
+        Text(
+            "Full-scale squares of the command, ±5 V about the closed valve, on the model of "
+            "Tables I and II, and with the valve's 109 Hz, which the paper states but does "
+            "not simulate. The paper draws its measurement beside its model. Its curves are not "
+            "published as numbers: only the model is shown here, and the comparison is by "
+            "eye."
+        )
     )
     numbers: dict[str, Any] = {}
-    plots: list[SvgPlot] = []
+    plots: list[Plot] = []
     for frequency in FREQUENCIES:
         runs = {plant: _ANY_LAW.run(f"square-{frequency}", plant, seed) for plant in PLANTS}
         plots += _make_plots(frequency, runs)
         numbers[frequency] = {
             plant: _measure_last_cycle(run, float(frequency)) for plant, run in runs.items()
         }
-    page.grid(*plots, caption="Displacement and pressure at 0.25, 0.5, 1 and 2 Hz.")
+    page.add(Figure([*plots], "Displacement and pressure at 0.25, 0.5, 1 and 2 Hz.", is_grid=True))
     rows = [
         [f"{frequency} Hz, {PLANTS[plant]}", *_format_cells(found)]
         for frequency, of_plants in numbers.items()
         for plant, found in of_plants.items()
     ]
-    page.table(
-        ["last cycle", "mm, low", "high", "kPa, low", "high", "up, ms", "down, ms"],
-        rows,
-        caption="Displacement, absolute pressure, and the displacement's 10 to 90 % times.",
+    page.add(
+        ReportTable(
+            ["last cycle", "mm, low", "high", "kPa, low", "high", "up, ms", "down, ms"],
+            rows,
+            "Displacement, absolute pressure, and the displacement's 10 to 90 % times.",
+        )
     )
-    page.text(
-        "The main reading: pressure in Eq. 3 to 6 is gauge pressure. With absolute "
-        "pressure the vented muscle would rest at 11.6 mm, and could not reach the 6.4 mm of "
-        "experiments 1 and 2. Friction is a band: it holds the muscle while the net force "
-        "lies inside it."
+    page.add(
+        Text(
+            "The main reading: pressure in Eq. 3 to 6 is gauge pressure. With absolute "
+            "pressure the vented muscle would rest at 11.6 mm, and could not reach the 6.4 mm of "
+            "experiments 1 and 2. Friction is a band: it holds the muscle while the net force "
+            "lies inside it."
+        )
     )
     return numbers
 
 
-def _make_plots(frequency: str, runs: dict[str, SimulatedRun]) -> list[SvgPlot]:
+def _make_plots(frequency: str, runs: dict[str, SimulatedRun]) -> list[Plot]:
     shown_s = 2.0 / float(frequency)
     time = PlotAxis("time", "s", tight=True)
     plots = []
@@ -139,7 +145,7 @@ def _make_plots(frequency: str, runs: dict[str, SimulatedRun]) -> list[SvgPlot]:
         ("displacement", "true_position_m", 1e3, "mm"),
         ("pressure", "true_pressure_pa", 1e-3, "kPa"),
     ):
-        plot = SvgPlot(f"{frequency} Hz, {what}", time, PlotAxis("", unit), height_px=130)
+        plot = Plot(f"{frequency} Hz, {what}", time, PlotAxis("", unit), height_px=130)
         for colour, (plant, run) in enumerate(runs.items()):
             seen = run.t_s < shown_s
             plot.line(run.t_s[seen], run[column][seen] * scale, PLANTS[plant], colour=colour)
@@ -186,25 +192,30 @@ FIGURES = {
 }
 
 
-def write_tracking(page: Page, figure: str, seed: int) -> dict[str, Any]:
+def write_tracking(page: Report, figure: str, seed: int) -> dict[str, Any]:
     """Write Fig. 4 or 5; return the runs' figures of merit by case."""
     experiment, heading = FIGURES[figure]
-    page.section(heading)
-    page.text(
-        "Reference, both laws, their errors, commands and the pressure, on the model of "
-        "Tables I and II. The approach from the vented muscle is left out."
+    page.add(Section(heading))
+    page.add(
+        Text(
+            "Reference, both laws, their errors, commands and the pressure, on the model of "
+            "Tables I and II. The approach from the vented muscle is left out."
+        )
     )
     qsmc, smc, *_ = TUNED
-    page.heading("With the gains that the paper prints")
-    page.figure(
-        *_plot_stack((PRINTED_QSMC, FITTED_SMC), experiment, seed),
-        caption="qSMC as printed, and SMC as printed except K_p, which was fitted to Table IV.",
+    page.add(Section("With the gains that the paper prints", is_part=True))
+    page.add(
+        Figure(
+            [*_plot_stack((PRINTED_QSMC, FITTED_SMC), experiment, seed)],
+            "qSMC as printed, and SMC as printed except K_p, which was fitted to Table IV.",
+        )
     )
     _write_literal_smc(page, experiment, seed)
-    page.heading("With tuned gains")
-    page.figure(
-        *_plot_stack((qsmc, smc), experiment, seed),
-        caption="qSMC and SMC, tuned with equal effort.",
+    page.add(Section("With tuned gains", is_part=True))
+    page.add(
+        Figure(
+            [*_plot_stack((qsmc, smc), experiment, seed)], "qSMC and SMC, tuned with equal effort."
+        )
     )
     cases = (PRINTED_QSMC, PRINTED_SMC, FITTED_SMC, qsmc, smc)
     return {case.name: summarise_outcome(case.run(experiment, "paper", seed)) for case in cases}
@@ -219,24 +230,26 @@ def summarise_outcome(run: SimulatedRun) -> dict[str, float | None]:
     return {**figures, "tripped_s": run.tripped_s}
 
 
-def _write_literal_smc(page: Page, experiment: str, seed: int) -> None:
+def _write_literal_smc(page: Report, experiment: str, seed: int) -> None:
     run = PRINTED_SMC.run(experiment, "paper", seed)
     if run.tripped_s is None:
         return
-    page.note(
-        f"SMC with the printed gains does not move the muscle: its command stays within "
-        f"{np.abs(run['command_v']).max() * 1e3:.2g} mV, and safety ends the run after "
-        f"{run.tripped_s:.2f} s, still in the approach, because the error exceeds its limit.",
-        kind="bad",
+    page.add(
+        Text(
+            f"SMC with the printed gains does not move the muscle: its command stays within "
+            f"{np.abs(run['command_v']).max() * 1e3:.2g} mV, and safety ends the run after "
+            f"{run.tripped_s:.2f} s, still in the approach, because the error exceeds its limit.",
+            "bad",
+        )
     )
 
 
-def _plot_stack(cases: Sequence[Case], experiment: str, seed: int) -> list[SvgPlot]:
+def _plot_stack(cases: Sequence[Case], experiment: str, seed: int) -> list[Plot]:
     time = PlotAxis("time since the end of the approach", "s", tight=True)
-    position = SvgPlot("Displacement", time, PlotAxis("displacement", "mm"), height_px=160)
-    error = SvgPlot("Error", time, PlotAxis("x \N{MINUS SIGN} x_D", "µm"), height_px=130)
-    command = SvgPlot("Command", time, PlotAxis("u", "V"), height_px=110)
-    pressure = SvgPlot("Pressure", time, PlotAxis("absolute", "kPa"), height_px=110)
+    position = Plot("Displacement", time, PlotAxis("displacement", "mm"), height_px=160)
+    error = Plot("Error", time, PlotAxis("x \N{MINUS SIGN} x_D", "µm"), height_px=130)
+    command = Plot("Command", time, PlotAxis("u", "V"), height_px=110)
+    pressure = Plot("Pressure", time, PlotAxis("absolute", "kPa"), height_px=110)
     for colour, case in enumerate(cases):
         run = case.run(experiment, "paper", seed)
         shown = np.isin(run["phase"], (Phase.TRACK, Phase.REST))
@@ -258,9 +271,9 @@ EXPERIMENTS = ("tracking-1", "tracking-2")
 Numbers = dict[str, dict[str, dict[str, dict[str, float | None]]]]
 
 
-def write_table4(page: Page, seed: int) -> dict[str, Any]:
+def write_table4(page: Report, seed: int) -> dict[str, Any]:
     """Write Table IV; return its numbers by plant, experiment and case, and the paper's."""
-    page.section("Table IV: controller performance")
+    page.add(Section("Table IV: controller performance"))
     measured = {
         plant: {
             experiment: {
@@ -271,12 +284,14 @@ def write_table4(page: Page, seed: int) -> dict[str, Any]:
         for plant in PLANTS
     }
     for plant, title in PLANTS.items():
-        page.table(
-            ["µm", "1: max", "RMS", "steady", "2: max", "RMS"],
-            [*_make_paper_rows(), *(_make_row(case, measured[plant]) for case in ALL)],
-            caption=f"Errors in experiments 1 and 2; the model {title}.",
+        page.add(
+            ReportTable(
+                ["µm", "1: max", "RMS", "steady", "2: max", "RMS"],
+                [*_make_paper_rows(), *(_make_row(case, measured[plant]) for case in ALL)],
+                f"Errors in experiments 1 and 2; the model {title}.",
+            )
         )
-    page.points(*(f"{case.name}: {case.remark}." for case in ALL if case.remark))
+    page.add(Points([*(f"{case.name}: {case.remark}." for case in ALL if case.remark)]))
     _write_findings(page, measured, seed)
     return {"simulated": measured, "paper": _collect_paper_numbers()}
 
@@ -326,26 +341,32 @@ def is_within_bound(found: dict[str, float | None], bound: dict[str, float | Non
     )
 
 
-def _write_findings(page: Page, measured: Numbers, seed: int) -> None:
-    page.heading("Which results reproduce, and which do not")
+def _write_findings(page: Report, measured: Numbers, seed: int) -> None:
+    page.add(Section("Which results reproduce, and which do not", is_part=True))
     for plant, title in PLANTS.items():
         _write_about_qsmc(page, measured[plant], title)
     _write_about_smc(page, measured["paper"]["tracking-2"][UNHINDERED_SMC.name]["max_m"], seed)
-    page.text(
-        "The important readings, each tried. The headings of Table III are crossed: q = 1 is the "
-        "traditional law, so its column belongs to Eq. 18. The gains are in inches, where "
-        "25.4 mm/s³ is a round 1 inch/s³; the row in millimetres shows the other reading. "
-        "lambda is the printed number in 1/s, without 2 pi. LPF_2 is 0.5 Hz literally, "
-        "on the derivatives of the error. Friction at rest is a band.",
-        f"{FITTED_SMC.name}: with this one number changed by a factor of 2600, the maximum and RMS "
-        "errors of SMC come close to the table; the steady error does not. The reason for such "
-        "a factor is not known.",
-        "The tuned gains say nothing about the paper's rig: they show what these laws can do on "
-        "this model, with its quantisation and its sensor noise.",
+    page.add(
+        Text(
+            "The important readings, each tried. The headings of Table III are crossed: q = 1 is "
+            "the traditional law, so its column belongs to Eq. 18. The gains are in inches, "
+            "where 25.4 mm/s³ is a round 1 inch/s³; the row in millimetres shows the other "
+            "reading. lambda is the printed number in 1/s, without 2 pi. LPF_2 is 0.5 Hz "
+            "literally, on the derivatives of the error. Friction at rest is a band."
+        ),
+        Text(
+            f"{FITTED_SMC.name}: with this one number changed by a factor of 2600, the maximum "
+            "and RMS errors of SMC come close to the table; the steady error does not. The "
+            "reason for such a factor is not known."
+        ),
+        Text(
+            "The tuned gains say nothing about the paper's rig: they show what these laws can do "
+            "on this model, with its quantisation and its sensor noise."
+        ),
     )
 
 
-def _write_about_qsmc(page: Page, measured: dict[str, Any], title: str) -> None:
+def _write_about_qsmc(page: Report, measured: dict[str, Any], title: str) -> None:
     paper = _collect_paper_numbers()
     pairs = [
         (measured[experiment][PRINTED_QSMC.name], paper[experiment]["qsmc"])
@@ -360,14 +381,16 @@ def _write_about_qsmc(page: Page, measured: dict[str, Any], title: str) -> None:
     ]
     verdict = "stays inside" if kept else "does not stay inside"
     spread = f": {min(ratios):.2f} to {max(ratios):.2f} of its errors" if ratios else ""
-    page.note(
-        f"qSMC with the printed gains {verdict} Table IV in both experiments on the model "
-        f"{title}{spread}.",
-        kind="good" if kept else "bad",
+    page.add(
+        Text(
+            f"qSMC with the printed gains {verdict} Table IV in both experiments on the model "
+            f"{title}{spread}.",
+            "good" if kept else "bad",
+        )
     )
 
 
-def _write_about_smc(page: Page, unhindered_m: float | None, seed: int) -> None:
+def _write_about_smc(page: Report, unhindered_m: float | None, seed: int) -> None:
     gain, most_v = _compute_smc_reach(seed)
     unhindered = (
         ""
@@ -375,12 +398,14 @@ def _write_about_smc(page: Page, unhindered_m: float | None, seed: int) -> None:
         else " With the limit on the error lifted, the error of experiment 2 reaches "
         f"{unhindered_m * 1e3:.1f} mm."
     )
-    page.note(
-        f"SMC with the printed gains does not track on either plant. g-hat is {gain:.2g} m/s³/V "
-        "at rest at mid-stroke, for a moving mass of 0.05 kg; K_p / g-hat then leaves a command "
-        f"within {most_v * 1e3:.2g} mV until safety ends the run.{unhindered} No reading of the "
-        "printed K_p was found that reproduces the table.",
-        kind="bad",
+    page.add(
+        Text(
+            f"SMC with the printed gains does not track on either plant. g-hat is {gain:.2g} "
+            "m/s³/V at rest at mid-stroke, for a moving mass of 0.05 kg; K_p / g-hat then "
+            f"leaves a command within {most_v * 1e3:.2g} mV until safety ends the "
+            f"run.{unhindered} No reading of the printed K_p was found that reproduces the table.",
+            "bad",
+        )
     )
 
 
@@ -397,7 +422,7 @@ def _compute_smc_reach(seed: int) -> tuple[float, float]:
     return gain, float(abs(run["command_v"]).max())
 
 
-Part = Callable[[Page, int], dict[str, Any]]
+Part = Callable[[Report, int], dict[str, Any]]
 
 PARTS: dict[str, Part] = {
     "fig3": write_fig3,
@@ -413,7 +438,7 @@ SCHEMA = 1
 class Reproduction(NamedTuple):
     """The result: `numbers` is in SI, and equal for equal seeds."""
 
-    page: Page
+    page: Report
     numbers: dict[str, Any]
 
 
@@ -421,15 +446,18 @@ def reproduce_paper(
     parts: Sequence[str], seed: int, progress: Callable[[str], None] = lambda name: None
 ) -> Reproduction:
     """Simulate and lay out these of `PARTS`; `progress` gets the name of each as it begins."""
-    page = Page(
+    page = Report(
         "The paper, reproduced",
-        "Modeling of Pneumatic Artificial Muscle with Kinetic Friction and Sliding Mode Control",
-        numbered=False,
+        subtitle="Modeling of Pneumatic Artificial Muscle with Kinetic Friction and Sliding Mode "
+        "Control",
+        numbers_figures=False,
     )
-    page.text(
-        f"Made by pamctl {__version__}, seed {seed}: the tick of the loop on the simulated rig, "
-        "with an encoder of 3.175 µm per count and 300 Pa of pressure noise. Errors are measured "
-        "displacement minus reference."
+    page.add(
+        Text(
+            f"Made by pamctl {__version__}, seed {seed}: the tick of the loop on the simulated "
+            "rig, with an encoder of 3.175 µm per count and 300 Pa of pressure noise. Errors are "
+            "measured displacement minus reference."
+        )
     )
     numbers: dict[str, Any] = {"schema": SCHEMA, "version": __version__, "seed": seed}
     for name in parts:

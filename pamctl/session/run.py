@@ -187,27 +187,29 @@ class Run:
     def report(self, path: str | Path) -> Path:
         """Write the page of `pamctl report`; raise `PamctlError` where it cannot be written."""
         from pamctl.new_file import write_files
+        from pamctl.report.html_page import write_html
         from pamctl.report.run_page import compose_report
 
         target = Path(path)
         with translate_errors():
-            write_files({target: compose_report([self.log]).html()})
+            write_files({target: write_html(compose_report([self.log]))})
         return target
 
     def _repr_html_(self) -> str:
         """Return figures and pictures of the report, which a notebook shows."""
-        from pamctl.report.html_page import Page
+        from pamctl.report.html_page import write_html
+        from pamctl.report.report import Report
         from pamctl.report.reported_run import name_runs
         from pamctl.report.run_motion import write_motion
         from pamctl.report.run_page import write_summary
 
         runs = name_runs([self.log])
-        page = Page(runs[0].name, self.ending.reason)
+        page = Report(runs[0].name, subtitle=self.ending.reason)
         write_summary(page, runs)
         if len(self):
             write_motion(page, runs)
         # In a frame of its own, the page's style changes nothing of the notebook.
         return (
-            f'<iframe srcdoc="{escape(page.html())}" style="width:100%; border:0" '
+            f'<iframe srcdoc="{escape(write_html(page))}" style="width:100%; border:0" '
             f'height="{_PICTURE_HEIGHT_PX}"></iframe>'
         )

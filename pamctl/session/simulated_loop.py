@@ -22,9 +22,8 @@ from pamctl.processes.run_once import make_run_meta, new_ring_path
 from pamctl.realtime.loop import ControlLoop
 from pamctl.realtime.steering import SteeredProgram
 from pamctl.recording.drain import record_run
+from pamctl.recording.journal import SessionJournal, wait_for_recorder
 from pamctl.recording.ring import RecorderFlag, Ring, RingError, RingFull
-from pamctl.recording.run_journal import wait_for_recorder
-from pamctl.recording.session_journal import SessionJournal
 from pamctl.session.held_ctrl_c import hold_back_ctrl_c
 from pamctl.settings.build import build_ordered_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings

@@ -13,9 +13,7 @@ from pamctl.control.experiment import SequenceSettings, plan_experiment
 from pamctl.control.forms import Form
 from pamctl.control.law_registry import read_controller
 from pamctl.plant.model import plant_parameters
-from pamctl.plant.paper.muscle import braid_lever_m, force_area_m2, volume_m3
-from pamctl.plant.paper.valve import valve_flow
-from pamctl.plant.parameters import PaperParameters
+from pamctl.plant.paper import PaperParameters, braid_lever_m, force_area_m2, valve_flow, volume_m3
 from pamctl.realtime.gain_ramp import GainRampError, require_blendable
 from pamctl.settings.resolve import RunSettings
 from pamctl.signals import Reference

@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 from pamctl.compensation.around_the_law import Compensation, limit_slope, list_wanted_v
 from pamctl.control.law import LawSettings
-from pamctl.plant.catalogue import CATALOGUE
-from pamctl.plant.chains import Effects, undo_reading, undo_valve_v
+from pamctl.plant.catalogue import CATALOGUE, Effects, undo_reading, undo_valve_v
 from pamctl.plant.effects.description import acts
 from pamctl.plant.model import PlantSettings, plant_parameters, values_of
 from pamctl.settings.rig_file import RigFile

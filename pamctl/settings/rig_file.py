@@ -17,7 +17,7 @@ from hal.calibration import CalibrationSettings
 from hal.configured import Configured
 from hal.faulty import FaultSettings
 from pamctl.control.homing import HomingSettings
-from pamctl.realtime.loop_settings import LoopSettings
+from pamctl.realtime.clock import LoopSettings
 from pamctl.safety import LimitSettings
 
 SafeVolts = Annotated[

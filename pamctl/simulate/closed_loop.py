@@ -1,6 +1,7 @@
 """The closed loop as one batch: `run_ticks` over a simulated rig, with a table of references.
 
-A test compares it with the loop process tick by tick. Tuning and diagnosis run on it.
+A test compares it with the loop process tick by tick. Tuning and diagnosis run on it, and
+`simulate_run` is a run of `pamctl run` on it, with its figures.
 """
 
 from __future__ import annotations
@@ -13,13 +14,16 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hal.calibration import output_v, valve_v
 from hal.converter import quantise_v
-from hal.sim.sim_rig import SensorChain
+from hal.sim.sim_rig import SensorChain, SimSettings, sensor_chain
 from pamctl.control.course import Course, Segment
+from pamctl.control.experiment import plan_experiment
 from pamctl.kernel.calls import recall
 from pamctl.kernel.layout import Rows
+from pamctl.plant.model import plant_parameters
 from pamctl.plant.parameters import PlantParameters, vented_state
 from pamctl.plant.simulated import LONGEST_STEP_S, OnTheWay, make_line
 from pamctl.realtime.run_ticks import (
@@ -33,10 +37,12 @@ from pamctl.realtime.run_ticks import (
 )
 from pamctl.realtime.tick import TickSetup, first_state
 from pamctl.realtime.tick_runner import UPDATES
-from pamctl.recording.ring import TickRow, make_rows
-from pamctl.recording.rows import row_dtype
+from pamctl.recording.rows import TickRow, make_rows, row_dtype
+from pamctl.settings.build import build_tick_setup
+from pamctl.settings.resolve import RunSettings
 from pamctl.signals import Reference, list_tick_fields
 from pamctl.simulate.many_ticks import draw_deviates
+from pamctl.simulate.merit import Merit, compute_merit
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -165,3 +171,63 @@ def _keep_columns(buffer: Rows[TickRow], rows: Floats, compensates: bool) -> Non
 @lru_cache
 def _find_dtype(compensates: bool) -> np.dtype[Any]:
     return row_dtype(list_tick_fields(compensates), None)
+
+
+@dataclass(frozen=True)
+class SimulatedRun:
+    """A simulated run from the vented muscle, without homing."""
+
+    settings: RunSettings
+    run: BatchRun
+    t_s: Floats
+    """Time of each tick, as long as the columns of the run."""
+
+    def __getitem__(self, column: str) -> Floats:
+        """Return a column of `pamctl.simulate.closed_loop.BatchRow`, or of `Reference`."""
+        return self.run[column]
+
+    @property
+    def tripped_s(self) -> float | None:
+        """Time at which safety ended the run; None if it did not."""
+        return None if self.run.tripped_tick < 0 else float(self.t_s[-1])
+
+    @property
+    def error_m(self) -> Floats:
+        """Measured displacement minus reference; NaN in open loop."""
+        return self.run["position_m"] - self.run["reference_m"]
+
+    def merit(self) -> Merit | None:
+        """Return the figures of merit; None if safety ended the run, or nothing was tracked."""
+        if self.run.tripped_tick >= 0:
+            return None
+        return compute_merit(self.t_s, self.run["phase"].astype(np.int64), self.error_m)
+
+
+def simulate_run(settings: RunSettings) -> SimulatedRun:
+    """Simulate a run; raise ValueError if the rig is not a simulated one."""
+    rig, sim = settings.rig, settings.rig.device_settings
+    if not isinstance(sim, SimSettings):
+        raise ValueError("only a simulated rig can be run as a batch")
+    period_s = 1.0 / rig.loop.rate_hz
+    table = _tabulate(plan_experiment(settings.experiment).segments, period_s, settings.duration_s)
+    run = simulate(
+        build_tick_setup(settings),
+        plant_parameters(settings.plant),
+        sensor_chain(sim, rig.calibration),
+        table,
+        _draw_noise(len(table), settings.seed),
+        period_s=period_s,
+        output_delay_ticks=sim.output_delay_ticks,
+    )
+    return SimulatedRun(settings, run, np.arange(len(run.rows), dtype=np.float64) * period_s)
+
+
+# Both are computed in plain Python, which takes longer than a run, so runs share them.
+@lru_cache(maxsize=8)
+def _tabulate(course: tuple[Segment, ...], period_s: float, duration_s: float | None) -> Floats:
+    return tabulate_references(course, period_s, duration_s)
+
+
+@lru_cache(maxsize=8)
+def _draw_noise(ticks: int, seed: int) -> Floats:
+    return draw_sensor_noise(ticks, seed)

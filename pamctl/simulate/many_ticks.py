@@ -27,7 +27,7 @@ from pamctl.realtime.run_ticks import (
 )
 from pamctl.realtime.tick import TickSetup, first_state
 from pamctl.realtime.tick_runner import UPDATES, TickRunner
-from pamctl.recording.ring import ROW_BYTES, make_rows
+from pamctl.recording.rows import ROW_BYTES, make_rows
 
 MOST_TICKS = 1000
 

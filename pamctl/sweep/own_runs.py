@@ -8,7 +8,7 @@ from pathlib import Path
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log.annotation import SWEEP, Annotation
 from pamctl.log.run_meta import bare_name, make_dated_path
-from pamctl.processes.front import restore_signals
+from pamctl.processes.interrupts import restore_signals
 from pamctl.processes.run_once import run_once
 from pamctl.report.progress_line import ProgressLine
 from pamctl.settings.resolve import RunSettings, settings_to_data

@@ -23,10 +23,10 @@ from numpy.random import Generator, default_rng
 
 from pamctl.control.experiment import TrackingSettings
 from pamctl.plant.model import PlantSettings, plant_parameters
-from pamctl.plant.paper.muscle import braid_lever_m, force_area_m2
+from pamctl.plant.paper import braid_lever_m, force_area_m2
 from pamctl.settings.resolve import RunSettings, resolve
 from pamctl.signals import Phase
-from pamctl.simulate.batch import SimulatedRun, simulate_run
+from pamctl.simulate.closed_loop import SimulatedRun, simulate_run
 from pamctl.simulate.merit import TABLE_IV, compute_merit
 
 PARAMETER_TOLERANCE = 0.2

@@ -15,7 +15,7 @@ from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.drive import drive_coupled, drive_mechanics
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.settings.resolve import read_section_file, resolve
-from pamctl.simulate.batch import simulate_run
+from pamctl.simulate.closed_loop import simulate_run
 
 CHAMBER = "actuator: chamber\nchamber_volume_m3: 1.0e-3\n"
 AXIS = """

@@ -17,8 +17,8 @@ from pamctl.compare.comparison import compare_model, measure_gap, split_regimes
 from pamctl.log import LogError, read, signals
 from pamctl.log.importing.imported_log import write_imported
 from pamctl.plant.drive import drive_coupled, drive_pressure
-from pamctl.plant.flat import parameters_of
 from pamctl.plant.model import PlantSettings, plant_parameters
+from pamctl.plant.parameters import parameters_of
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 PAPER = parameters_of({})

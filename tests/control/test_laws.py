@@ -28,7 +28,7 @@ from pamctl.control.qsmc import QsmcSettings
 from pamctl.control.sliding import Absement
 from pamctl.control.smc import SmcSettings, linearise_model
 from pamctl.plant.model import PlantSettings, plant_parameters
-from pamctl.realtime.keyframe import freeze_state
+from pamctl.realtime.tick import freeze_state
 from pamctl.signals import Command, Estimate, Phase, Reference
 
 NAN = math.nan

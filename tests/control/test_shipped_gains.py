@@ -10,7 +10,7 @@ import pytest
 
 from pamctl.settings.config_files import find_config_file
 from pamctl.settings.resolve import resolve
-from pamctl.simulate.batch import simulate_run
+from pamctl.simulate.closed_loop import simulate_run
 from pamctl.simulate.merit import TABLE_IV, Merit
 from pamctl.tune import GainsTrial, make_fixed_members
 

@@ -11,8 +11,8 @@ from support.made_records import names_of, numbers_of
 
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose
 from pamctl.plant.drive import Restarts, drive_mechanics
-from pamctl.plant.flat import parameters_of
 from pamctl.plant.model import PlantSettings
+from pamctl.plant.parameters import parameters_of
 
 WIDTH_M = 0.25e-3
 MASS_KG, DAMPING = 2.4, 31.0

@@ -19,7 +19,7 @@ from pamctl.diagnose.report.next_experiment import write_command
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
 from pamctl.settings.resolve import resolve
-from pamctl.simulate.batch import SimulatedRun, simulate_run
+from pamctl.simulate.closed_loop import SimulatedRun, simulate_run
 
 WHOLE_PROGRAM = "diagnosis"
 """Recommended where a discrepancy has no name."""

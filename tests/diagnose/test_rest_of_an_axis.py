@@ -12,7 +12,7 @@ from support.command_line import run_pamctl
 
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.drive import drive_mechanics
-from pamctl.plant.flat import parameters_of
+from pamctl.plant.parameters import parameters_of
 
 MASS_KG, COULOMB_N, NOISE_N = 10.0, 18.0, 0.5
 STILL_S, LASTS_S, PERIOD_S = 4.0, 16.0, 1e-3

@@ -48,13 +48,10 @@ from pamctl.kernel.calls import make_frame
 from pamctl.kernel.expressions import NotInC
 from pamctl.kernel.layout import NotKernelData
 from pamctl.plant.catalogue import CATALOGUE, WITH_TERMS
-from pamctl.plant.delayed_command import advance_delayed_plant
-from pamctl.plant.flat import PAPER, parameters_of
-from pamctl.plant.parameters import PlantParameters, vented_state
-from pamctl.plant.sensing import sensed_position_m, sensed_pressure_pa
-from pamctl.plant.step import advance_plant
-from pamctl.plant.terms.locations import LOCATIONS
-from pamctl.plant.terms.operators import DRIVERS, OPERATORS, Terms
+from pamctl.plant.parameters import PAPER, PlantParameters, parameters_of, vented_state
+from pamctl.plant.simulated import advance_delayed_plant
+from pamctl.plant.step import advance_plant, sensed_position_m, sensed_pressure_pa
+from pamctl.plant.terms import DRIVERS, LOCATIONS, OPERATORS, Terms
 from pamctl.realtime.tick import TickSetup, TickState, first_state, step
 from pamctl.settings.build import build_tick_setup
 from pamctl.signals import Phase, Reference, Timing

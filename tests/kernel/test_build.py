@@ -139,7 +139,7 @@ def test_another_pamctl_has_machine_code_of_its_own(place: Place, tmp_path: Path
         shutil.copytree(ROOT / package, own / package, ignore=skipped)
     paths = {"PYTHONPATH": os.pathsep.join((str(own), str(Path(__file__).parent)))}
     place.run(**paths)
-    with (own / "pamctl" / "plant" / "paper" / "valve.py").open("a") as file:
+    with (own / "pamctl" / "plant" / "paper.py").open("a") as file:
         file.write("\nMORE = 1\n")
     for _ in range(2):
         assert place.run(**paths) == (f"{RIGHT} native", "")

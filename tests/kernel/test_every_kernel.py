@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from pamctl.control.law_registry import installed_laws
 from pamctl.kernel.build import find_compiler
 from pamctl.kernel.c_source import BOOL, FLOAT, INT, CType
-from pamctl.plant import chains
+from pamctl.plant import catalogue
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.realtime.tick import step
 from pamctl.safety import admit
@@ -53,7 +53,7 @@ def test_the_kernels_of_all_rooms_are_found(variants: list[Variant]) -> None:
     assert {entry.kernel for entry in entries if entry.place != "numbers"} <= found
     assert {entry.memory.follow for entry in entries if entry.memory} <= found
     assert {law.kernel for law in installed_laws().values()} <= found
-    composed = {its for its in vars(chains).values() if getattr(its, "source", None)}
+    composed = {its for its in vars(catalogue).values() if getattr(its, "source", None)}
     assert composed
     assert composed <= found
     assert {step, admit} <= found

@@ -30,7 +30,7 @@ from pamctl.monitor.monitor_handle import format_alarm, format_monitor
 from pamctl.monitor.watch_run import LEARN_S, RunWatch
 from pamctl.settings.resolve import resolve
 from pamctl.signals import Phase
-from pamctl.simulate.batch import simulate_run
+from pamctl.simulate.closed_loop import simulate_run
 
 PLANT = "paper"
 LESS_FRICTION = "plant.parameters.kinetic_friction_per_m=50"

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pamctl.plant.axis.required_force import required_force_n
 from pamctl.plant.drive import drive_mechanics
-from pamctl.plant.flat import parameters_of
-from pamctl.plant.parameters import rest_state
+from pamctl.plant.parameters import parameters_of, rest_state
+from pamctl.plant.required_force import required_force_n
 
 TICK_S = 1e-3
 ATMOSPHERE_PA = 101.3e3

@@ -8,8 +8,7 @@ from typing import NamedTuple
 import pytest
 
 from pamctl.plant import catalogue
-from pamctl.plant.catalogue import CATALOGUE, check_effect, load_effects
-from pamctl.plant.chains import order_entries
+from pamctl.plant.catalogue import CATALOGUE, check_effect, load_effects, order_entries
 from pamctl.plant.effects.description import EffectEntry, EffectForm, EffectMemory
 
 

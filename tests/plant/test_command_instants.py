@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from pamctl.plant import drive
 from pamctl.plant.drive import build_grid, build_steps, drive_coupled, drive_pressure
-from pamctl.plant.flat import parameters_of
+from pamctl.plant.parameters import parameters_of
 from pamctl.plant.simulated import SimulatedPlant
 
 TICK_S = 1e-3

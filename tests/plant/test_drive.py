@@ -17,11 +17,9 @@ from pamctl.plant.drive import (
     drive_mechanics,
     drive_pressure,
 )
-from pamctl.plant.flat import parameters_of
 from pamctl.plant.model import PlantSettings, plant_parameters, settings_of, values_of
-from pamctl.plant.paper.mechanics import mechanics_step
-from pamctl.plant.paper.pressure import middle_pressure_pa
-from pamctl.plant.parameters import vented_state
+from pamctl.plant.paper import mechanics_step, middle_pressure_pa
+from pamctl.plant.parameters import parameters_of, vented_state
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.plant.step import plant_step, pressure_block_step
 

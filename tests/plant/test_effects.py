@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,9 +19,8 @@ from pamctl.plant import drive, effects
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.drive import drive_coupled, drive_mechanics, drive_pressure
 from pamctl.plant.effects.description import EffectParameter
-from pamctl.plant.flat import NEUTRAL, parameters_of
 from pamctl.plant.model import PlantSettings, plant_parameters, settings_of, values_of
-from pamctl.plant.parameters import PlantParameters
+from pamctl.plant.parameters import NEUTRAL, PlantParameters, parameters_of
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.settings.resolve import resolve
 
@@ -209,10 +209,12 @@ def test_a_simulated_rig_reads_what_the_sensors_show() -> None:
 # --- descriptions -------------------------------------------------------------------------------
 
 
-def test_every_file_of_an_effect_is_in_the_catalogue() -> None:
+def test_every_record_of_an_effect_is_in_the_catalogue() -> None:
     folder = Path(str(effects.__file__)).parent
-    files = {path.stem for path in folder.glob("*/[!_]*.py")}
-    assert files == {*CATALOGUE}
+    text = "".join(path.read_text("utf-8") for path in folder.glob("*.py"))
+    assert {*re.findall(r"^(\w+) = EffectDescription\(", text, re.M)} == {
+        *map(str.upper, CATALOGUE)
+    }
     assert [name for name, e in CATALOGUE.items() if e.unidentifiable] == ["moving_mass"]
     by_term = {name for name, e in CATALOGUE.items() if any(t.numbers for t in e.as_terms)}
     assert {name for name, e in CATALOGUE.items() if not e.is_searched} == {"drift", *by_term}

@@ -15,7 +15,7 @@ from support.equations.effect_equations import Mechanics, solve_pressure
 
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.drive import drive_mechanics, drive_pressure
-from pamctl.plant.flat import parameters_of
+from pamctl.plant.parameters import parameters_of
 
 TICK_S = 1e-3
 TICKS = 360
@@ -190,7 +190,7 @@ def test_the_encoder_shows_a_scaled_position_with_a_play() -> None:
 
 @pytest.mark.parametrize("shift", [-0.328, -0.228, -0.1])
 def test_the_moved_nozzle_is_near_iso_6358s_ellipse(shift: float) -> None:
-    from pamctl.plant.effects.air.discharge_ratio import DischargeRatio, nozzle_ratio
+    from pamctl.plant.effects.air import DischargeRatio, nozzle_ratio
 
     b = paper.CRITICAL_RATIO + shift
     for ratio in np.linspace(0.05, 0.999, 60).tolist():

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from pamctl.plant.axis.required_force import required_force_n
-from pamctl.plant.flat import parameters_of
+from pamctl.plant.parameters import parameters_of
+from pamctl.plant.required_force import required_force_n
 
 FOLDER = os.environ.get("PAMCTL_MEASURED_DATA", "")
 FOUND = [

@@ -110,7 +110,7 @@ with warnings.catch_warnings(record=True) as warned:
 import numpy as np
 from pamctl.diagnose import diagnose
 from pamctl.plant import drive
-from pamctl.plant.flat import parameters_of
+from pamctl.plant.parameters import parameters_of
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.settings.resolve import resolve
 from support.made_records import pair

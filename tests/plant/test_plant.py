@@ -25,11 +25,19 @@ from pamctl.plant.model import (
     settings_of,
     values_of,
 )
-from pamctl.plant.paper.friction import AxialForces, axial_forces
-from pamctl.plant.paper.mechanics import mechanics_step, slide
-from pamctl.plant.paper.muscle import braid_lever_m, force_area_m2, volume_m3
-from pamctl.plant.paper.pressure import middle_pressure_pa, pressure_step
-from pamctl.plant.paper.valve import orifice_flow, valve_flow
+from pamctl.plant.paper import (
+    AxialForces,
+    axial_forces,
+    braid_lever_m,
+    force_area_m2,
+    mechanics_step,
+    middle_pressure_pa,
+    orifice_flow,
+    pressure_step,
+    slide,
+    valve_flow,
+    volume_m3,
+)
 from pamctl.plant.parameters import PlantState, vented_state
 from pamctl.plant.step import advance_plant, plant_step
 from pamctl.settings.resolve import resolve

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pamctl.plant.drive import build_grid, drive_coupled, drive_pressure
-from pamctl.plant.flat import parameters_of
 from pamctl.plant.model import PlantSettings, values_of
+from pamctl.plant.parameters import parameters_of
 
 PLANT = values_of(PlantSettings())
 AREAS_M2 = (1e-14, 1e-12, 1e-10)

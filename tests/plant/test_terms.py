@@ -7,13 +7,19 @@ import pytest
 from pydantic import ValidationError
 from scipy.integrate import solve_ivp
 
-from pamctl.plant.drive import build_grid, drive_coupled, drive_mechanics, drive_pressure
-from pamctl.plant.flat import parameters_of
+from pamctl.plant.drive import drive_coupled, drive_mechanics, drive_pressure
 from pamctl.plant.model import PlantSettings, plant_parameters, settings_of, values_of
-from pamctl.plant.paper.muscle import force_area_m2
-from pamctl.plant.terms.locations import LOCATIONS
-from pamctl.plant.terms.operators import DRIVERS, OPERATORS, REFERENCES, PlantTerm, Terms
-from pamctl.plant.terms.tangents import PressureTangent, answer_pushes, trace_shape
+from pamctl.plant.paper import force_area_m2
+from pamctl.plant.parameters import parameters_of
+from pamctl.plant.terms import (
+    DRIVERS,
+    OPERATORS,
+    REFERENCES,
+    PlantTerm,
+    TermMemory,
+    follow_value,
+    shape_of,
+)
 
 TICK_S = 1e-3
 TIMES_S = np.arange(1500) * TICK_S
@@ -37,7 +43,16 @@ STEPS_S = np.full(len(TIMES_S) - 1, TICK_S)
 
 def trace(operator: str, driver: str = "position", **numbers: float) -> np.ndarray:
     term = PlantTerm(1.0, 0.0, OPERATORS.index(operator), DRIVERS.index(driver), **numbers)
-    return trace_shape(term, WAY_M, STEPS_S)
+    return trace_shape(term)
+
+
+def trace_shape(term: PlantTerm, slower: float = 1.0) -> np.ndarray:
+    memory, begin, shape = TermMemory(), WAY_M[0], []
+    for end, step_s in zip(WAY_M, [STEPS_S[0], *STEPS_S], strict=False):
+        memory = follow_value(term, memory, begin, end, slower * step_s)
+        shape.append(shape_of(term, end, memory))
+        begin = end
+    return np.array(shape)
 
 
 def test_a_static_operator_is_its_formula() -> None:
@@ -74,7 +89,7 @@ def test_a_hysteresis_remembers_its_last_reversal_whatever_the_rate() -> None:
     expected = -1.0 + (kept[first] + 1.0) * np.exp(-back_m / 2e-3)
     np.testing.assert_allclose(kept[first : second + 1], expected, atol=1e-9)
     slow = PlantTerm(1.0, 0.0, OPERATORS.index("hysteresis"), DRIVERS.index("position"), 2e-3)
-    np.testing.assert_allclose(trace_shape(slow, WAY_M, 7.0 * STEPS_S), kept)
+    np.testing.assert_allclose(trace_shape(slow, 7.0), kept)
 
 
 def test_a_slew_limit_bounds_the_rate_and_a_play_the_distance() -> None:
@@ -197,24 +212,6 @@ def test_a_reading_without_its_term_is_found_again() -> None:
     paper = drive_mechanics(parameters_of({}), coupled.pressure_pa, TICK_S)
     wrong_m = np.abs(paper.position_m - coupled.position_m).max()
     assert np.abs(alone.position_m - coupled.position_m).max() < 0.05 * wrong_m
-
-
-def test_tangents_answer_as_the_plant_does() -> None:
-    """Away from the ends of the pressure, where a flow ends within a step."""
-    volts = 0.6 * np.sin(9.0 * TIMES_S) + 0.3 * np.sign(np.sin(40.0 * TIMES_S)) + 0.1
-    grid = build_grid(TICK_S, len(volts))
-    push = Terms()._replace(air=PlantTerm(2e3, float([*LOCATIONS].index("supply"))))
-    p = parameters_of({})
-    coupled = drive_coupled(p, volts, grid)
-    tangent = PressureTangent(p, volts, coupled.position_m, grid, p.atmospheric_pressure_pa)
-    plain, rising = (
-        drive_pressure(parameters_of(values), volts, coupled.position_m, grid).pressure_pa
-        for values in ({}, flat("supply", "gain", "time", size=2e3))
-    )
-    answer = answer_pushes(tangent.kept, tangent.find_push(push), TIMES_S[None])[0]
-    exact = rising - plain
-    assert float(answer @ exact) / np.linalg.norm(answer) / np.linalg.norm(exact) > 0.999
-    assert np.linalg.norm(answer) == pytest.approx(float(np.linalg.norm(exact)), rel=0.01)
 
 
 def test_the_pressure_block_alone_has_the_terms_of_the_coupled_plant() -> None:

@@ -13,12 +13,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from pamctl.plant.catalogue import CATALOGUE
-from pamctl.plant.chains import Effects
-from pamctl.plant.effects.valve.valve_spool import DESCRIPTION, ValveSpool, spool_step
+from pamctl.plant.catalogue import CATALOGUE, Effects
+from pamctl.plant.effects.valve import VALVE_SPOOL, ValveSpool, spool_step
 from pamctl.plant.model import PlantSettings, plant_parameters
-from pamctl.plant.paper.mechanics import mechanics_step
-from pamctl.plant.paper.pressure import middle_pressure_pa, pressure_step
+from pamctl.plant.paper import mechanics_step, middle_pressure_pa, pressure_step
 from pamctl.plant.parameters import vented_state
 from pamctl.plant.step import plant_step
 
@@ -174,8 +172,8 @@ def test_the_flow_of_a_step_is_that_of_the_spool_in_its_middle() -> None:
 
 
 def test_the_catalogue_describes_the_spool_as_its_kernel_takes_it() -> None:
-    assert CATALOGUE["valve_spool"] is DESCRIPTION
-    neutral = ValveSpool(**{p.name: p.neutral for p in DESCRIPTION.parameters})
+    assert CATALOGUE["valve_spool"] is VALVE_SPOOL
+    neutral = ValveSpool(**{p.name: p.neutral for p in VALVE_SPOOL.parameters})
     assert neutral == ValveSpool() == Effects().valve.valve_spool
-    for parameter in DESCRIPTION.parameters:
+    for parameter in VALVE_SPOOL.parameters:
         assert parameter.low <= parameter.neutral <= parameter.high

@@ -7,7 +7,7 @@ from support.equations import paper_equations as paper
 from support.equations.effect_equations import Hidden, jet, room
 
 from pamctl.plant.drive import drive_pressure
-from pamctl.plant.flat import parameters_of
+from pamctl.plant.parameters import parameters_of
 
 TICK_S, GAMMA = 1e-3, 1.4
 COMMAND_V = np.repeat([2.0, 0.0, -1.0, 1.5, 0.0], [60, 240, 120, 60, 320])

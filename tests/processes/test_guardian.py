@@ -29,7 +29,7 @@ from pamctl.processes.guardian import (
     patience_ns,
 )
 from pamctl.processes.guardian_handle import Guardianship
-from pamctl.realtime.loop_settings import LoopSettings
+from pamctl.realtime.clock import LoopSettings
 from pamctl.recording.ring import LoopStage, Ring
 from pamctl.settings.resolve import ConfigError, resolve
 

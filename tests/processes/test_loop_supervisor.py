@@ -12,7 +12,7 @@ import pytest
 from support.made_up import meta
 
 from pamctl.processes.loop_supervisor import LoopSupervisor
-from pamctl.realtime.loop_settings import LoopSettings
+from pamctl.realtime.clock import LoopSettings
 from pamctl.recording.ring import RecorderFlag, Ring
 
 

@@ -22,7 +22,7 @@ from pamctl.processes import guardian, guardian_handle
 from pamctl.processes.guardian import Silence, Takeover
 from pamctl.processes.guardian_handle import Guardianship
 from pamctl.processes.loop_supervisor import LoopSupervisor
-from pamctl.realtime.loop_settings import LoopSettings
+from pamctl.realtime.clock import LoopSettings
 from pamctl.recording.ring import LoopStage, RecorderFlag, Ring
 
 MS = 1_000_000

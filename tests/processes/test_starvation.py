@@ -15,8 +15,7 @@ import pytest
 from support.made_up import meta
 from support.patience import PATIENCE_S
 
-from pamctl.processes.guardian import Silence
-from pamctl.processes.starvation import CpuBooks
+from pamctl.processes.guardian import CpuBooks, Silence
 from pamctl.recording.ring import LoopStage, Ring
 
 MS = 1_000_000

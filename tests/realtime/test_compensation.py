@@ -17,11 +17,10 @@ from pamctl.cli.app import app
 from pamctl.compensation.around_the_law import Compensation, compensate_command, find_command_v
 from pamctl.control.course import make_valve_reference
 from pamctl.log.reader import read
-from pamctl.plant.chains import Effects, pass_command, pass_opening
+from pamctl.plant.catalogue import Effects, pass_command, pass_opening
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import vented_state
-from pamctl.realtime.keyframe import freeze_state, keyframe_fields, thaw_state
-from pamctl.realtime.tick import first_state
+from pamctl.realtime.tick import first_state, freeze_state, keyframe_fields, thaw_state
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.known_effects import STEEPEST, build_compensation, list_undoable
 from pamctl.settings.problems import ConfigError

@@ -22,8 +22,8 @@ from hal.faulty import FaultSettings
 from hal.rig import RigError
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.realtime import loop, run_ticks
-from pamctl.realtime.keyframe import keyframe_fields
 from pamctl.realtime.loop import KEYFRAME_TICKS
+from pamctl.realtime.tick import keyframe_fields
 from pamctl.safety import (
     ENCODER_JUMP,
     MEASUREMENT_NOT_FINITE,

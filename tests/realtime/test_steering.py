@@ -18,8 +18,9 @@ from pamctl.realtime.run_ticks import start_loop
 from pamctl.realtime.steering import SteeredProgram
 from pamctl.realtime.tick import first_state
 from pamctl.realtime.tick_runner import TickRunner
-from pamctl.recording.ring import LoopStage, Ring, RowKind
-from pamctl.recording.session_journal import SessionJournal
+from pamctl.recording.journal import SessionJournal
+from pamctl.recording.ring import LoopStage, Ring
+from pamctl.recording.rows import RowKind
 from pamctl.settings.build import build_ordered_program, build_tick_setup
 from pamctl.settings.resolve import resolve
 from pamctl.signals import TickRecord
@@ -106,7 +107,7 @@ def make_ring(folder: Path, name: str) -> Ring:
 
 
 def _frozen() -> tuple[float, ...]:
-    from pamctl.realtime.keyframe import freeze_state
+    from pamctl.realtime.tick import freeze_state
 
     return tuple(freeze_state(STATE))
 

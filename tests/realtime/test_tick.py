@@ -14,8 +14,16 @@ from support.runs import run_settings
 from hal.calibration import Zero
 from hal.rig import RawSample
 from pamctl.control.course import make_valve_reference
-from pamctl.realtime.keyframe import freeze_state, keyframe_fields, thaw_state
-from pamctl.realtime.tick import TickSetup, TickState, first_state, measure, step
+from pamctl.realtime.tick import (
+    TickSetup,
+    TickState,
+    first_state,
+    freeze_state,
+    keyframe_fields,
+    measure,
+    step,
+    thaw_state,
+)
 from pamctl.safety import MEASUREMENT_NOT_FINITE, SENSOR_RANGE
 from pamctl.settings.build import build_tick_setup
 from pamctl.signals import TICK_FIELDS, Decision, Phase, Reference, TickRecord, Timing

@@ -13,8 +13,13 @@ from pamctl.kernel.calls import PlainCall
 from pamctl.processes import loop_main
 from pamctl.realtime import run_ticks
 from pamctl.realtime.tick import step
-from pamctl.realtime.tick_cost import BUSY_SHARE, LIVE_FACTOR, TickCost, rehearse_tick_s
-from pamctl.realtime.tick_runner import TickRunner
+from pamctl.realtime.tick_runner import (
+    BUSY_SHARE,
+    LIVE_FACTOR,
+    TickCost,
+    TickRunner,
+    rehearse_tick_s,
+)
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.resolve import resolve
 

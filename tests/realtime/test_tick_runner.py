@@ -21,8 +21,8 @@ from pamctl.kernel.calls import NativeCall, PlainCall
 from pamctl.kernel.expressions import NotInC
 from pamctl.log.reader import read
 from pamctl.realtime.clock import Wake
-from pamctl.realtime.cued_helm import CuedHelm
 from pamctl.realtime.loop import ControlLoop
+from pamctl.realtime.program import CuedHelm
 from pamctl.realtime.tick import TickSetup, first_state
 from pamctl.realtime.tick_runner import TickRunner
 from pamctl.recording.ring import Ring

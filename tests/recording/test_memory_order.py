@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 from support.made_up import columns, meta, put, tick
 
-from pamctl.recording import memory_order, ring
-from pamctl.recording.memory_order import MemoryOrderError, choose_barrier
-from pamctl.recording.ring import Ring, RingError
+from pamctl.recording import ring
+from pamctl.recording.ring import MemoryOrderError, Ring, RingError, choose_barrier
 
 ROWS = 64
 linux_only = pytest.mark.skipif(sys.platform != "linux", reason="only Linux has membarrier")
@@ -25,7 +24,7 @@ def test_only_x86_goes_without_a_barrier() -> None:
     if platform.machine() == "x86_64":
         # The number of x86 stands in for the other machine's: this kernel knows no other.
         with pytest.MonkeyPatch.context() as patch:
-            patch.setitem(memory_order._MEMBARRIER, "aarch64", memory_order._MEMBARRIER["x86_64"])
+            patch.setitem(ring._MEMBARRIER, "aarch64", ring._MEMBARRIER["x86_64"])
             assert choose_barrier("aarch64") is not in_order
 
 
@@ -43,7 +42,7 @@ def test_a_big_endian_machine_is_refused() -> None:
 
 @linux_only
 def test_a_kernel_that_refuses_the_barrier_is_said_so(monkeypatch) -> None:
-    monkeypatch.setitem(memory_order._MEMBARRIER, "aarch64", 100_000)  # no such system call
+    monkeypatch.setitem(ring._MEMBARRIER, "aarch64", 100_000)  # no such system call
     with pytest.raises(MemoryOrderError, match="aarch64 reorders stores, and membarrier failed: "):
         choose_barrier("aarch64")
 
@@ -51,10 +50,10 @@ def test_a_kernel_that_refuses_the_barrier_is_said_so(monkeypatch) -> None:
 @pytest.fixture
 def barriers(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """This machine as one that reorders: the kernel's real barrier, by this machine's number."""
-    own = memory_order._MEMBARRIER.get(platform.machine())
+    own = ring._MEMBARRIER.get(platform.machine())
     if sys.platform != "linux" or own is None:
         pytest.skip("needs membarrier")
-    monkeypatch.setitem(memory_order._MEMBARRIER, "weakly-ordered", own)
+    monkeypatch.setitem(ring._MEMBARRIER, "weakly-ordered", own)
     barrier = choose_barrier("weakly-ordered")
     called: list[str] = []
 

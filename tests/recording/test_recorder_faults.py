@@ -113,7 +113,7 @@ def test_a_log_that_is_finished_twice_has_nothing_twice(log):
 FINISH = """
 import sys
 from pamctl.recording.finish_from_ring import finish_from_ring
-import pamctl.recording.rows
+import pamctl.recording.drain
 print("ready", flush=True)
 finish_from_ring(sys.argv[1])
 """

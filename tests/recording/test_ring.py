@@ -18,15 +18,8 @@ import pytest
 from support.made_up import START_MONO_NS, columns, meta, put, tick
 from support.runs import pack_row
 
-from pamctl.recording.ring import (
-    PAYLOAD_BYTES,
-    RecorderFlag,
-    Ring,
-    RingError,
-    RingFull,
-    RowKind,
-    tick_struct,
-)
+from pamctl.recording.ring import RecorderFlag, Ring, RingError, RingFull
+from pamctl.recording.rows import PAYLOAD_BYTES, RowKind, tick_struct
 from pamctl.signals import TICK_FIELDS
 
 ROWS = 64

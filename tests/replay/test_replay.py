@@ -38,9 +38,9 @@ from pamctl.log import Log, read
 from pamctl.log.importing.imported_log import write_imported
 from pamctl.log.recover import recover_file
 from pamctl.log.schema import CUT
-from pamctl.plant.paper import muscle, valve
+from pamctl.plant import paper
 from pamctl.realtime import tick
-from pamctl.realtime.keyframe import freeze_state
+from pamctl.realtime.tick import freeze_state
 from pamctl.replay import NotReplayable, list_compared_fields, read_replay_source, replay_log
 from pamctl.replay.course_kernel import trace_course
 from pamctl.replay.differences import find_differing
@@ -313,8 +313,8 @@ def other_libm(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(qsmc, "sliding_gains", gains)
     monkeypatch.setattr(smc, "sliding_gains", gains)
     monkeypatch.setattr(filters, "tan", off(math.tan))
-    monkeypatch.setattr(valve, "pow", off(math.pow))
-    monkeypatch.setattr(muscle, "acos", off(math.acos))
+    monkeypatch.setattr(paper, "pow", off(math.pow))
+    monkeypatch.setattr(paper, "acos", off(math.acos))
 
 
 @pytest.mark.parametrize("name", ["smc", "pid-delayed", "missed"])

@@ -11,15 +11,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pamctl.report.drawing.decimate import (
+from pamctl.report.figure import (
+    Plot,
+    PlotAxis,
+    Scale,
     break_at_gaps,
+    choose_step,
     find_unbroken,
+    fit_scale,
+    format_tick,
     keep_extremes,
+    plot_apart,
     thin_cloud,
 )
-from pamctl.report.drawing.scale import PlotAxis, Scale, choose_step, fit_scale, format_tick
-from pamctl.report.drawing.svg import SvgPlot, plot_apart
-from pamctl.report.html_page import Page
+from pamctl.report.html_page import write_html
+from pamctl.report.picture import draw_plot
+from pamctl.report.report import Facts, Figure, Fold, Points, Report, ReportTable, Section, Text
 
 HEIGHTS = st.floats(-1e6, 1e6, allow_nan=False)
 HOSTILE = '</title><script>alert("1")</script><img src=x onerror=alert(1)>&"\''
@@ -68,7 +75,7 @@ def test_a_single_spike_of_a_minute_at_1_khz_reaches_the_drawing():
     t = np.arange(60_000) * 1e-3
     y = np.zeros_like(t)
     y[31_415] = 1.0
-    drawn = SvgPlot("spike", T, PlotAxis("y", low=0.0, high=1.0), height_px=100).line(t, y).html()
+    drawn = draw_plot(Plot("spike", T, PlotAxis("y", low=0.0, high=1.0), height_px=100).line(t, y))
     (outline,) = re.findall(r'<path class="l c0" d="([^"]+)"', drawn)
     assert min(_heights(outline)) == 0  # the top of the frame
     assert len(outline) < 20_000
@@ -77,15 +84,15 @@ def test_a_single_spike_of_a_minute_at_1_khz_reaches_the_drawing():
 def test_a_line_breaks_where_the_value_is_not_a_number_and_a_lone_point_is_a_dot():
     y = np.array([1.0, 2.0, np.nan, 3.0, np.inf, 4.0, 5.0])
     assert find_unbroken(np.arange(7.0), y) == [slice(0, 2), slice(3, 4), slice(5, 7)]
-    drawn = SvgPlot("gaps", T, Y).line(np.arange(7.0), y).html()
+    drawn = draw_plot(Plot("gaps", T, Y).line(np.arange(7.0), y))
     (outline,) = re.findall(r'<path class="l c0" d="([^"]+)"', drawn)
     assert outline.count("M") == 3
     assert "h0" in outline
 
 
 def test_a_step_line_holds_its_value_until_the_next():
-    drawn = SvgPlot("steps", T, PlotAxis("u", "V", low=0.0, high=1.0), height_px=100)
-    outline = drawn.line([0.0, 1.0, 2.0], [0.0, 1.0, 0.5], step=True).html()
+    drawn = Plot("steps", T, PlotAxis("u", "V", low=0.0, high=1.0), height_px=100)
+    outline = draw_plot(drawn.line([0.0, 1.0, 2.0], [0.0, 1.0, 0.5], step=True))
     (path,) = re.findall(r'<path class="l c0" d="([^"]+)"', outline)
     assert path == "M0 1000l3600 0 0-1000 3600 0 0 500"
 
@@ -132,29 +139,28 @@ def test_numbers_far_from_zero_keep_the_digits_that_distinguish_them():
 
 
 def test_hostile_texts_are_escaped_everywhere():
-    page = Page(HOSTILE, HOSTILE)
-    page.section(HOSTILE)
-    page.heading(HOSTILE)
-    page.text(HOSTILE)
-    page.points(HOSTILE)
-    page.note(HOSTILE)
-    page.facts({HOSTILE: HOSTILE})
-    page.table([HOSTILE], [[HOSTILE]], caption=HOSTILE)
-    page.fold(HOSTILE, HOSTILE)
-    plot = SvgPlot(HOSTILE, PlotAxis(HOSTILE, HOSTILE), PlotAxis(HOSTILE, HOSTILE))
+    page = Report(HOSTILE, HOSTILE, subtitle=HOSTILE)
+    page.add(Section(HOSTILE))
+    page.add(Section(HOSTILE, is_part=True))
+    page.add(Text(HOSTILE))
+    page.add(Points([HOSTILE]))
+    page.add(Text(HOSTILE, "note"))
+    page.add(Facts({HOSTILE: HOSTILE}))
+    page.add(ReportTable([HOSTILE], [[HOSTILE]], HOSTILE))
+    page.add(Fold(HOSTILE, HOSTILE))
+    plot = Plot(HOSTILE, PlotAxis(HOSTILE, HOSTILE), PlotAxis(HOSTILE, HOSTILE))
     plot.line([0.0, 1.0], [0.0, 1.0], HOSTILE).level(0.5, HOSTILE).place(0.5, HOSTILE)
-    plot.heat([0.0, 1.0], [0.0, 1.0], [[0.5]], HOSTILE)
-    page.figure(plot, caption=HOSTILE)
-    html = page.html()
+    page.add(Figure([plot], HOSTILE))
+    html = write_html(page)
     assert "<script" not in html
     assert "<img" not in html
     assert "&lt;script&gt;" in html
 
 
 def test_a_page_asks_for_nothing_outside_itself():
-    page = Page("alone")
-    page.figure(SvgPlot("p", T, Y).line([0.0, 1.0], [0.0, 1.0]))
-    html = page.html()
+    page = Report("alone")
+    page.add(Figure([Plot("p", T, Y).line([0.0, 1.0], [0.0, 1.0])]))
+    html = write_html(page)
     assert not re.search(r"(?:src|href)\s*=\s*[\"'](?!#)", html)
     assert not re.search(r"url\(|@import|https?:", html)
     assert "default-src &#x27;none&#x27;" in html or "default-src 'none'" in html
@@ -162,10 +168,10 @@ def test_a_page_asks_for_nothing_outside_itself():
 
 def test_every_kind_of_mark_makes_well_formed_svg():
     x = np.linspace(0.0, 1.0, 50)
-    plot = SvgPlot("all", PlotAxis("x"), PlotAxis("y"))
+    plot = Plot("all", PlotAxis("x"), PlotAxis("y"))
     plot.line(x, x, "a").density(x, x**2).points(x, x**3, "c").band(x, 0.0, x, "d")
     plot.bars(np.linspace(0, 1, 5), [0.0, 1.0, 2.0, np.nan], "e").level(0.2, "l").place(0.3, "p")
-    root = ElementTree.fromstring(plot.html())
+    root = ElementTree.fromstring(draw_plot(plot))
     drawn = root.findall(".//svg[@class='data']/path")
     assert len([path for path in drawn if path.get("class") != "d c0"]) == 6
     assert all(path.get("d") for path in drawn if path.get("class") != "d c0")
@@ -173,15 +179,15 @@ def test_every_kind_of_mark_makes_well_formed_svg():
 
 def test_a_plot_without_data_says_so():
     for data in ([], [np.nan, np.nan]):
-        assert "nothing was measured" in SvgPlot("p", T, Y).line(data, data).html()
-    assert "nothing was measured" not in SvgPlot("p", T, Y).line([0.0], [1.0]).html()
+        assert "nothing was measured" in draw_plot(Plot("p", T, Y).line(data, data))
+    assert "nothing was measured" not in draw_plot(Plot("p", T, Y).line([0.0], [1.0]))
 
 
 def test_data_of_unequal_length_are_refused_by_the_plots_name():
     with pytest.raises(ValueError, match="spiral: x has shape"):
-        SvgPlot("spiral", T, Y).line([0.0, 1.0], [0.0])
+        Plot("spiral", T, Y).line([0.0, 1.0], [0.0])
     with pytest.raises(ValueError, match="spiral: a histogram needs one edge more"):
-        SvgPlot("spiral", T, Y).bars([0.0, 1.0], [1.0, 2.0])
+        Plot("spiral", T, Y).bars([0.0, 1.0], [1.0, 2.0])
 
 
 def _heights(outline: str) -> list[int]:
@@ -196,8 +202,8 @@ def test_a_line_over_time_breaks_where_nothing_was_measured() -> None:
     assert np.flatnonzero(np.isnan(up)).tolist() == [20]
     assert t_s[19] < over[20] < t_s[20]
     assert np.array_equal(over[np.isfinite(up)], t_s)
-    plot = SvgPlot("a", PlotAxis("time", "s"), PlotAxis("b"))
-    drawn = plot.line(t_s, np.ones(40)).html()
+    plot = Plot("a", PlotAxis("time", "s"), PlotAxis("b"))
+    drawn = draw_plot(plot.line(t_s, np.ones(40)))
     assert drawn.count("M", drawn.index('class="data"')) >= 2
     few = np.array([0.0, 1.0, 100.0])
     assert break_at_gaps(few, few)[0] is few
@@ -208,7 +214,7 @@ def test_a_density_is_darkest_where_the_points_are_most() -> None:
     often, seldom = rng.normal(0.0, 0.02, (2, 5000)), np.array([[3.0], [3.0]])
     x, y = np.concatenate((often, seldom), axis=1)
     root = ElementTree.fromstring(
-        SvgPlot("plane", PlotAxis("x"), PlotAxis("y")).density(x, y).html()
+        draw_plot(Plot("plane", PlotAxis("x"), PlotAxis("y")).density(x, y))
     )
     shades = {
         float(path.get("fill-opacity", "")): path.get("d", "")
@@ -225,22 +231,22 @@ def test_lines_that_hide_each_other_get_plots_of_their_own_with_one_y_axis() -> 
     noise = np.random.default_rng(2).normal(size=(2, 5000))
     signals = {"a": noise[0], "b": 2.0 * noise[1], "c": t_s + 20.0}
 
-    def draw(names: list[str]) -> SvgPlot:
-        plot = SvgPlot(" ".join(names), T, Y)
+    def draw(names: list[str]) -> Plot:
+        plot = Plot(" ".join(names), T, Y)
         for name in names:
             plot.line(t_s, signals[name], name)
         return plot
 
     apart = plot_apart(draw, ["a", "b"])
     assert [plot.title for plot in apart] == ["a", "b"]
-    assert apart[0].make_frame().y == apart[1].make_frame().y
+    assert apart[0].scales[1] == apart[1].scales[1]
     assert [plot.title for plot in plot_apart(draw, ["b", "c"])] == ["b c"]
     assert [plot.title for plot in plot_apart(draw, ["a"])] == ["a"]
 
 
 def test_names_of_moments_near_each_other_stand_below_each_other() -> None:
-    plot = SvgPlot("p", T, Y).line([0.0, 10.0], [0.0, 1.0])
+    plot = Plot("p", T, Y).line([0.0, 10.0], [0.0, 1.0])
     for at_s in (1.0, 1.2, 1.4, 8.0):
         plot.place(at_s, "a mark that says much")
-    heights = re.findall(r'<text class="note[^"]*" x="[\d.]+%" dx="-?4" y="(\d+)"', plot.html())
+    heights = re.findall(r'<text class="note[^"]*" x="[\d.]+%" dx="-?4" y="(\d+)"', draw_plot(plot))
     assert heights == ["12", "25", "38", "12"]

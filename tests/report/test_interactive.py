@@ -14,9 +14,9 @@ from support.chromium import page as open_browser
 from typer.testing import CliRunner
 
 from pamctl.cli.app import app
-from pamctl.report.drawing.decimate import MOST_POINTS
-from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot
-from pamctl.report.html_page import Page, embed_plots
+from pamctl.report.figure import MOST_POINTS, MUTED, Plot, PlotAxis
+from pamctl.report.html_page import embed_plots, write_html
+from pamctl.report.report import Figure, Report
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 TIME = PlotAxis("time", "s", tight=True)
@@ -25,17 +25,19 @@ SPIKE = 13_370
 HOSTILE = "</script><script>alert(1)</script>\u202e"
 
 
-def draw_page() -> Page:
+def draw_page() -> Report:
     error = np.sin(T_S)
     error[SPIKE] = 40.0
-    first = SvgPlot("Error", TIME, PlotAxis("e", "µm")).line(T_S, error, "error")
+    first = Plot("Error", TIME, PlotAxis("e", "µm")).line(T_S, error, "error")
     first.band(T_S[[0, -1]], -2.0, 2.0).place(13.0, HOSTILE).level(30.0, "limit")
-    second = SvgPlot("Command", TIME, PlotAxis("u", "V"))
+    second = Plot("Command", TIME, PlotAxis("u", "V"))
     second.line(T_S, np.cos(T_S), "of the law", colour=MUTED, thick=True)
     second.points(T_S[5000:5003], [0.5, 0.6, 0.7], "cut")
-    page = Page("Zoom")
-    page.figure(first, second)
-    page.grid(SvgPlot("Plane", PlotAxis("x"), PlotAxis("y")).density(error, error))
+    page = Report("Zoom")
+    page.add(Figure([first, second]))
+    page.add(
+        Figure([Plot("Plane", PlotAxis("x"), PlotAxis("y")).density(error, error)], is_grid=True)
+    )
     return page
 
 
@@ -69,7 +71,7 @@ def read_cursor(tab: Tab, selector: str, share: float) -> list[float]:
 
 def test_a_reader_zooms_to_a_spike_and_reads_it_to_the_sample(tmp_path: Path) -> None:
     path = tmp_path / "zoom.html"
-    path.write_text(draw_page().html(interactive=True))
+    path.write_text(write_html(draw_page(), interactive=True))
     over = "[data-plot='0'] .u-over"
     with open_browser(tmp_path) as tab:
         tab.open(path.as_uri(), width=1000, height=900)
@@ -101,14 +103,14 @@ def test_a_reader_zooms_to_a_spike_and_reads_it_to_the_sample(tmp_path: Path) ->
 
 def test_without_the_option_a_page_has_no_script_and_with_it_only_its_own() -> None:
     page = draw_page()
-    assert "<script" not in page.html()
-    assert "script-src" not in page.html()
-    html = page.html(interactive=True)
+    assert "<script" not in write_html(page)
+    assert "script-src" not in write_html(page)
+    html = write_html(page, interactive=True)
     assert html.count("<script") == 3
     assert HOSTILE not in html
     assert "\u202e" not in html
     assert len(re.findall(r"'sha256-[\w+/=]+'", html)) == 2
-    assert "<script" not in Page("words").html(interactive=True)
+    assert "<script" not in write_html(Report("words"), interactive=True)
 
 
 def test_the_data_in_the_page_are_those_of_the_plot_each_once() -> None:
@@ -122,15 +124,15 @@ def test_the_data_in_the_page_are_those_of_the_plot_each_once() -> None:
     assert np.allclose(signal, np.sin(T_S), atol=1e-7)
 
 
-def _plot(t_s: np.ndarray) -> SvgPlot:
-    return SvgPlot("p", TIME, PlotAxis("y")).line(t_s, np.sin(t_s))
+def _plot(t_s: np.ndarray) -> Plot:
+    return Plot("p", TIME, PlotAxis("y")).line(t_s, np.sin(t_s))
 
 
 def test_a_long_line_keeps_its_extremes_and_its_gaps() -> None:
     t_s = np.arange(5 * MOST_POINTS) * 1e-3
     y = np.sin(t_s)
     y[123_456], y[300_000] = 9.0, np.nan
-    body = embed_plots([SvgPlot("p", TIME, PlotAxis("y")).line(t_s, y)]).body
+    body = embed_plots([Plot("p", TIME, PlotAxis("y")).line(t_s, y)]).body
     (text,) = re.findall(r'id="plots">(.*?)</script>', body)
     (_, x), (_, kept) = json.loads(text)["arrays"]
     signal = np.frombuffer(b64decode(kept), "<f4")

@@ -15,8 +15,9 @@ from pamctl.cli.app import app
 from pamctl.log import read
 from pamctl.log.importing.imported_log import write_imported
 from pamctl.log.reader import read_some
-from pamctl.report.drawing.svg import PlotAxis, SvgPlot
-from pamctl.report.html_page import Page
+from pamctl.report.figure import Plot, PlotAxis
+from pamctl.report.html_page import write_html
+from pamctl.report.report import Figure, Report
 from pamctl.report.reported_run import REPORT_FIELDS, name_runs
 from pamctl.report.run_page import compose_report
 
@@ -67,7 +68,7 @@ def imported(folder: Path) -> Path:
 
 
 def page_of(*paths: Path) -> str:
-    return compose_report([read(path) for path in paths]).html()
+    return write_html(compose_report([read(path) for path in paths]))
 
 
 @pytest.mark.long
@@ -75,7 +76,7 @@ def test_the_columns_that_a_report_reads_are_all_that_it_shows(
     minute: Path, tripped: Path, imported: Path
 ) -> None:
     for path in (minute, tripped, imported):
-        assert compose_report([read_some(path, REPORT_FIELDS)]).html() == page_of(path)
+        assert write_html(compose_report([read_some(path, REPORT_FIELDS)])) == page_of(path)
 
 
 def test_the_page_of_a_minute_stays_below_a_megabyte_and_holds_the_whole_story(minute):
@@ -127,7 +128,7 @@ def test_a_log_without_ticks_and_one_with_a_single_tick_are_reported_in_words(fo
     for count in (0, 1):
         columns = {name: values[:count] for name, values in log.columns.items()}
         short = type(log)(**{**vars(log), "columns": columns, "time_ns": log.time_ns[:count]})
-        html = compose_report([short]).html()
+        html = write_html(compose_report([short]))
         words = "holds no tick" if count == 0 else "Too few ticks"
         assert words in html
 
@@ -142,7 +143,7 @@ def test_several_runs_share_a_page_a_time_axis_and_a_table_of_what_differs(minut
 def test_changed_gains_are_shown_with_their_time(square):
     log = read(square)
     later = {**log.gains[0], "lambda_per_s": 12.5, "tick": 3000}
-    html = compose_report([type(log)(**{**vars(log), "gains": [log.gains[0], later]})]).html()
+    html = write_html(compose_report([type(log)(**{**vars(log), "gains": [log.gains[0], later]})]))
     (row,) = re.findall(r"<td[^>]*>lambda_per_s</td><td[^>]*>([\d.]+)</td><td[^>]*>12.5</td>", html)
     assert float(row) == log.gains[0]["lambda_per_s"]
 
@@ -199,10 +200,10 @@ def test_a_phone_shows_the_page_without_errors_and_without_scrolling_sideways(
 
 def test_the_browser_check_finds_faults_of_a_page(tmp_path):
     page = tmp_path / "report.html"
-    wrong = Page("wrong")
-    wrong.figure(SvgPlot("p", PlotAxis("x"), PlotAxis("y")).line([0.0, 1.0], [0.0, 1.0]))
+    wrong = Report("wrong")
+    wrong.add(Figure([Plot("p", PlotAxis("x"), PlotAxis("y")).line([0.0, 1.0], [0.0, 1.0])]))
     bad = '<div style="width:900px">wide</div><img src="picture.png"></main>'
-    page.write_text(wrong.html().replace("</main>", bad))
+    page.write_text(write_html(wrong).replace("</main>", bad))
     found, console, _ = look(page, tmp_path, width=390)
     assert found["outside"]
     assert any("Content Security Policy" in line for line in console)
@@ -228,7 +229,7 @@ def test_every_plot_over_time_has_the_same_axis_and_marks_each_moment(minute):
     mark = {"event": "mark", "tick": int(log["tick"][20_000]), "text": "touched the hose"}
     later = {**log.gains[0], "lambda_per_s": 12.5, "tick": int(log["tick"][30_000])}
     marked = {"events": [*log.events, mark], "gains": [log.gains[0], later]}
-    plots = find_plots(compose_report([type(log)(**{**vars(log), **marked})]).html())
+    plots = find_plots(write_html(compose_report([type(log)(**{**vars(log), **marked})])))
     over_time = ("Displacement", "Tracking error", "Pressure", "Command", "Terms of the command",
                  "Filtered minus raw displacement")  # fmt: skip
     ticks = {

@@ -21,7 +21,7 @@ from pamctl.runs.run_row import read_row
 from pamctl.session.simulated_rig import simulate
 from pamctl.settings.resolve import resolve
 from pamctl.signals import Phase
-from pamctl.simulate.batch import simulate_run
+from pamctl.simulate.closed_loop import simulate_run
 
 SINE = pamctl.Sine(offset_mm=10, amplitude_mm=1, frequency_hz=2, cycles=2)
 ROOT = Path(__file__).resolve().parents[2]

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from pamctl.cli.app import app
 from pamctl.plant.model import PlantSettings
-from pamctl.plant.muscle_parameters import MuscleParameters
+from pamctl.plant.paper import MuscleParameters
 from pamctl.settings.datasheet.datasheet_units import DatasheetError, read_quantity
 from pamctl.settings.datasheet.plant_questions import list_questions
 from pamctl.settings.resolve import read_section_file, resolve

@@ -17,10 +17,10 @@ from support.runs import (
 from hal.faulty import FaultSettings
 from pamctl.exit_codes import Ending
 from pamctl.kernel.calls import NativeCall, PlainCall
-from pamctl.realtime.cued_helm import CuedHelm
 from pamctl.realtime.loop import ControlLoop
+from pamctl.realtime.program import CuedHelm
 from pamctl.realtime.tick_runner import TickRunner
-from pamctl.recording.ring import ROW_BYTES
+from pamctl.recording.rows import ROW_BYTES
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings
 from pamctl.signals import Truth

@@ -11,7 +11,7 @@ from pamctl.control.experiment import ProgramSettings, plan_experiment
 from pamctl.diagnose import Diagnosis, Record
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.drive import drive_coupled
-from pamctl.plant.flat import parameters_of
+from pamctl.plant.parameters import parameters_of
 
 COUNT_M = 25.4e-3 / 8000.0
 PERIOD_S = 1e-3

@@ -16,7 +16,7 @@ from pamctl.plant.simulated import SimulatedPlant
 from pamctl.realtime.clock import VirtualClock
 from pamctl.realtime.loop import ControlLoop
 from pamctl.realtime.tick_runner import TickRunner
-from pamctl.recording.ring import (
+from pamctl.recording.rows import (
     COMPENSATED_TICK,
     PLAIN_TICK,
     ROW_HEADER,

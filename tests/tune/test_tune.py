@@ -25,7 +25,7 @@ from pamctl.control.sliding import Absement
 from pamctl.plant.model import PlantSettings
 from pamctl.settings.resolve import check_config_file, resolve, settings_to_data
 from pamctl.signals import Estimate, Phase, Reference
-from pamctl.simulate.batch import simulate_run
+from pamctl.simulate.closed_loop import simulate_run
 from pamctl.tune import (
     GainsSearch,
     GainsTrial,

@@ -92,7 +92,7 @@ def run(
     if not settings.fast:
         require_linux()
     from pamctl.control.experiment import plan_experiment
-    from pamctl.processes.front import ignore_signals, restore_signals
+    from pamctl.processes.interrupts import ignore_signals, restore_signals
     from pamctl.processes.run_once import run_once
     from pamctl.report.progress_line import ProgressLine
 

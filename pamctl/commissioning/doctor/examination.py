@@ -32,7 +32,7 @@ from pamctl.commissioning.terminal_operator import NoAnswer, Terminal
 from pamctl.processes.backends import SHARED_MEMORY, build_clock, hold_device
 from pamctl.realtime.scheduling import prepare
 from pamctl.realtime.tick import TickSetup
-from pamctl.realtime.tick_cost import rehearse_tick_s
+from pamctl.realtime.tick_runner import rehearse_tick_s
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.resolve import RunSettings
 

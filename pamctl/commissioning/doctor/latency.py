@@ -12,7 +12,7 @@ from typing import NamedTuple
 from hal.doctor_finding import DoctorFinding, Level
 from hal.rig import Rig
 from pamctl.realtime.clock import Clock
-from pamctl.realtime.tick_cost import TickCost
+from pamctl.realtime.tick_runner import TickCost
 
 CALLS = 2000
 _LONGEST_S = 2.0

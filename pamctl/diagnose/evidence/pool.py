@@ -18,8 +18,7 @@ from pamctl.plant.effects.description import (
     EffectForm,
     EffectParameter,
 )
-from pamctl.plant.terms.locations import LOCATIONS, Location
-from pamctl.plant.terms.operators import DRIVERS, KNOTS, OPERATORS, REFERENCES
+from pamctl.plant.terms import DRIVERS, KNOTS, LOCATIONS, OPERATORS, REFERENCES, Location
 
 CHAIN = "~"
 """Begins the name of a number that no plant has: one of the chain between the plant and a file."""

@@ -39,7 +39,6 @@ from pamctl.diagnose.evidence.sample_masks import (
     find_neighbours,
     find_spikes,
 )
-from pamctl.plant.axis.required_force import required_force_n
 from pamctl.plant.drive import (
     NO_RESTARTS,
     Restarts,
@@ -49,8 +48,8 @@ from pamctl.plant.drive import (
     drive_mechanics,
 )
 from pamctl.plant.effects.description import ACTUATORS
-from pamctl.plant.flat import ACTUATOR, parameters_of
-from pamctl.plant.parameters import PlantParameters, rest_state
+from pamctl.plant.parameters import ACTUATOR, PlantParameters, parameters_of, rest_state
+from pamctl.plant.required_force import required_force_n
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

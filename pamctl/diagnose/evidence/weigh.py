@@ -27,7 +27,7 @@ from pamctl.diagnose.evidence.sample_masks import find_resolution
 from pamctl.diagnose.plant_numbers import FittedNumber
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings, values_of
-from pamctl.plant.terms.locations import LOCATIONS, SUFFIX
+from pamctl.plant.terms import LOCATIONS, SUFFIX
 
 Array = NDArray[np.float64]
 

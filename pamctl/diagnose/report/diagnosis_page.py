@@ -10,6 +10,7 @@ from typing import Any
 from pamctl.diagnose.diagnosis import Diagnosis, HeldOutGap
 from pamctl.diagnose.evidence.ladder import Finding
 from pamctl.diagnose.evidence.run_pieces import Runs
+from pamctl.diagnose.mend import SOURCES, ChannelNoise
 from pamctl.diagnose.plant_numbers import FittedNumber, look_up_parameter
 from pamctl.diagnose.record import Record
 from pamctl.diagnose.report.diagnosis_document import (
@@ -43,7 +44,6 @@ from pamctl.diagnose.report.verdict_words import (
     relative_shift,
     sentence,
 )
-from pamctl.diagnose.sensor_noise import SOURCES, ChannelNoise
 from pamctl.new_file import write_files
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.report.drawing.levels import Levels
@@ -321,7 +321,7 @@ def write_compared_runs(page: Page, diagnosis: Diagnosis, records: Sequence[Reco
     )
     masked = find_masked_shares(diagnosis)
     page.table(
-        ["sensor", "noise", "converter's step", "unit", "kind", "known", "do not count"],
+        ["sensor", "noise", "converter's step", "unit", "known", "do not count"],
         [_noise_row(name, diagnosis.noise, masked) for name in evidence.noise_rms],
         caption="Samples at which a record says nothing do not count: gaps, spikes, a frozen "
         "column, no velocity where a motion is imposed, and the first part of a run that does not "
@@ -379,16 +379,11 @@ def _noise_row(
     channel: str, about: Mapping[str, ChannelNoise], masked: Mapping[str, float]
 ) -> list[str]:
     display = SIGNAL_DISPLAYS[channel]
-    noise = about[channel].noise if channel in about else None
-    share = f"{100.0 * masked.get(channel, 0.0):.2g} %"
-    if noise is None:
-        return [display.title, "-", "-", display.gap_unit, "-", "-", share]
-    step = f"{noise.resolution * display.gap_factor:.3g}"
-    if not noise.is_known:
-        return [display.title, "unknown", step, display.gap_unit, "-", "not from these data", share]
-    size = f"{noise.deviation * display.gap_factor:.3g}"
-    kind = "correlated from sample to sample" if noise.memory else "white"
-    return [display.title, size, step, display.gap_unit, kind, SOURCES[noise.source], share]
+    noise, share = about.get(channel), f"{100.0 * masked.get(channel, 0.0):.2g} %"
+    if noise is None or noise.deviation is None:
+        return [display.title, "-", "-", display.gap_unit, "-", share]
+    size, step = (f"{x * display.gap_factor:.3g}" for x in (noise.deviation, noise.resolution))
+    return [display.title, size, step, display.gap_unit, SOURCES[noise.source], share]
 
 
 def format_plant_file(diagnosis: Diagnosis, logs: Sequence[str]) -> str:

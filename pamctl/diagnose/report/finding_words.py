@@ -17,8 +17,16 @@ from pamctl.diagnose.evidence.ladder import Finding, JudgedRival
 from pamctl.diagnose.evidence.pool import CHAIN, Hypothesis
 from pamctl.diagnose.plant_numbers import UNITS, FittedNumber, unit_of
 from pamctl.plant.catalogue import CATALOGUE
-from pamctl.plant.terms.locations import LOCATIONS, SUFFIX, Location
-from pamctl.plant.terms.operators import DRIVER_UNITS, DRIVERS, KNOTS, OPERATORS, REFERENCES
+from pamctl.plant.terms import (
+    DRIVER_UNITS,
+    DRIVERS,
+    KNOTS,
+    LOCATIONS,
+    OPERATORS,
+    REFERENCES,
+    SUFFIX,
+    Location,
+)
 
 PLACES: Mapping[str, str] = {
     "valve": "the valve",

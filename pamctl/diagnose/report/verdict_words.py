@@ -398,5 +398,5 @@ def list_shifts(diagnosis: Diagnosis) -> str:
 
 
 def describe_noise(diagnosis: Diagnosis) -> list[str]:
-    """Say which channels have faults or unknown noise, a line each."""
-    return [line for c, about in diagnosis.noise.items() for line in about.list_faults(c)]
+    """Say which channels have faults, a line each."""
+    return [fault.says for about in diagnosis.noise.values() for fault in about.faults]

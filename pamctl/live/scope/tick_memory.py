@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from pamctl.json_text import from_json
 from pamctl.live.scope.tick_shelf import TickShelf
 from pamctl.plain_text import clean_document
-from pamctl.recording.ring import Ring, RingError, RowKind
-from pamctl.recording.rows import row_dtype
+from pamctl.recording.ring import Ring, RingError
+from pamctl.recording.rows import RowKind, row_dtype
 
 MOST_BYTES = 352 << 20
 """A tick has some 275 bytes: this holds 22 minutes at 1 kHz, or 130 s at 10 kHz."""

@@ -1,6 +1,7 @@
-"""What the paper's model leaves out, one file an effect: parameters, kernels, description.
+"""What the paper's model leaves out, one file a place: parameters, kernels and record of each.
 
 Read `places.py` (where effects enter), `description.py` (the record), then one effect, for
-example `mechanics/cubic_stiffness.py`. A new file here needs no other edit; an outside package
-names its own with an entry point of the group `pamctl.effects`. See `pamctl.plant.catalogue`.
+example `CubicStiffness` in `mechanics.py`. A new record here needs no other edit; an outside
+package names its own with an entry point of the group `pamctl.effects`. See
+`pamctl.plant.catalogue`.
 """

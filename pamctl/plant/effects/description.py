@@ -1,11 +1,12 @@
 """What an effect is: its numbers, its kernels and where they enter, and what a reader must know.
 
-An effect is one file with one record, `DESCRIPTION`. Everything else is derived from it: the plant
-file, the steps of the plant, the search of `pamctl diagnose`.
+An effect is one record beside its kernels. Everything else is derived from it: the plant file, the
+steps of the plant, the search of `pamctl diagnose`.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 from pamctl.plant.effects.places import PLACES, Part
 
 if TYPE_CHECKING:
-    from pamctl.plant.parameters import PaperParameters
+    from pamctl.plant.paper import PaperParameters
 
 MECHANICAL_UNITS = frozenset(
     {"N", "m", "m/s", "kg", "N/m", "N/m3", "m/N", "N s/m", "N/Pa", "N s/(m Pa)", "m2", "m3"}
@@ -180,23 +181,25 @@ class Distinction:
     why: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class EffectDescription:
     """One entry of the catalogue."""
 
-    name: str
     kind: type[Any]
     """NamedTuple of the parameters, whose defaults are neutral."""
+    name: str = ""
+    """By default that of `kind`, in small letters: `valve_leak` of `ValveLeak`."""
     block: Block
     """The block that it belongs to, for readers only."""
     equation: str
     parameters: tuple[EffectParameter, ...]
     signature: str
     """How simulation minus measurement looks when the model lacks the effect."""
-    best_experiment: str
+    best_experiment: str = ""
     """Name of the muscle's experiment file that shows it best; empty where none does."""
-    seen_by: tuple[Block, ...]
-    """The blocks whose residual shows it when each is driven by the other's measured signal."""
+    seen_by: tuple[Block, ...] = ()
+    """The blocks whose residual shows it when each is driven by the other's measured signal; by
+    default its own."""
     entries: tuple[EffectEntry, ...] = ()
     """Where it enters the plant."""
     woven: tuple[Part, ...] = ()
@@ -214,6 +217,12 @@ class EffectDescription:
     """The terms that say it without its name."""
     actuators: tuple[Actuator, ...] = ACTUATORS
     """The actuators in whose plants `diagnose` looks for it; a plant file may always hold it."""
+
+    def __post_init__(self) -> None:
+        """Fill in what follows from the rest."""
+        words = re.findall("[A-Z][^A-Z]*", self.kind.__name__)
+        object.__setattr__(self, "name", self.name or "_".join(words).lower())
+        object.__setattr__(self, "seen_by", self.seen_by or (self.block,))
 
     @property
     def parts(self) -> tuple[Part, ...]:

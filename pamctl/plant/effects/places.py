@@ -9,6 +9,7 @@ absolute, except `gauge_pa`; `age_s` is the time since the plant's start.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import exp
 from typing import Literal, NamedTuple
 
 Part = Literal["numbers", "timing", "valve", "air", "mechanics", "sensors"]
@@ -89,3 +90,23 @@ PLACES: dict[str, Place] = {
     ),
 }
 """In the order of a step."""
+
+
+# Kernels that several effects share.
+
+
+def follow_with_play(before: float, target: float, width: float) -> float:
+    """Follow a target with a total slack of `width`, moving only when pushed; one unit for all."""
+    half = 0.5 * width
+    return min(max(before, target - half), target + half)
+
+
+def lag_weights(time_s: float, step_s: float) -> tuple[float, float]:
+    """Return the weights of a lag over a step: of its last value, and of a ramp of its input.
+
+    y(h) = kept y(0) + (1 - kept) r(0) + weight (r(h) - r(0)) is exact for a linear r.
+    """
+    if time_s <= 0.0:
+        return 0.0, 1.0
+    kept = exp(-step_s / time_s)
+    return kept, 1.0 - (1.0 - kept) * time_s / step_s

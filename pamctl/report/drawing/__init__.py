@@ -1,5 +1,4 @@
-"""From data to SVG: plots, their axes and marks, and bars of single numbers.
+"""Old names of `figure.py`, for the rooms that still write pages with them.
 
-`decimate.py` keeps figures small; `marks.py` draws within the frame of a plot.
-Read `svg.py` first, then `scale.py`.
+Read `svg.py` first.
 """

@@ -142,8 +142,8 @@ def _read_valve_gain(number: float, words: list[str], known: Mapping[str, float]
     unit = "".join(words).lower()
     if unit not in ("l/min", "nl/min", "lpm", "l/minanr"):
         return None
-    from pamctl.plant.flat import parameters_of
-    from pamctl.plant.paper.valve import orifice_flow
+    from pamctl.plant.paper import orifice_flow
+    from pamctl.plant.parameters import parameters_of
 
     del known
     air = parameters_of({"temperature_k": NORMAL_K}).paper

@@ -13,7 +13,7 @@ from pydantic.fields import FieldInfo
 
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
-from pamctl.plant.muscle_parameters import ROOM_K, MuscleParameters
+from pamctl.plant.paper import ROOM_K, MuscleParameters
 from pamctl.settings.datasheet.datasheet_units import DatasheetError, list_units
 
 _OF_AIR = {

@@ -23,7 +23,7 @@ from pamctl.diagnose.record import Record
 from pamctl.plant.drive import drive_coupled
 from pamctl.plant.model import plant_parameters
 from pamctl.settings.resolve import resolve, settings_to_data
-from pamctl.simulate.batch import simulate_run
+from pamctl.simulate.closed_loop import simulate_run
 
 COUNT = 30
 

@@ -13,8 +13,8 @@ from pamctl.diagnose.drawn_programs import (
     sample_commands,
 )
 from pamctl.plant.drive import drive_coupled
-from pamctl.plant.flat import parameters_of
 from pamctl.plant.model import PlantSettings
+from pamctl.plant.parameters import parameters_of
 
 OFFSET_V = 0.1
 

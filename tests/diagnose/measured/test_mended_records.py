@@ -113,17 +113,6 @@ def test_hum_is_taken_off_and_an_excitation_of_the_same_frequency_is_not() -> No
     assert remove_hum(answer, 1e-3, command)[1] == []
 
 
-@pytest.mark.parametrize("samples", [9, 15])
-def test_a_reading_that_is_held_in_spite_of_its_noise_does_not_count(samples: int) -> None:
-    record = measured("fit", 7)
-    values = record["pressure_pa"].copy()
-    values[1500 : 1500 + samples] = values[1499]
-    values[1490] += 20e3  # a spike close by does not hide it
-    spikes, dropouts = find_outliers(replace(record, pressure_pa=values), "pressure_pa")
-    assert [*np.flatnonzero(spikes)] == [1490]
-    assert [*np.flatnonzero(dropouts)] == [*range(1500, 1500 + samples)]
-
-
 def test_two_spikes_side_by_side_of_either_sign_do_not_count() -> None:
     record = measured("fit", 7)
     values = record["pressure_pa"].copy()

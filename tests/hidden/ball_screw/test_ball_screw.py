@@ -9,9 +9,9 @@ from scipy.signal import butter, sosfiltfilt
 
 from hidden.ball_screw.ball_screw_cases import BallScrewCase, ball_screw_cases
 from hidden.ball_screw.ball_screw_rig import ASYMMETRIC, SYMMETRIC, BallScrewRig
-from pamctl.plant.axis.required_force import required_force_n
-from pamctl.plant.flat import parameters_of
 from pamctl.plant.model import values_of
+from pamctl.plant.parameters import parameters_of
+from pamctl.plant.required_force import required_force_n
 
 CASES = {case.id: case for case in ball_screw_cases()}
 SMOOTH_HZ = 15.0

@@ -20,7 +20,7 @@ from hidden.excitations import Excitation, fill_and_hold, multisine, square
 from hidden.rig import HiddenRig, Passage
 from hidden.sensors import Sensors
 from pamctl.plant.drive import CoupledResponse, drive_coupled
-from pamctl.plant.flat import parameters_of
+from pamctl.plant.parameters import parameters_of
 
 Numbers = Mapping[str, float]
 

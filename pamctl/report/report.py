@@ -1,0 +1,186 @@
+"""What a verb answers, said once: a terminal, a page and JSON print the same value.
+
+    report = Report("Run of qsmc", "ended with exit code 0: the experiment ended")
+    report.add(
+        Section("Tracking"),
+        ReportTable(["", "max, µm"], [["measured", "38.5"]]),
+        Figure([plot, another], "One time axis."),
+    )
+    format_terminal(report)                              # for a terminal, without figures
+    write_html(report)                           # pamctl.report.html_page
+    report.document                              # for --json, in SI
+
+Numbers are spelled by `spell_number` and `spell_um`, so that a value has the same digits
+everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from pamctl.report.figure import Levels, Plot
+
+
+class Section(NamedTuple):
+    """The head of a section, with an entry in the contents; of a part of one without it."""
+
+    heading: str
+    is_part: bool = False
+
+
+class Text(NamedTuple):
+    """A paragraph, or a note. On a page, text `between backticks` is code."""
+
+    text: str
+    kind: str = "text"
+    """`text`, or of a note `note`, `good` or `bad`."""
+
+
+class Points(NamedTuple):
+    """A list."""
+
+    items: Sequence[str]
+
+
+class Facts(NamedTuple):
+    """Names and values."""
+
+    facts: Mapping[str, object]
+
+
+class ReportTable(NamedTuple):
+    """A table; every row is as long as the header."""
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    caption: str = ""
+
+
+class Figure(NamedTuple):
+    """Plots in a column with one x axis; as a grid in a row, each with its own."""
+
+    plots: Sequence[Plot | Levels]
+    caption: str = ""
+    is_grid: bool = False
+
+
+class Fold(NamedTuple):
+    """A long text, which a page shows on demand and in print, and a terminal not at all."""
+
+    heading: str
+    text: str
+
+
+Part = Section | Text | Points | Facts | ReportTable | Figure | Fold
+
+
+@dataclass
+class Report:
+    """An answer: what it is about, the verdict in a sentence, and what it rests on."""
+
+    title: str
+    verdict: str = ""
+    kind: str = "note"
+    """How a page shows the verdict."""
+    subtitle: str = ""
+    parts: list[Part] = field(default_factory=list)
+    document: Mapping[str, object] = field(default_factory=dict)
+    """The answer for programs, in SI."""
+    numbers_figures: bool = True
+    """Count the figures; switch it off if they have numbers of their own."""
+
+    def add(self, *parts: Part) -> Report:
+        """Write further parts; return the report."""
+        self.parts += parts
+        return self
+
+
+def format_terminal(report: Report) -> str:
+    """Return a report for a terminal of any language; figures and folded texts are left out."""
+    lines = [report.verdict or report.title]
+    for part in report.parts:
+        lines += _list_lines(part)
+    return to_ascii("\n".join(line.rstrip() for line in lines))
+
+
+def _list_lines(part: Part) -> Iterator[str]:
+    if isinstance(part, Section):
+        yield from ("", part.heading)
+    elif isinstance(part, Text):
+        yield part.text.replace("`", "")
+    elif isinstance(part, Points):
+        yield from (f"- {item}".replace("`", "") for item in part.items)
+    elif isinstance(part, Facts):
+        width = max(map(len, part.facts), default=0)
+        yield from (f"{name:<{width}}  {value}" for name, value in part.facts.items())
+    elif isinstance(part, ReportTable):
+        yield ""
+        if part.caption:
+            yield part.caption
+        columns = list(zip(part.header, *part.rows, strict=True))
+        widths = [max(map(len, column)) for column in columns]
+        to_right = [is_number_column(column[1:]) for column in columns]
+        for row in (part.header, *part.rows):
+            cells = zip(row, widths, to_right, strict=True)
+            yield "  ".join(
+                cell.rjust(width) if right else cell.ljust(width) for cell, width, right in cells
+            )
+
+
+_ASCII = str.maketrans(
+    {"µ": "u", "±": "+-", "\N{MINUS SIGN}": "-", "³": "^3", "\N{MULTIPLICATION SIGN}": "x"}
+)
+
+
+def to_ascii(text: str) -> str:
+    """Return a text that a terminal of any language can show."""
+    return text.translate(_ASCII)
+
+
+_NOT_NUMBERS = ("", "-", "nan", "trips")
+
+
+def is_number_column(cells: Sequence[str]) -> bool:
+    """Tell whether all cells are numbers, or dashes for those that are missing."""
+    return any(cells) and all(cell in _NOT_NUMBERS or _is_number(cell) for cell in cells)
+
+
+def _is_number(cell: str) -> bool:
+    bare = cell.strip("<> ").replace("\N{MINUS SIGN}", "-")
+    for cut in (" ±", " +-", " ", "\N{MULTIPLICATION SIGN}", "x", "%", "/", ":"):
+        bare = bare.split(cut)[0]
+    try:
+        float(bare.replace(",", ""))
+    except ValueError:
+        return False
+    return True
+
+
+def spell_number(value: float, unit: str = "", *, within: float | None = None) -> str:
+    """Write a value in its unit, rounded by half of its interval: `24.95 mV ± 0.04`.
+
+    Of the interval one digit is shown, two where the first is a 1. Without one the value has four.
+    """
+    if not math.isfinite(value):
+        return "-"
+    end = f" {unit}" if unit else ""
+    if within is not None and math.isfinite(within) and within > 0.0:
+        place = math.floor(math.log10(float(f"{within:.0e}")))
+        place -= float(f"{within:.1e}") < 2.0 * 10.0**place
+        if -6 < place < 6:
+            value, within = round(value, -place), round(within, -place)
+            digits = max(0, -place)
+            return f"{value:.{digits}f}{end} ± {within:.{digits}f}"
+        return f"{value:.3e}{end} ± {within:.0e}"
+    size = abs(value)
+    if size and not 1e-4 <= size < 1e6:
+        return f"{value:.3e}{end}"
+    return f"{value:.{max(0, 3 - math.floor(math.log10(size))) if size else 0}f}{end}"
+
+
+def spell_um(value_m: float | None) -> str:
+    """Write an error in micrometres without the unit; a dash where there is none."""
+    return "-" if value_m is None or not math.isfinite(value_m) else f"{value_m * 1e6:.1f}"

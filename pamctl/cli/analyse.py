@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -190,41 +192,49 @@ def compare(asked: CompareOptions) -> None:
     if plot is not None:
         require_place(plot, replaces=PAGE_BEGIN)
     from pamctl.compare.comparison import compare_plants
-    from pamctl.compare.comparison_report import (
-        draw_comparison_page,
-        format_comparison,
-        make_comparison_document,
-    )
+    from pamctl.compare.comparison_report import report_comparison
     from pamctl.log.measured_signals import SIGNAL_FIELDS, judge_ticks
     from pamctl.log.reader import read, read_some
     from pamctl.report.html_page import write_html
+    from pamctl.report.progress_line import WorkProgress
+    from pamctl.report.report import format_terminal
 
-    found = []
-    for path in asked.paths:
-        log = read_some(path, SIGNAL_FIELDS)
-        for doubt in judge_ticks(log):
-            typer.echo(f"warning: {escape_name(str(path))}: {doubt}", err=True)
-        found.append((path, compare_plants(log, asked.plants)))
-    if len(found) > 1:
+    found, count = [], len(asked.paths)
+    with WorkProgress("compare") as progress:
+        for number, path in enumerate(asked.paths):
+            progress(number, count, f"reading {path.name}")
+            log = read_some(path, SIGNAL_FIELDS)
+            for doubt in judge_ticks(log):
+                typer.echo(f"warning: {escape_name(str(path))}: {doubt}", err=True)
+            begun = partial(_show_plant, progress, number, count)
+            found.append((path, compare_plants(log, asked.plants, begun)))
+        whole = None if plot is None else read(asked.paths[0])
+        reports = [report_comparison(path, models, whole) for path, models in found]
+    if len(reports) > 1:
         if asked.as_json:
-            print_json([{**make_comparison_document(*one), "plot": None} for one in found])
+            print_json([{**one.document, "plot": None} for one in reports])
         else:
-            typer.echo("\n\n".join(format_comparison(*one) for one in found))
+            typer.echo("\n\n".join(map(format_terminal, reports)))
         return
-    ((path, models),) = found
+    (one,) = reports
     failure = None
     if plot is not None:
-        page = write_html(draw_comparison_page(read(path), models), interactive=asked.interactive)
         try:
+            page = write_html(one, interactive=asked.interactive)
             write_files({plot: page}, replaces=PAGE_BEGIN)
         except NewFileError as error:
             failure = error
     saved = None if plot is None or failure else str(plot)
-    document = {**make_comparison_document(path, models), "plot": saved}
     end = f"\nplots: {saved}" if saved else ""
-    print_result(
-        document, lambda: format_comparison(path, models) + end, failure, as_json=asked.as_json
-    )
+    document = {**one.document, "plot": saved}
+    print_result(document, lambda: format_terminal(one) + end, failure, as_json=asked.as_json)
+
+
+def _show_plant(
+    progress: Callable[[float, float, str], None], log: int, logs: int, done: float, of: float,
+    doing: str,
+) -> None:  # fmt: skip
+    progress(log + done / of, logs, doing)
 
 
 # --- health -----------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ there. Imported logs are compared in the signals that they hold.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -19,8 +19,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pamctl.diagnose.evidence.measured_motion import SMOOTH_S, find_rates, judge_motion
+from pamctl.diagnose.evidence.run_pieces import WINDOW_S
 from pamctl.log import NO_PHASE, Log, LogError, Signals, signals
 from pamctl.plant.drive import (
+    NO_RESTARTS,
+    Restarts,
     build_grid,
     count_steps,
     drive_coupled,
@@ -80,13 +84,20 @@ class Comparison:
     coupled: ModelOutput
     pressure_block: ModelOutput
     mechanics: ModelOutput
+    again_s: float | None = None
+    """The mechanics begin again from the measured state so often; None where they run freely."""
     unused: tuple[str, ...] = ()
     """A sentence for each signal of the log that the model does not read."""
 
     @property
-    def ways(self) -> tuple[ModelOutput, ModelOutput, ModelOutput]:
-        """Every way of driving the model."""
+    def all_ways(self) -> tuple[ModelOutput, ModelOutput, ModelOutput]:
+        """Every way of driving a model."""
         return self.coupled, self.pressure_block, self.mechanics
+
+    @property
+    def ways(self) -> list[ModelOutput]:
+        """The ways of driving this model that gave a signal."""
+        return [w for w in self.all_ways if w.position_m is not None or w.pressure_pa is not None]
 
     def gap(
         self, modelled: ModelOutput, signal: str, where: Mask | slice = slice(None)
@@ -108,10 +119,17 @@ class Comparison:
         ]
 
 
-def compare_model(log: Log, plant: PlantParameters, actuator: Actuator | None = None) -> Comparison:
+def compare_model(
+    log: Log,
+    plant: PlantParameters,
+    actuator: Actuator | None = None,
+    progress: Callable[[float, str], object] = lambda share, block: None,
+) -> Comparison:
     """Drive a model by a log; raise `LogError` if the log cannot drive it.
 
-    A chamber must be said to be one: it does not move, whatever position is beside it.
+    A chamber must be said to be one: it does not move, whatever position is beside it. A mechanism
+    that forgets nothing begins again from the measured state in windows, as in a diagnosis.
+    `progress` gets the share that is done, and the block that is driven.
     """
     measured = select_comparable(log, plant)
     actuator = actuator or ("direct" if plant.direct else "muscle")
@@ -134,29 +152,39 @@ def compare_model(log: Log, plant: PlantParameters, actuator: Actuator | None = 
     commanded = used.valve_v is not None
     pressed = used.pressure_pa is not None and not is_chamber
     pulled = used.force_n is not None
-    for stretch in stretches:
+    again_s = (
+        WINDOW_S
+        if judge_motion([used[s] for s in stretches], actuator, _find_usual_s(used))[1]
+        else None
+    )
+    for number, stretch in enumerate(stretches):
         part = used[stretch]
         start = _find_start(plant, part, follows_homing=stretch.start == 0 and _was_homed(log))
         # The mechanics have no command, and need no step where one acts.
         steps = count_steps(find_period_s(part.dt_s[1:]))
         grid = build_grid(part.dt_s[1:], len(part), steps, part.acts_after_s, part.held_v)
         if commanded and part.valve_v is not None:
+            progress(number / len(stretches), "coupled")
             driven = drive_coupled(plant, part.valve_v, grid, start=start)
             rows["x"][stretch], rows["p"][stretch] = driven.position_m, driven.pressure_pa
         if commanded and part.valve_v is not None and part.position_m is not None:
+            progress((number + 0.4) / len(stretches), "pressure block")
             rows["block_p"][stretch] = drive_pressure(
                 plant, part.valve_v, part.position_m, grid, start=start
             ).pressure_pa
         del grid  # of a long log, a third of all memory; the mechanics need another one
         if pressed or pulled:
+            progress((number + 0.7) / len(stretches), "mechanics")
             vented_pa = np.full(len(part), plant.atmospheric_pressure_pa)
+            again = None if again_s is None else _begin_again(plant, part, again_s)
             rows["block_x"][stretch] = drive_mechanics(
                 plant,
                 vented_pa if part.pressure_pa is None else part.pressure_pa,
                 part.dt_s[1:],
                 force_n=part.force_n if pulled else None,
-                start=start,
+                start=start if again is None else again[0],
                 steps=steps,
+                restarts=NO_RESTARTS if again is None else again[1],
             ).position_m
     drives_block = commanded and used.position_m is not None
     block_pa = rows["p"] if is_chamber else rows["block_p"] if drives_block else None
@@ -169,8 +197,30 @@ def compare_model(log: Log, plant: PlantParameters, actuator: Actuator | None = 
         ),
         ModelOutput("pressure block", None, block_pa),
         ModelOutput("mechanics", rows["block_x"] if pressed or pulled else None, None),
+        again_s,
         tuple(describe_unused(name, actuator) for name in unused),
     )
+
+
+def _begin_again(
+    plant: PlantParameters, part: Signals, every_s: float
+) -> tuple[PlantState, Restarts]:
+    """Return the measured state at the begin of a stretch, and at its every so many seconds."""
+    assert part.position_m is not None
+    period_s = _find_usual_s(part)
+    rates = find_rates(part.position_m, period_s, SMOOTH_S, build_grid(part.dt_s[1:], len(part), 1))
+    step = max(1, round(every_s / period_s))
+    rows = np.arange(step, len(part), step)
+    pressure_pa = plant.atmospheric_pressure_pa
+    if part.pressure_pa is not None:
+        pressure_pa = float(part.pressure_pa[0])
+    start = rest_state(plant, float(rates["smooth"][0]), pressure_pa)
+    start = start._replace(velocity_m_per_s=float(rates["speed"][0]))
+    return start, Restarts(rows, rates["smooth"][rows], rates["speed"][rows])
+
+
+def _find_usual_s(part: Signals) -> float:
+    return float(np.median(part.dt_s[1:]))
 
 
 def select_comparable(log: Log, plant: PlantParameters) -> Signals:
@@ -279,10 +329,15 @@ def _find_start(plant: PlantParameters, part: Signals, *, follows_homing: bool) 
 OWN_PLANT = "the log's own"
 
 
-def compare_plants(log: Log, names: Sequence[str]) -> dict[str, Comparison]:
+def compare_plants(
+    log: Log,
+    names: Sequence[str],
+    progress: Callable[[float, float, str], object] = lambda done, of, doing: None,
+) -> dict[str, Comparison]:
     """Compare a log with each plant; by default with the log's own plant, or the default plant.
 
-    Raises `ConfigError` and `LogError`.
+    `progress` gets how many plants are done of how many, and what is done now. Raises
+    `ConfigError` and `LogError`.
     """
     if not names and "plant" in log.config:
         raw = RawSettings(log.config["plant"], {(): f"{log.path}:config.json"})
@@ -293,6 +348,13 @@ def compare_plants(log: Log, names: Sequence[str]) -> dict[str, Comparison]:
             for name in names or [DEFAULT_NAMES["plant"]]
         }
     return {
-        name: compare_model(log, plant_parameters(settings), settings.actuator)
-        for name, settings in plants.items()
+        name: compare_model(
+            log,
+            plant_parameters(settings),
+            settings.actuator,
+            lambda share, block, name=name, done=done: progress(  # type: ignore[misc]
+                done + share, len(plants), f"{name}, {block}"
+            ),
+        )
+        for done, (name, settings) in enumerate(plants.items())
     }

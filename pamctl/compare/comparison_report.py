@@ -1,4 +1,4 @@
-"""A comparison as text tables, as one document, and as a page with its plots."""
+"""A comparison as a report: for a terminal, as one document, and as a page with its plots."""
 
 from __future__ import annotations
 
@@ -11,47 +11,59 @@ from typing import Any, NamedTuple
 from pamctl.compare.comparison import OWN_PLANT, Comparison, ComparisonGap
 from pamctl.log import Log
 from pamctl.report.figure import MUTED, Plot, PlotAxis, plot_apart
-from pamctl.report.report import Figure, Report, ReportTable, Section
+from pamctl.report.report import Figure, Report, ReportTable, Section, Text
 from pamctl.report.reported_run import Floats, ReportedRun
 from pamctl.report.run_motion import make_time_axis, mark_moments
 
 _UM, _KPA = 1e6, 1e-3
+_Models = Mapping[str, Comparison]
 
 
-def format_comparison(path: Path, found: Mapping[str, Comparison]) -> str:
-    """Return the gaps of every model as tables."""
-    first = next(iter(found.values()))
-    measured = first.measured
-    width = max(len(name) for name in found) + 2
-    head = f"{'RMS':>12}{'max':>9}"
-    gaps = (
-        f"{name:<{width}}{driven:<16}{a:>12}{b:>9}{c:>12}{d:>9}"
-        for name, driven, a, b, c, d in list_gaps(found)[1]
-    )
-    lines = [
+def report_comparison(path: Path, found: _Models, log: Log | None = None) -> Report:
+    """Return the gaps of every model to a log; with its plots where the whole log is given."""
+    comparisons = [*found.values()]
+    measured = comparisons[0].measured
+    coupled, alone = ([], []) if log is None else _draw_plots(log, found)
+    report = Report(
+        f"Model against {path.name}",
         f"{path}: {len(measured)} ticks from {measured.t_s[0]:.3f} s on, model minus measurement",
-        "",
-        f"{'':<{width + 16}}{'position um':>21}{'pressure kPa':>21}",
-        f"{'model':<{width}}{'driven':<16}{head}{head}",
-        *gaps,
-        "",
-        "each block alone, driven by the other's measured signal, RMS",
-        "",
-    ]
-    cell = max(21, *(len(name) + 2 for name in found)) if len(found) > 1 else 21
-    names = "".join(f"{name:>{cell}}" for name in found) if len(found) > 1 else ""
-    if names:
-        lines.append(f"{'':<26}{names}")
-    lines.append(f"{'':<18}{'ticks':>8}" + f"{'um':>{cell - 9}}{'kPa':>9}" * len(found))
-    for name, ticks, *rms in list_regimes(found)[1]:
-        pairs = zip(rms[::2], rms[1::2], strict=True)
-        cells = "".join(f"{um:>{cell - 9}}{kpa:>9}" for um, kpa in pairs)
-        lines.append(f"{name:<18}{ticks:>8}{cells}")
-    unused = dict.fromkeys(text for comparison in found.values() for text in comparison.unused)
-    return "\n".join([*lines, "", *unused, f"next: {_suggest_next(path, found)}"])
+        subtitle=", ".join(found),
+        document=_make_document(path, found),
+    )
+    report.add(Section("The gaps"), ReportTable(*_drop_empty(*list_gaps(found))))
+    if coupled:
+        caption = "The simulation with the logged command, and its gap."
+        report.add(
+            Section("The coupled model, driven by the logged command"), Figure(coupled, caption)
+        )
+    report.add(Section("Each block alone, driven by the other's measured signal"))
+    if alone:
+        report.add(
+            Figure(
+                alone,
+                "Model minus measurement: the mechanics driven by the measured pressure or force, "
+                "the pressure block by the command and the measured position.",
+            )
+        )
+    report.add(ReportTable(*_drop_empty(*list_regimes(found)), "By regime, RMS."))
+    for again_s in {c.again_s for c in comparisons} - {None}:
+        report.add(
+            Text(
+                f"This axis forgets nothing: the model begins again every {again_s:g} s from the "
+                "measured state, as in a diagnosis."
+            )
+        )
+    unused = dict.fromkeys(text for comparison in comparisons for text in comparison.unused)
+    return report.add(*map(Text, unused), Text(f"next: `{_suggest_next(path, found)}`"))
 
 
-def list_gaps(found: Mapping[str, Comparison]) -> tuple[list[str], list[list[str]]]:
+def _drop_empty(header: list[str], rows: list[list[str]]) -> tuple[list[str], list[list[str]]]:
+    """Leave out columns of signals that no model has."""
+    kept = [k for k in range(len(header)) if any(row[k] != "-" for row in rows) or not rows]
+    return [header[k] for k in kept], [[row[k] for k in kept] for row in rows]
+
+
+def list_gaps(found: _Models) -> tuple[list[str], list[list[str]]]:
     """Return header and rows: the gaps of every model, however it is driven."""
     header = ["model", "driven", "position RMS, µm", "max, µm", "pressure RMS, kPa", "max, kPa"]
     rows = [
@@ -67,7 +79,7 @@ def list_gaps(found: Mapping[str, Comparison]) -> tuple[list[str], list[list[str
     return header, rows
 
 
-def list_regimes(found: Mapping[str, Comparison]) -> tuple[list[str], list[list[str]]]:
+def list_regimes(found: _Models) -> tuple[list[str], list[list[str]]]:
     """Return header and rows: the gaps of each block alone in each part of the run, RMS."""
     header = ["regime", "ticks"]
     for name in found:
@@ -84,7 +96,7 @@ def list_regimes(found: Mapping[str, Comparison]) -> tuple[list[str], list[list[
     return header, rows
 
 
-def _suggest_next(path: Path, found: Mapping[str, Comparison]) -> str:
+def _suggest_next(path: Path, found: _Models) -> str:
     plants = [f" --plant {name}" for name in found if name != OWN_PLANT]
     log, plant = shlex.quote(str(path)), plants[0] if plants else ""
     return f"pamctl diagnose {log}{plant} --out diagnosis  # names what the model lacks"
@@ -94,7 +106,7 @@ def _format_cell(value: float) -> str:
     return "-" if value != value else f"{value:.{1 if value >= 10 else 3}f}"
 
 
-def make_comparison_document(path: Path, found: Mapping[str, Comparison]) -> dict[str, Any]:
+def _make_document(path: Path, found: _Models) -> dict[str, Any]:
     """Return the gaps of every model as one document; SI, None where there is no gap."""
     measured = next(iter(found.values())).measured
     return {
@@ -111,7 +123,7 @@ def make_comparison_document(path: Path, found: Mapping[str, Comparison]) -> dic
                         signal: _gap_fields(comparison.gap(way, signal))
                         for signal in ("position_m", "pressure_pa")
                     }
-                    for way in comparison.ways
+                    for way in comparison.all_ways
                 },
                 "regimes": [
                     {
@@ -149,7 +161,6 @@ _SIGNALS = (
     _Signal("pressure_pa", "Pressure", "kPa", 1e-3, "kPa", 1e-3),
 )
 _ALONE = {"position_m": "Mechanics alone", "pressure_pa": "Pressure block alone"}
-_Models = Mapping[str, Comparison]
 
 
 class _View(NamedTuple):
@@ -160,44 +171,33 @@ class _View(NamedTuple):
     colours: Mapping[str, int]
 
 
-def draw_comparison_page(log: Log, found: _Models) -> Report:
-    """Draw every model beside the measurement, and the gap between them."""
+def _draw_plots(log: Log, found: _Models) -> tuple[list[Plot], list[Plot]]:
+    """Draw every model beside the measurement, and the gap between them: coupled, and alone."""
     run = ReportedRun(log, log.path.stem)
     measured = next(iter(found.values())).measured
     t_s = measured.t_s - measured.t_s[0]
     axis = PlotAxis(make_time_axis([run]).label, "s", low=0.0, high=float(t_s[-1]), tight=True)
     view = _View(axis, t_s, {name: colour for colour, name in enumerate(found)})
+    has_coupled = any(
+        c.coupled.position_m is not None or c.coupled.pressure_pa is not None
+        for c in found.values()
+    )
     coupled = [
         plot
         for signal in _SIGNALS
         for draw in (_plot_signal, _plot_coupled_gap)
-        for plot in _plot_models(found, partial(draw, view, signal))
+        for plot in (_plot_models(found, partial(draw, view, signal)) if has_coupled else ())
     ]
     alone = [
         plot
         for signal in _SIGNALS
         for plot in _plot_models(found, partial(_plot_gap_alone, view, signal))
     ]
-    valve = Plot("Valve command", axis, PlotAxis("command", "V"), height_px=120)
-    if measured.valve_v is not None:
+    if coupled and measured.valve_v is not None:
+        valve = Plot("Valve command", axis, PlotAxis("command", "V"), height_px=120)
         coupled.append(valve.line(t_s, measured.valve_v, step=True, colour=MUTED))
     mark_moments([*coupled, *alone], run.moments)
-
-    page = Report(f"Model against {log.path.name}", subtitle=", ".join(found))
-    page.add(Section("The gaps"))
-    page.add(ReportTable(*list_gaps(found), "Model minus measurement."))
-    page.add(Section("The coupled model, driven by the logged command"))
-    page.add(Figure([*coupled], "The simulation with the logged command, and its gap."))
-    page.add(Section("Each block alone"))
-    page.add(
-        Figure(
-            [*alone],
-            "Model minus measurement: the mechanics driven by the measured pressure, the "
-            "pressure block by the command and the measured position.",
-        )
-    )
-    page.add(ReportTable(*list_regimes(found), "Each block alone, by regime, RMS."))
-    return page
+    return coupled, alone
 
 
 def _plot_models(found: _Models, draw: Callable[[_Models], Plot]) -> list[Plot]:

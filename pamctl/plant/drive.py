@@ -68,17 +68,17 @@ SLOPE_S = 1e-5
 
 
 class Restarts(NamedTuple):
-    """Samples at which a drive goes on from a measured state; the effects keep their memories.
+    """Samples at which the mechanics go on from a measured state; the effects keep their memories.
 
-    Creep, a spool or bristles are not measured: they are where the model's own run left them.
+    Creep or bristles are not measured: they are where the model's own run left them.
     """
 
     rows: NDArray[np.int64]
     """The samples, increasing."""
     outputs: Array
-    """Readings of the sensor there: position (m) or absolute pressure (Pa)."""
+    """Readings of the encoder there, m."""
     rates: Array
-    """Rates of the reading there (m/s or Pa/s)."""
+    """Rates of the readings there, m/s."""
 
 
 NO_RESTARTS = Restarts(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
@@ -140,7 +140,6 @@ def drive_pressure(
     start: PlantState | None = None,
     steps: int = STEPS_A_TICK,
     acts_after_s: ArrayLike | None = None,
-    restarts: Restarts = NO_RESTARTS,
 ) -> PressureResponse:
     """Run the pressure block under commands (V) and a measured position (m).
 
@@ -150,49 +149,15 @@ def drive_pressure(
     commands = _check_signal("command_v", command_v)
     positions = _check_signal("position_m", position_m, len(commands))
     grid = build_grid(dt_s, len(commands), steps, acts_after_s)
-    return _run_pressure(p, commands, positions, grid, start, restarts)[0]
-
-
-def find_pressure_course(
-    p: PlantParameters,
-    command_v: Array,
-    position_m: Array,
-    grid: SampleGrid,
-    *,
-    start: PlantState | None = None,
-    restarts: Restarts = NO_RESTARTS,
-) -> tuple[Array, Array]:
-    """Return the ends of the steps (s) and the pressure there (Pa), as `drive_pressure` runs it."""
-    response, ends_s = _run_pressure(
-        p, command_v, position_m, grid, start, restarts, every_step=True
-    )
-    return ends_s, response.pressure_pa
-
-
-def _run_pressure(
-    p: PlantParameters,
-    commands: Array,
-    positions: Array,
-    grid: SampleGrid,
-    start: PlantState | None,
-    restarts: Restarts,
-    *,
-    every_step: bool = False,
-) -> tuple[PressureResponse, Array]:
-    """Return the response at each sample, or at the end of each step; and the ends of the steps."""
     true_m = undo_sensor("position_reading", p, positions, grid.samples_s)
     if start is None:
         start = rest_state(p, float(true_m[0]), p.paper.atmospheric_pressure_pa)
     start = _settle_valve(p, start, grid.held_v)
     cut = build_steps(p, commands, grid)
-    restarts = _undo_restarts("pressure_reading", p, restarts, grid)
-    if every_step:
-        restarts = restarts._replace(rows=cut.first[restarts.rows])
-        cut = cut._replace(first=np.arange(len(cut.ends_s)))
     rows = np.full((len(PressureResponse._fields), len(cut.first)), np.nan)
     ends_m = _interpolate(cut.ends_s, grid.samples_s, true_m)
-    machine(run_pressure).fill_until_it_fails(p, start, cut, ends_m, restarts, rows)
-    return PressureResponse(*rows), cut.ends_s
+    machine(run_pressure).fill_until_it_fails(p, start, cut, ends_m, rows)
+    return PressureResponse(*rows)
 
 
 def drive_mechanics(
@@ -204,13 +169,11 @@ def drive_mechanics(
     start: PlantState | None = None,
     steps: int = STEPS_A_TICK,
     restarts: Restarts = NO_RESTARTS,
-    bend_pa: Array | None = None,
 ) -> MechanicsResponse:
     """Run the mechanics under a measured absolute pressure (Pa), linear between samples.
 
-    A direct mechanism also takes a measured force (N). `bend_pa` is added at the ends of the
-    steps: how the pressure leaves the line between two samples. By default the muscle starts
-    vented, at rest.
+    A direct mechanism also takes a measured force (N). By default the muscle starts vented, at
+    rest.
     """
     pressures = _check_signal("pressure_pa", pressure_pa)
     forces = None if force_n is None else _check_signal("force_n", force_n, len(pressures))
@@ -220,19 +183,13 @@ def drive_mechanics(
     cut = build_steps(p, pressures, grid)
     true_pa = undo_sensor("pressure_reading", p, pressures, grid.samples_s)
     ends_pa = _interpolate(cut.ends_s, grid.samples_s, true_pa)
-    if bend_pa is not None:
-        # A delayed command cuts the steps further: a line's pressure depends on it.
-        ends_pa = ends_pa + np.interp(cut.ends_s, grid.ends_s, bend_pa)
-    ends_n = _no_force_n(len(cut.ends_s))
+    ends = len(cut.ends_s)
+    ends_n = _make_zeros(1 << ends.bit_length())[:ends]
     if forces is not None:
         ends_n = _interpolate(cut.ends_s, grid.samples_s, forces)
-    restarts = _undo_restarts("position_reading", p, restarts, grid)
+    restarts = _undo_restarts(p, restarts, grid)
     machine(run_mechanics).fill_until_it_fails(p, state, cut, ends_pa, ends_n, restarts, rows)
     return MechanicsResponse(*rows)
-
-
-def _no_force_n(steps: int) -> Array:
-    return _make_zeros(1 << steps.bit_length())[:steps]
 
 
 @lru_cache
@@ -252,46 +209,6 @@ def _interpolate(ends_s: Array, samples_s: Array, values: Array) -> Array:
 
 
 _INTERPOLATED: BoundedMemory[tuple[Array]] = BoundedMemory(50_000_000)
-
-
-@lru_cache(maxsize=64)
-def select_pressure_numbers(p: PlantParameters) -> PlantParameters:
-    """Return the plant with neutral numbers where `drive_pressure` does not depend on them."""
-    paper = p.paper._replace(
-        mass_kg=1.0, damping_n_s_per_m=1.0, stiffness_n_per_m=1.0, friction_area_m=0.0
-    )
-    effects = p.effects._replace(mechanics=_NEUTRAL.mechanics)
-    return p._replace(paper=paper, effects=effects, mechanics_act=False)
-
-
-@lru_cache(maxsize=64)
-def select_mechanics_numbers(p: PlantParameters) -> PlantParameters:
-    """Return the plant with neutral numbers where `drive_mechanics` does not depend on them.
-
-    With a restriction of the line the muscle's pressure depends on the air's numbers too.
-    """
-    if restricts(p.effects.air.line_restriction):
-        return p
-    paper = p.paper._replace(
-        tank_pressure_pa=1.0,
-        specific_energy_j_per_kg=1.0,
-        valve_gain_m2_per_v=1.0,
-        inverse_gamma=1.0,
-        critical_ratio=1.0,
-        choked_flow_s_per_m=1.0,
-        unchoked_flow_s_per_m=1.0,
-    )
-    effects = p.effects._replace(timing=_NEUTRAL.timing, valve=_NEUTRAL.valve, air=_NEUTRAL.air)
-    return p._replace(paper=paper, effects=effects, valve_acts=False, air_acts=False)
-
-
-@lru_cache(maxsize=64)
-def without_pressure_offset(p: PlantParameters) -> PlantParameters:
-    """Return the plant with a right zero of the pressure sensor; it must have no terms."""
-    neutral = _NEUTRAL.sensors
-    sensors = p.effects.sensors._replace(pressure_sensor_offset=neutral.pressure_sensor_offset)
-    effects = p.effects._replace(sensors=sensors)
-    return p._replace(effects=effects, sensors_act=sensors != neutral)
 
 
 _NEUTRAL = parameters_of({}).effects
@@ -325,13 +242,11 @@ def run_pressure(
     state: PlantState,
     steps: DriveSteps,
     positions_m: Array,
-    restarts: Restarts,
     rows: Array,
 ) -> None:
     """Kernel of `drive_pressure`. `positions_m` holds the positions at the ends of the steps."""
     pressure_pa, valve, air, sensors = state.pressure_pa, state.valve, state.air, state.sensors
     age_s = state.age_s
-    again = 0
     for k in range(rows.shape[1]):
         if k:
             for j in range(steps.first[k - 1], steps.first[k]):
@@ -352,9 +267,6 @@ def run_pressure(
                 end_pa = pressure_at_sensor_pa(p, pressure_pa, air)
                 sensors = sensors_step(p, sensors, begin_pa, end_pa, x, end_m, age_s, step_s)
                 age_s += step_s
-        if again < len(restarts.rows) and restarts.rows[again] == k:
-            pressure_pa = restarts.outputs[again]
-            again += 1
         rows[0, k] = sensed_pressure_pa(p, pressure_pa, air, sensors, age_s)
         rows[1, k] = pressure_pa
 
@@ -581,13 +493,10 @@ def undo_sensor(place: str, p: PlantParameters, shown: Array, times_s: Array) ->
     return true
 
 
-def _undo_restarts(
-    place: str, p: PlantParameters, restarts: Restarts, grid: SampleGrid
-) -> Restarts:
-    """Return the restarts with the true values and rates behind the sensor's readings.
+def _undo_restarts(p: PlantParameters, restarts: Restarts, grid: SampleGrid) -> Restarts:
+    """Return the restarts with the true values and rates behind the encoder's readings.
 
-    A sensor's lag is undone by the slope, which the restarts, far apart, do not show: each is
-    undone as a short line. A play is left: `restart_behind_play` knows more.
+    Each is undone as a short line. A play is left: `restart_behind_play` knows more.
     """
     if not (p.sensors_act and len(restarts.rows)):
         return restarts
@@ -596,7 +505,7 @@ def _undo_restarts(
     around_s = np.array([-SLOPE_S, 0.0, SLOPE_S])
     times_s = np.add.outer(grid.samples_s[restarts.rows], around_s)
     shown = restarts.outputs[:, None] + np.outer(restarts.rates, around_s)
-    true = undo_sensor(place, p, shown.ravel(), times_s.ravel()).reshape(shown.shape)
+    true = undo_sensor("position_reading", p, shown.ravel(), times_s.ravel()).reshape(shown.shape)
     rates = (true[:, 2] - true[:, 0]) / (2.0 * SLOPE_S)
     return restarts._replace(outputs=np.ascontiguousarray(true[:, 1]), rates=rates)
 

@@ -242,7 +242,6 @@ class Location:
             best_experiment="",
             seen_by=self.seen_by,
             woven=(self.part,),
-            is_searched=False,
             actuators=self.actuators,
         )
 

@@ -1,13 +1,15 @@
-"""The progress of a run: one line with its newest figures, on standard error."""
+"""Progress on standard error: of a run with its newest figures, and of any long work."""
 
 from __future__ import annotations
 
 import math
 import shutil
 import sys
+import threading
 import time
 from collections.abc import Mapping
 from contextlib import suppress
+from types import TracebackType
 
 from pamctl.signals import Phase, find_followed_m
 
@@ -72,3 +74,69 @@ def format_progress(tick: Mapping[str, float], worst_late_s: float, end_s: float
         f"P {tick['pressure_pa'] * 1e-3:6.1f} kPa  u {tick['valve_v']:+6.3f} V  "
         f"wake-up {worst_late_s * 1e6:.0f} us"
     )
+
+
+_FIRST_S = 2.0
+"""Work that ends sooner says nothing."""
+_FILE_EVERY_S = 10.0
+
+
+class WorkProgress:
+    """Says what long work does, how far it is and how long it will take; a context manager.
+
+    It rewrites its line on a terminal; elsewhere, as in a file, it prints one every 10 s. A thread
+    tells the time also while the work is in machine code.
+
+        with WorkProgress("compare") as show:
+            show(1, 6, "paper, pressure block")
+    """
+
+    def __init__(self, what: str) -> None:
+        self._what, self._saying, self._share = what, "", 0.0
+        self._terminal = sys.stderr is not None and sys.stderr.isatty()
+        self._began_s = time.monotonic()
+        self._ended = threading.Event()
+        self._teller = threading.Thread(target=self._tell, name="progress", daemon=True)
+        self._width = 0
+
+    def __enter__(self) -> WorkProgress:
+        self._teller.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._ended.set()
+        self._teller.join()
+        if self._width:
+            with suppress(OSError, ValueError):
+                print("\r" + " " * self._width, end="\r", file=sys.stderr, flush=True)
+
+    def __call__(self, done: float, of: float, saying: str = "") -> None:
+        """Note that so much of the work is done, and what is done now."""
+        self._saying, self._share = saying, done / of if of else 0.0
+
+    def line(self) -> str:
+        """Return what is said now."""
+        spent_s = time.monotonic() - self._began_s
+        said = [f"{self._what}: {self._saying}" if self._saying else self._what, f"{spent_s:.0f} s"]
+        if 0.0 < self._share < 1.0:
+            left_s = spent_s * (1.0 / self._share - 1.0)
+            said.append(f"{self._share:.0%}, about {left_s:.0f} s left")
+        return ", ".join(said)
+
+    def _tell(self) -> None:
+        wait_s = _FIRST_S
+        with suppress(OSError, ValueError):  # standard error is closed: the work goes on
+            while sys.stderr is not None and not self._ended.wait(wait_s):
+                wait_s = 0.5 if self._terminal else _FILE_EVERY_S
+                line = self.line()
+                if self._terminal:
+                    line = line[: shutil.get_terminal_size().columns - 1]
+                    print("\r" + line.ljust(self._width), end="", file=sys.stderr, flush=True)
+                    self._width = len(line)
+                else:
+                    print(line, file=sys.stderr, flush=True)

@@ -101,14 +101,20 @@ class Report:
 def format_terminal(report: Report) -> str:
     """Return a report for a terminal of any language; figures and folded texts are left out."""
     lines = [report.verdict or report.title]
+    before: Part | None = None
     for part in report.parts:
-        lines += _list_lines(part)
+        stands_alone = isinstance(part, Section) or not isinstance(before, Text | Points)
+        if stands_alone and not isinstance(before, Section) and lines[-1]:
+            lines.append("")
+        shown = [*_list_lines(part)]
+        lines += shown
+        before = part if shown else before
     return to_ascii("\n".join(line.rstrip() for line in lines))
 
 
 def _list_lines(part: Part) -> Iterator[str]:
     if isinstance(part, Section):
-        yield from ("", part.heading)
+        yield part.heading
     elif isinstance(part, Text):
         yield part.text.replace("`", "")
     elif isinstance(part, Points):
@@ -117,7 +123,6 @@ def _list_lines(part: Part) -> Iterator[str]:
         width = max(map(len, part.facts), default=0)
         yield from (f"{name:<{width}}  {value}" for name, value in part.facts.items())
     elif isinstance(part, ReportTable):
-        yield ""
         if part.caption:
             yield part.caption
         columns = list(zip(part.header, *part.rows, strict=True))

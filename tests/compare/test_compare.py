@@ -10,15 +10,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from support.command_line import parse_command
+from support.free_mass import axis, pushed_mass
 from typer.testing import CliRunner
 
 from pamctl.cli.app import app
 from pamctl.compare.comparison import compare_model, measure_gap, split_regimes
 from pamctl.log import LogError, read, signals
 from pamctl.log.importing.imported_log import write_imported
-from pamctl.plant.drive import drive_coupled, drive_pressure
+from pamctl.plant.drive import drive_coupled, drive_mechanics, drive_pressure
 from pamctl.plant.model import PlantSettings, plant_parameters
-from pamctl.plant.parameters import parameters_of
+from pamctl.plant.parameters import parameters_of, rest_state
+from pamctl.settings.resolve import settings_to_yaml
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 PAPER = parameters_of({})
@@ -252,3 +254,38 @@ def test_a_page_that_cannot_be_written_is_refused_before_anything_is_computed(
     done = CliRunner().invoke(app, ["compare", str(tmp_path / "no.mcap"), "--plot", str(page)])
     assert done.exit_code == 2
     assert "there is no directory" in done.stderr
+
+
+def test_an_axis_that_forgets_nothing_is_compared_in_windows_and_has_no_coupled_figures(
+    tmp_path: Path,
+) -> None:
+    record = pushed_mass(1)
+    assert record.force_n is not None
+    assert record.position_m is not None
+    columns = {"force_n": record.force_n, "position_m": record.position_m}
+    write_imported(tmp_path / "axis.mcap", record.t_s, columns, {})
+    (tmp_path / "mine.yaml").write_text(settings_to_yaml(axis(1.1)))
+    page = tmp_path / "page.html"
+    asked = ["compare", str(tmp_path / "axis.mcap"), "--plant", str(tmp_path / "mine.yaml")]
+    done = CliRunner().invoke(app, [*asked, "--plot", str(page)])
+    assert done.exit_code == 0, done.output
+    assert "begins again every 0.256 s" in done.stdout
+    assert "coupled" not in done.stdout
+    assert "coupled" not in page.read_text().split("</style>")[1]
+    (row,) = [line for line in done.stdout.splitlines() if "mechanics" in line]
+    rms_um = float(row.split()[-2])
+    assert rms_um < 0.2 * compare_free(tmp_path / "axis.mcap", axis(1.1))
+
+
+def compare_free(path: Path, plant: PlantSettings) -> float:
+    """The gap in micrometres of a mechanism that runs freely from the first sample on."""
+    here = signals(read(path))
+    assert here.position_m is not None
+    found = drive_mechanics(
+        plant_parameters(plant),
+        np.full(len(here), 101_325.0),
+        here.dt_s[1:],
+        force_n=here.force_n,
+        start=rest_state(plant_parameters(plant), float(here.position_m[0]), 101_325.0),
+    )
+    return float(1e6 * np.sqrt(np.mean((found.position_m - here.position_m) ** 2)))

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import pytest
 
+from pamctl.diagnose.evidence import pool
 from pamctl.plant import catalogue
 from pamctl.plant.catalogue import CATALOGUE, check_effect, load_effects, order_entries
 from pamctl.plant.effects.description import EffectEntry, EffectForm, EffectMemory
@@ -55,6 +56,15 @@ def test_a_record_that_contradicts_itself_is_refused(wrong, message: str) -> Non
 def test_an_old_installation_does_not_lose_the_shipped_effects(monkeypatch) -> None:
     monkeypatch.setattr(catalogue, "entry_points", lambda group: ())
     assert list(load_effects()) == [n for n, e in CATALOGUE.items() if is_shipped(e.kind)]
+
+
+def test_the_diagnosis_places_an_effect_by_its_file() -> None:
+    places = {h.family: h.place for h in pool.list_effects("muscle", pool.PAPER_SCALES)}
+    assert {places[n] for n in ("valve_leak", "valve_spool", "command_delay")} == {"valve"}
+    assert {places[n] for n in ("dead_volume", "discharge_ratio", "chamber_leak")} == {"air"}
+    assert {places[n] for n in ("stribeck", "presliding", "position_friction")} == {"friction"}
+    assert {places[n] for n in ("creep", "cubic_stiffness", "end_cap")} == {"pull"}
+    assert places["supply_droop"] == "supply"
 
 
 def is_shipped(kind: type) -> bool:

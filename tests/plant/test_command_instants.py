@@ -9,7 +9,6 @@ import pytest
 import support.equations.paper_equations as paper
 from scipy.integrate import solve_ivp
 
-from pamctl.plant import drive
 from pamctl.plant.drive import build_grid, build_steps, drive_coupled, drive_pressure
 from pamctl.plant.parameters import parameters_of
 from pamctl.plant.simulated import SimulatedPlant
@@ -156,14 +155,6 @@ def test_a_grid_takes_no_other_instants() -> None:
     grid = build_grid(TICK_S, 3)
     with pytest.raises(ValueError, match="a grid has its own"):
         drive_coupled(PAPER, [0.0] * 3, grid, acts_after_s=1e-4)
-
-
-def test_the_course_of_the_pressure_passes_through_its_samples() -> None:
-    grid = build_grid(TICK_S, TICKS, acts_after_s=LATE_S)
-    ends_s, course_pa = drive.find_pressure_course(PAPER, COMMAND_V, POSITION_M, grid)
-    at_samples = drive_pressure(PAPER, COMMAND_V, POSITION_M, grid).pressure_pa
-    np.testing.assert_array_equal(course_pa[grid.first], at_samples)
-    assert len(ends_s) == len(course_pa) == len(grid.step_s) + 1
 
 
 @pytest.mark.parametrize("late_s", [None, 3e-4])

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from pamctl.plant import drive
 from pamctl.plant.drive import (
     Restarts,
-    build_grid,
     drive_coupled,
     drive_mechanics,
     drive_pressure,
@@ -153,20 +152,6 @@ def test_invalid_arrays_are_refused(command_v, dt_s, complaint: str) -> None:
         drive_pressure(PAPER, [0.0] * 3, [0.0] * 2, 1e-3)
 
 
-def test_a_restart_undoes_the_lag_of_the_sensor_by_the_slope_at_its_sample() -> None:
-    """The slope from one restart to the next is another one: they are far apart."""
-    lag_s = 10e-3
-    p = parameters_of({"pressure_sensor_lag.time_constant_s": lag_s})
-    command_v = np.where(np.arange(400) % 90 < 45, 0.8, -0.7)
-    free = drive_pressure(p, command_v, np.zeros(400), TICK_S)
-    rows = np.array([70, 150, 280])
-    rates = (free.true_pressure_pa - free.pressure_pa)[rows] / lag_s
-    again = Restarts(rows, free.pressure_pa[rows], rates)
-    restarted = drive_pressure(p, command_v, np.zeros(400), TICK_S, restarts=again)
-    assert np.abs(rates * lag_s).min() > 500.0
-    np.testing.assert_allclose(restarted.true_pressure_pa, free.true_pressure_pa, rtol=1e-6)
-
-
 def test_a_restart_undoes_the_scale_of_the_encoder_in_position_and_velocity() -> None:
     p = parameters_of(
         {"actuator": 1.0, "mass_kg": 95.0, "stiffness_n_per_m": 0.0, "encoder_scale.scale": 1.1}
@@ -210,18 +195,3 @@ def test_a_flat_mapping_and_a_plant_file_are_equivalent() -> None:
 def test_an_unknown_name_is_refused_with_the_nearest() -> None:
     with pytest.raises(KeyError, match=r"did you mean valve_spool\.time_constant_s"):
         parameters_of({"valve_spool.time_constant": 1e-3})
-
-
-def test_a_bent_pressure_may_drive_a_line_behind_a_delayed_command() -> None:
-    """The delay cuts the steps once more; the bend is given at the ends of the uncut ones."""
-    p = parameters_of(
-        {"line_restriction.resistance_pa_s_per_kg": 2e6, "command_delay.delay_s": 0.7e-3}
-    )
-    pressure_pa = np.linspace(101.3e3, 300e3, 200)
-    grid = build_grid(np.full(199, 1e-3), 200)
-    straight = drive_mechanics(p, pressure_pa, grid).position_m
-    bent = drive_mechanics(p, pressure_pa, grid, bend_pa=np.zeros(len(grid.ends_s))).position_m
-    raised = drive_mechanics(p, pressure_pa, grid, bend_pa=np.full(len(grid.ends_s), 5e3))
-    assert np.array_equal(bent, straight)
-    expected = drive_mechanics(p, pressure_pa + 5e3, grid).position_m
-    assert np.allclose(raised.position_m, expected, atol=1e-9)

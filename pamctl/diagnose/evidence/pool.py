@@ -198,7 +198,7 @@ def _make_unknown(name: str, p: EffectParameter, start: float, machine: Scales) 
 
 
 def _find_place(effect: EffectDescription, number: int | None) -> str:
-    """Return where an effect acts: the place of its term, or else the folder of its kernels."""
+    """Return where an effect acts: the place of its term, or else the file of its kernels."""
     places = [place_of(term.location) for term in effect.as_terms]
     if number is not None:  # a drift of several numbers: as its terms, without the valve's others
         firsts = list(dict.fromkeys(places))
@@ -210,12 +210,12 @@ def _find_place(effect: EffectDescription, number: int | None) -> str:
             "encoder" if any(e.place == "position_reading" for e in effect.entries) else
             "pressure_sensor"
         )  # fmt: skip
-    folder = effect.kind.__module__.rpartition(".")[0].rpartition(".")[2]  # empty outside of pamctl
-    if folder in ("valve", "air", "friction"):
-        return folder
+    file = effect.kind.__module__.removeprefix("pamctl.plant.effects.")
+    if file in ("valve", "air", "friction"):
+        return file
     if any(e.place == "friction" for e in effect.entries):
         return "friction"
-    outside = [part for part in ("valve", "air") if part in effect.parts and folder != "mechanics"]
+    outside = [part for part in ("valve", "air") if part in effect.parts and file != "mechanics"]
     return outside[0] if outside else "pull"
 
 

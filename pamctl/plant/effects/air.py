@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from math import exp, pi, pow, sin, sqrt
 from typing import NamedTuple
 
@@ -18,41 +17,31 @@ from pamctl.plant.effects.description import (
 
 
 class ChamberLeak(NamedTuple):
-    """Air leaks out of the muscle into the room.
-
-    A hole in the muscle or its fittings.
-    """
+    """Air leaks out of the muscle into the room."""
 
     area_m2: float = 0.0
 
 
 CHAMBER_LEAK = EffectDescription(
-    kind=ChamberLeak,
-    block="pressure",
+    kind=ChamberLeak, block="pressure",
     equation="m -= A_c Psi(P, P_atm)",
     parameters=(
         size("area_m2", "m2", 3e-7, smallest=1e-9, start=1e-8, meaning="A_c, area of the leak"),
     ),
     signature="with the valve closed the pressure falls towards atmospheric pressure, faster at "
     "higher pressure",
-    best_experiment="fill-and-hold",
-    woven=("air",),
+    best_experiment="fill-and-hold", woven=("air",),
     told_from={
-        "valve_leak": Distinction(
-            "fill-and-hold",
-            "with the valve closed a valve leak ends between tank and atmosphere, a chamber leak "
-            "at atmospheric pressure",
-        )
+        "valve_leak": Distinction("fill-and-hold",
+                                  "with the valve closed a valve leak ends between tank and "
+                                    "atmosphere, a chamber leak at atmospheric pressure"),
     },
     as_terms=(AsTerm("flow", "gain", "pressure"), AsTerm("flow", "curve", "pressure")),
-)
+)  # fmt: skip
 
 
 class DeadVolume(NamedTuple):
-    """Constant air volume beside the muscle: tubes, fittings, the sensor's port.
-
-    Constant volume that is filled and emptied with the muscle.
-    """
+    """Constant air volume beside the muscle: tubes, fittings, the sensor's port."""
 
     volume_m3: float = 0.0
 
@@ -63,8 +52,7 @@ def add_dead_volume_m3(dead: DeadVolume, volume_m3: float) -> float:
 
 
 DEAD_VOLUME = EffectDescription(
-    kind=DeadVolume,
-    block="pressure",
+    kind=DeadVolume, block="pressure",
     equation="V = V(x) + V_d",
     parameters=(
         size("volume_m3", "m3", 6e-5, smallest=1e-6, start=4e-6, meaning="V_d, added volume"),
@@ -73,14 +61,11 @@ DEAD_VOLUME = EffectDescription(
     best_experiment="slow-ramps",
     entries=(EffectEntry("volume", add_dead_volume_m3),),
     as_terms=(AsTerm("volume", "constant"),),
-)
+)  # fmt: skip
 
 
 class DischargeRatio(NamedTuple):
-    """The valve chokes at a lower pressure ratio than an ideal nozzle (ISO 6358: b = 0.2 to 0.5).
-
-    Critical ratio minus that of an isentropic nozzle (0.528 for air).
-    """
+    """The valve chokes at a lower pressure ratio than a nozzle does (ISO 6358: b = 0.2 to 0.5)."""
 
     shift: float = 0.0
 
@@ -98,18 +83,15 @@ def nozzle_ratio(discharge: DischargeRatio, ratio: float, critical_ratio: float)
 
 
 DISCHARGE_RATIO = EffectDescription(
-    kind=DischargeRatio,
-    block="pressure",
+    kind=DischargeRatio, block="pressure",
     equation="Psi(r') with 1 - r' = (1 - r) (1 - C_r) / (1 - b),  b = C_r + shift",
     parameters=(
-        size(
-            "shift", "1", 0.15, smallest=0.025, start=-0.1, meaning="b - C_r, C_r = 0.528", low=-0.4
-        ),
+        size("shift", "1", 0.15, smallest=0.025, start=-0.1, meaning="b - C_r, C_r = 0.528",
+             low=-0.4),
     ),
     signature="the flow is wrong while it is not choked: near the end of filling and of venting",
-    best_experiment="square-1",
-    woven=("air",),
-)
+    best_experiment="square-1", woven=("air",),
+)  # fmt: skip
 
 
 class LineRestriction(NamedTuple):
@@ -164,57 +146,29 @@ def line_time_s(line: LineRestriction, specific_energy_j_per_kg: float) -> float
 
 
 LINE_RESTRICTION = EffectDescription(
-    kind=LineRestriction,
-    block="pressure",
-    equation="V_l P_1' = R T (m - g),  (P V)' = R T g,  the sensor sees P_1;  g = (P_1 - P) / R_l, "
-    "or P_1 - P = R_l g + R_t g|g| P_atm / P_m",
+    kind=LineRestriction, block="pressure",
+    equation="V_l P_1' = R T (m - g),  (P V)' = R T g,  the sensor sees P_1;  g = (P_1 - P) / "
+    "R_l, or P_1 - P = R_l g + R_t g|g| P_atm / P_m",
     parameters=(
-        size(
-            "resistance_pa_s_per_kg",
-            "Pa s/kg",
-            5e7,
-            smallest=1e6,
-            start=5e6,
-            meaning="R_l, resistance of the tube",
-        ),
-        shape(
-            "volume_m3",
-            "m3",
-            0.0,
-            2e-5,
-            usual=0.0,
-            smallest=1e-6,
-            meaning="V_l, volume at the valve's end; it is filled through R_l alone",
-        ),
-        size(
-            "turbulent_pa_s2_per_kg2",
-            "Pa s2/kg2",
-            2e11,
-            smallest=3e9,
-            start=1.5e10,
-            meaning="R_t, turbulent resistance at atmospheric pressure; P_m is the mean pressure",
-        ),
+        size("resistance_pa_s_per_kg", "Pa s/kg", 5e7, smallest=1e6, start=5e6,
+             meaning="R_l, resistance of the tube"),
+        shape("volume_m3", "m3", 0.0, 2e-5, usual=0.0, smallest=1e-6,
+              meaning="V_l, volume at the valve's end; it is filled through R_l alone"),
+        size("turbulent_pa_s2_per_kg2", "Pa s2/kg2", 2e11, smallest=3e9, start=1.5e10,
+             meaning="R_t, turbulent resistance at atmospheric pressure; P_m is the mean pressure"),
     ),
     signature="the measured pressure jumps with the flow, and the motion follows later; both "
     "blocks show it",
-    best_experiment="square-1",
-    seen_by=("pressure", "mechanics"),
-    woven=("air",),
+    best_experiment="square-1", seen_by=("pressure", "mechanics"), woven=("air",),
     forms=(
         EffectForm("resistance", free=("resistance_pa_s_per_kg",)),
-        EffectForm(
-            "resistance and volume",
-            free=("resistance_pa_s_per_kg", "volume_m3"),
-            held={"volume_m3": 3e-6},
-        ),
-        EffectForm(
-            "turbulent",
-            free=("resistance_pa_s_per_kg", "turbulent_pa_s2_per_kg2"),
-            held={"volume_m3": 0.0},
-        ),
+        EffectForm("resistance and volume", free=("resistance_pa_s_per_kg", "volume_m3"),
+                   held={"volume_m3": 3e-6}),
+        EffectForm("turbulent", free=("resistance_pa_s_per_kg", "turbulent_pa_s2_per_kg2"),
+                   held={"volume_m3": 0.0}),
     ),
     actuators=("muscle", "chamber"),
-)
+)  # fmt: skip
 
 
 THINNEST = 1e-3
@@ -230,8 +184,6 @@ class Polytropic(NamedTuple):
     slow one isothermal, and the pressure creeps after a fast one although no air flows. The walls
     take heat in proportion to the difference of temperature, whatever the volume: while a muscle
     contracts, its volume may double, and its surface, b^2 sin(2 theta) / (2 n), hardly changes.
-
-    Exponent of the change of state: 1 is isothermal, as in Eq. 7, 1.4 adiabatic.
     """
 
     exponent: float = 1.0
@@ -279,50 +231,26 @@ def outflow_energy(warmth: float) -> float:
 
 
 POLYTROPIC = EffectDescription(
-    kind=Polytropic,
-    block="pressure",
-    equation="d(P V^a)/dt = a R T m V^(a-1); with walls T' also has -(T - T_0) / tau, "
-    "tau = wall_time m / m_rest",
+    kind=Polytropic, block="pressure",
+    equation="d(P V^a)/dt = a R T m V^(a-1); with walls T' also has -(T - T_0) / tau, tau = "
+    "wall_time m / m_rest",
     parameters=(
-        size(
-            "exponent",
-            "1",
-            1.4,
-            smallest=0.03,
-            start=1.1,
-            meaning="a: 1 isothermal, 1.4 adiabatic",
-            neutral=1.0,
-            low=1.0,
-            has_natural_end=True,
-        ),
-        shape(
-            "wall_time_s",
-            "s",
-            0.0,
-            100.0,
-            usual=0.0,
-            smallest=0.02,
-            meaning="time in which the air of a vented muscle takes the walls' heat; 0: never",
-        ),
+        size("exponent", "1", 1.4, smallest=0.03, start=1.1,
+             meaning="a: 1 isothermal, 1.4 adiabatic", neutral=1.0, low=1.0),
+        shape("wall_time_s", "s", 0.0, 100.0, usual=0.0, smallest=0.02,
+              meaning="time in which the air of a vented muscle takes the walls' heat; 0: never"),
     ),
     signature="the rate of pressure is wrong by one factor, under flow and under motion; with "
     "walls the pressure creeps after each fast change",
-    best_experiment="square-1",
-    woven=("air",),
+    best_experiment="square-1", woven=("air",),
     forms=(
         EffectForm("one exponent", free=("exponent",)),
-        EffectForm(
-            "near walls",
-            free=("exponent", "wall_time_s"),
-            held={"exponent": 1.35, "wall_time_s": 0.02},
-        ),
-        EffectForm(
-            "far walls",
-            free=("exponent", "wall_time_s"),
-            held={"exponent": 1.35, "wall_time_s": 0.5},
-        ),
+        EffectForm("near walls", free=("exponent", "wall_time_s"),
+                   held={"exponent": 1.35, "wall_time_s": 0.02}),
+        EffectForm("far walls", free=("exponent", "wall_time_s"),
+                   held={"exponent": 1.35, "wall_time_s": 0.5}),
     ),
-)
+)  # fmt: skip
 
 
 FAST = 0.1
@@ -362,66 +290,35 @@ def droop_resistance(droop: SupplyDroop, step_s: float) -> float:
 
 
 SUPPLY_DROOP = EffectDescription(
-    kind=SupplyDroop,
-    block="pressure",
+    kind=SupplyDroop, block="pressure",
     equation="tau P_s' = P_tank - R_s m - P_s,  m = flow out of the supply; static for tau = 0; "
     "two tanks: a share of R_s with tau / 10",
     parameters=(
-        size(
-            "resistance_pa_s_per_kg",
-            "Pa s/kg",
-            5e7,
-            smallest=1e6,
-            start=5e6,
-            meaning="R_s, resistance of the regulator and its tube",
-        ),
-        shape(
-            "refill_time_s",
-            "s",
-            0.0,
-            5.0,
-            usual=0.0,
-            smallest=5e-3,
-            meaning="tau = V_t R_s / (R T) of a tank of volume V_t between regulator and valve",
-        ),
-        shape(
-            "fast_share",
-            "1",
-            0.0,
-            1.0,
-            usual=0.0,
-            smallest=0.1,
-            meaning="share of R_s behind a second tank, with a tenth of tau",
-        ),
+        size("resistance_pa_s_per_kg", "Pa s/kg", 5e7, smallest=1e6, start=5e6,
+             meaning="R_s, resistance of the regulator and its tube"),
+        shape("refill_time_s", "s", 0.0, 5.0, usual=0.0, smallest=5e-3,
+              meaning="tau = V_t R_s / (R T) of a tank of volume V_t between regulator and valve"),
+        shape("fast_share", "1", 0.0, 1.0, usual=0.0, smallest=0.1,
+              meaning="share of R_s behind a second tank, with a tenth of tau"),
     ),
     signature="an error while filling only, in proportion to the flow; a tank makes it last",
-    best_experiment="square-1",
-    woven=("air",),
+    best_experiment="square-1", woven=("air",),
     forms=(
         EffectForm("static", free=("resistance_pa_s_per_kg",)),
-        EffectForm(
-            "finite tank",
-            free=("resistance_pa_s_per_kg", "refill_time_s"),
-            held={"refill_time_s": 0.05},
-        ),
-        EffectForm(
-            "two tanks",
-            free=("resistance_pa_s_per_kg", "refill_time_s", "fast_share"),
-            held={"refill_time_s": 0.1, "fast_share": 0.4},
-        ),
+        EffectForm("finite tank", free=("resistance_pa_s_per_kg", "refill_time_s"),
+                   held={"refill_time_s": 0.05}),
+        EffectForm("two tanks", free=("resistance_pa_s_per_kg", "refill_time_s", "fast_share"),
+                   held={"refill_time_s": 0.1, "fast_share": 0.4}),
     ),
     as_terms=(AsTerm("supply", "curve", "time"),),
-)
+)  # fmt: skip
 
 
 HIGHEST_HZ = 50.0
 
 
 class SupplyRipple(NamedTuple):
-    """The supply's pressure swings: a compressor that starts and stops, a regulator that hunts.
-
-    A sine in the supply's pressure, from the plant's start on.
-    """
+    """The supply's pressure swings: a compressor that starts and stops, a regulator that hunts."""
 
     amplitude_pa: float = 0.0
     frequency_hz: float = 1.0
@@ -435,38 +332,16 @@ def ripple_pa(ripple: SupplyRipple, age_s: float) -> float:
     return ripple.amplitude_pa * sin(2.0 * pi * ripple.frequency_hz * age_s + ripple.phase_rad)
 
 
-def from_wave(term: Mapping[str, float]) -> dict[str, float]:
-    """Return the numbers of the ripple that is a wave of the supply in time."""
-    turned = pi if term["size"] < 0.0 else 0.0
-    phase = (term["phase"] + turned + pi) % (2.0 * pi) - pi
-    return {
-        "amplitude_pa": abs(term["size"]),
-        "frequency_hz": 1.0 / term["inner"],
-        "phase_rad": phase,
-    }
-
-
 SUPPLY_RIPPLE = EffectDescription(
-    kind=SupplyRipple,
-    block="pressure",
+    kind=SupplyRipple, block="pressure",
     equation="P_s = P_tank + a sin(2 pi f t + phi)",
     parameters=(
         size("amplitude_pa", "Pa", 100e3, smallest=1.7e3, start=5e3, meaning="a"),
         shape("frequency_hz", "Hz", 0.02, HIGHEST_HZ, usual=1.0, smallest=0.01, meaning="f"),
-        shape(
-            "phase_rad",
-            "rad",
-            -2.0 * pi,
-            2.0 * pi,
-            usual=0.0,
-            smallest=0.1,
-            meaning="phi, at the start of a record",
-        ),
+        shape("phase_rad", "rad", -2.0 * pi, 2.0 * pi, usual=0.0, smallest=0.1,
+              meaning="phi, at the start of a record"),
     ),
     signature="an error while filling that comes and goes at a rhythm of its own",
-    best_experiment="square-1",
-    woven=("air",),
-    # A fit from a wrong frequency ends in a wrong valley: the terms' search finds the start.
-    is_searched=False,
-    as_terms=(AsTerm("supply", "wave", "time", numbers=from_wave),),
-)
+    best_experiment="square-1", woven=("air",),
+    as_terms=(AsTerm("supply", "wave", "time"),),
+)  # fmt: skip

@@ -66,8 +66,6 @@ class EffectParameter:
     role: Literal["size", "shape"] = "size"
     choices: tuple[str, ...] = ()
     """Names of the values 0, 1, ... of a number that selects a form."""
-    has_natural_end: bool = False
-    """Nature ends the range at `high`: a fit that ends there is a finding, and no failure."""
 
     @property
     def is_scaled(self) -> bool:
@@ -89,12 +87,9 @@ def size(
     meaning: str,
     neutral: float = 0.0,
     low: float = 0.0,
-    has_natural_end: bool = False,
 ) -> EffectParameter:
     """Describe a number that switches its effect on."""
-    return EffectParameter(
-        name, unit, neutral, low, high, smallest, meaning, start, has_natural_end=has_natural_end
-    )
+    return EffectParameter(name, unit, neutral, low, high, smallest, meaning, start)
 
 
 def shape(
@@ -168,8 +163,6 @@ class AsTerm:
     operator: str
     driver: str = ""
     """A constant has none."""
-    numbers: Callable[[Mapping[str, float]], Mapping[str, float]] | None = None
-    """Makes the effect's numbers from the term's, for a fit to start from; None: only akin."""
 
 
 @dataclass(frozen=True)
@@ -210,9 +203,6 @@ class EffectDescription:
     """How to distinguish it from other effects, by name; each pair appears once."""
     unidentifiable: Callable[[PaperParameters], str] | None = None
     """Says why `diagnose` does not fit its size, from the plant's numbers; None where it does."""
-    is_searched: bool = True
-    """False where the search of `diagnose` leaves it out: it would explain too much, or a fit
-    needs the start that a term gives."""
     as_terms: tuple[AsTerm, ...] = ()
     """The terms that say it without its name."""
     actuators: tuple[Actuator, ...] = ACTUATORS

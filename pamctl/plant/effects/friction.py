@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from math import exp, pow
 from typing import NamedTuple
 
@@ -20,10 +19,7 @@ from pamctl.plant.effects.places import FrictionBand
 
 
 class CoulombFriction(NamedTuple):
-    """Dry friction that does not depend on pressure: seal, bushing, guide, encoder.
-
-    A constant force against motion in either direction.
-    """
+    """Dry friction that does not depend on pressure: seal, bushing, guide, encoder."""
 
     force_n: float = 0.0
 
@@ -34,22 +30,18 @@ def add_dry_friction(coulomb: CoulombFriction, band: FrictionBand) -> FrictionBa
 
 
 COULOMB_FRICTION = EffectDescription(
-    kind=CoulombFriction,
-    block="mechanics",
+    kind=CoulombFriction, block="mechanics",
     equation="f in [-f_0, f_0], added to the band of Eq. 5",
     parameters=(size("force_n", "N", 40.0, smallest=0.3, start=2.0, meaning="f_0"),),
     signature="in both directions, also without pressure: what moves comes to rest off its zero",
     best_experiment="slow-ramps",
     entries=(EffectEntry("friction", add_dry_friction, after=("return_friction",)),),
     as_terms=(AsTerm("force", "hysteresis", "position"),),
-)
+)  # fmt: skip
 
 
 class FrictionAsymmetry(NamedTuple):
-    """Dry friction differs between the two directions of motion.
-
-    Relative difference of the dry friction from its mean.
-    """
+    """Dry friction differs between the two directions of motion."""
 
     share: float = 0.0
 
@@ -62,37 +54,23 @@ def tilt_band(asymmetry: FrictionAsymmetry, band: FrictionBand) -> FrictionBand:
 
 
 FRICTION_ASYMMETRY = EffectDescription(
-    kind=FrictionAsymmetry,
-    block="mechanics",
+    kind=FrictionAsymmetry, block="mechanics",
     equation="f in [-(1 - a) f_0, (1 + a) f_0]; if f_0 is constant, the same as a load a f_0",
     parameters=(
-        size(
-            "share",
-            "1",
-            0.95,
-            smallest=0.02,
-            start=0.1,
-            meaning="a, positive where dry friction is greater while x grows",
-            low=-0.95,
-        ),
+        size("share", "1", 0.95, smallest=0.02, start=0.1,
+             meaning="a, positive where dry friction is greater while x grows", low=-0.95),
     ),
     signature="a constant load, unless dry friction changes with pressure or speed",
     entries=(
-        EffectEntry(
-            "friction",
-            tilt_band,
-            after=("coulomb_friction", "pressure_friction", "return_friction", "stribeck"),
-        ),
+        EffectEntry("friction", tilt_band,
+                    after=("coulomb_friction", "pressure_friction", "return_friction", "stribeck")),
     ),
     actuators=("direct",),
-)
+)  # fmt: skip
 
 
 class PositionFriction(NamedTuple):
-    """The braid's friction changes along the stroke: its threads are worn, or sit tighter, there.
-
-    How mu_k changes with the displacement.
-    """
+    """The braid's friction changes along the stroke: its threads are worn there, or sit tighter."""
 
     share_per_m: float = 0.0
 
@@ -102,35 +80,19 @@ def position_factor(friction: PositionFriction, position_m: float) -> float:
     return max(1.0 + friction.share_per_m * position_m, 0.0)
 
 
-def from_gain(term: Mapping[str, float]) -> dict[str, float]:
-    """Return the numbers of a gain, whose size is for 10 mm."""
-    return {"share_per_m": 100.0 * term["size"]}
-
-
-def from_curve(term: Mapping[str, float]) -> dict[str, float]:
-    """Return the slope between a curve's ends, beside the share at no displacement."""
-    ends = (term["size"] * term["knot_1"], term["size"] * term["knot_5"])
-    slope = (ends[1] - ends[0]) / (term["high"] - term["low"])
-    return {"share_per_m": slope / max(1.0 + ends[0] - slope * term["low"], 0.1)}
-
-
 POSITION_FRICTION = EffectDescription(
-    kind=PositionFriction,
-    block="mechanics",
+    kind=PositionFriction, block="mechanics",
     equation="mu_k (1 + r x) in place of mu_k in Eq. 5",
     parameters=(
         size("share_per_m", "1/m", 500.0, smallest=5.0, start=20.0, meaning="r", low=-45.0),
     ),
     signature="the friction band widens, or narrows, along the stroke",
-    best_experiment="slow-ramps",
-    woven=("mechanics",),
-    is_searched=False,
-    actuators=("muscle",),
+    best_experiment="slow-ramps", woven=("mechanics",), actuators=("muscle",),
     as_terms=(
-        AsTerm("braid_friction", "gain", "position", numbers=from_gain),
-        AsTerm("braid_friction", "curve", "position", numbers=from_curve),
+        AsTerm("braid_friction", "gain", "position"),
+        AsTerm("braid_friction", "curve", "position"),
     ),
-)
+)  # fmt: skip
 
 
 class Presliding(NamedTuple):
@@ -141,8 +103,6 @@ class Presliding(NamedTuple):
     bristle) and Maxwell slip (four springs on sliders side by side, of equal stiffness and unequal
     limits: it softens step by step, and remembers earlier reversals). The Stribeck part of LuGre's
     model is the effect `stribeck`.
-
-    Bristles whose force stays within friction's band [lower, upper].
     """
 
     compliance_m_per_n: float = 0.0
@@ -157,39 +117,18 @@ class Presliding(NamedTuple):
 
 
 PRESLIDING = EffectDescription(
-    kind=Presliding,
-    block="mechanics",
-    equation="df/dx = sigma_0 within the band (elasto-plastic), or sigma_0 (f_lim - f) / "
-    "(f_upper - f_lower) (Dahl), with sigma_1 dz/dt added (LuGre), or four such springs of "
-    "sigma_0 / 4 with unequal bands (Maxwell slip)",
+    kind=Presliding, block="mechanics",
+    equation="df/dx = sigma_0 within the band (elasto-plastic), or sigma_0 (f_lim - f) / (f_upper "
+    "- f_lower) (Dahl), with sigma_1 dz/dt added (LuGre), or four such springs of sigma_0 / 4 "
+    "with unequal bands (Maxwell slip)",
     parameters=(
-        size(
-            "compliance_m_per_n",
-            "m/N",
-            2e-4,
-            smallest=1e-6,
-            start=1e-5,
-            meaning="1 / sigma_0, deflection of the bristles per force",
-        ),
-        shape(
-            "form",
-            "",
-            0.0,
-            3.0,
-            usual=0.0,
-            smallest=1.0,
-            meaning="law of the bristle's deflection",
-            choices=("elasto_plastic", "dahl", "lugre", "maxwell_slip"),
-        ),
-        shape(
-            "bristle_damping_n_s_per_m",
-            "N s/m",
-            0.0,
-            2000.0,
-            usual=0.0,
-            smallest=20.0,
-            meaning="sigma_1, in the form lugre only",
-        ),
+        size("compliance_m_per_n", "m/N", 2e-4, smallest=1e-6, start=1e-5,
+             meaning="1 / sigma_0, deflection of the bristles per force"),
+        shape("form", "", 0.0, 3.0, usual=0.0, smallest=1.0,
+              meaning="law of the bristle's deflection",
+              choices=("elasto_plastic", "dahl", "lugre", "maxwell_slip")),
+        shape("bristle_damping_n_s_per_m", "N s/m", 0.0, 2000.0, usual=0.0, smallest=20.0,
+              meaning="sigma_1, in the form lugre only"),
         *(
             shape(
                 f"{name}_over_first",
@@ -204,38 +143,34 @@ PRESLIDING = EffectDescription(
             for name in ("second", "third", "fourth")
         ),
     ),
-    signature="at reversals only: it moves some micrometres before it slides, and the "
-    "force depends on where it reversed; the error grows with pressure",
-    best_experiment="multisine-small",
-    woven=("mechanics",),
+    signature="at reversals only: it moves some micrometres before it slides, and the force "
+    "depends on where it reversed; the error grows with pressure",
+    best_experiment="multisine-small", woven=("mechanics",),
     forms=(
         EffectForm("elasto-plastic", ("compliance_m_per_n",), {"form": ELASTO_PLASTIC}),
         EffectForm("Dahl", ("compliance_m_per_n",), {"form": DAHL}),
-        EffectForm(
-            "LuGre",
-            ("compliance_m_per_n", "bristle_damping_n_s_per_m"),
-            {"form": LUGRE, "bristle_damping_n_s_per_m": 20.0},
-        ),
-        EffectForm(
-            "Maxwell slip",
-            ("compliance_m_per_n", "second_over_first", "third_over_first", "fourth_over_first"),
-            {
-                "form": MAXWELL_SLIP,
-                "second_over_first": 1.5,
-                "third_over_first": 2.3,
-                "fourth_over_first": 3.5,
-            },
-        ),
+        EffectForm("LuGre", ("compliance_m_per_n", "bristle_damping_n_s_per_m"),
+                   {"form": LUGRE, "bristle_damping_n_s_per_m": 20.0}),
+        EffectForm("Maxwell slip",
+                   (
+                       "compliance_m_per_n",
+                       "second_over_first",
+                       "third_over_first",
+                       "fourth_over_first",
+                   ),
+                   {
+                       "form": MAXWELL_SLIP,
+                       "second_over_first": 1.5,
+                       "third_over_first": 2.3,
+                       "fourth_over_first": 3.5,
+                   }),
     ),
     as_terms=(AsTerm("force", "hysteresis", "position"),),
-)
+)  # fmt: skip
 
 
 class PressureDamping(NamedTuple):
-    """Viscous friction grows with pressure, in both directions.
-
-    Damping per gauge pressure, added to c.
-    """
+    """Viscous friction grows with pressure, in both directions."""
 
     per_pa: float = 0.0
 
@@ -246,22 +181,18 @@ def pressure_damping_n_s_per_m(damping: PressureDamping, gauge_pa: float) -> flo
 
 
 PRESSURE_DAMPING = EffectDescription(
-    kind=PressureDamping,
-    block="mechanics",
+    kind=PressureDamping, block="mechanics",
     equation="c = c_0 + c_p P_g",
     parameters=(size("per_pa", "N s/(m Pa)", 2e-3, smallest=5e-5, start=2e-4, meaning="c_p"),),
     signature="an error in proportion to speed times pressure",
     best_experiment="square-1",
     entries=(EffectEntry("damping", pressure_damping_n_s_per_m),),
     as_terms=(AsTerm("damping", "gain", "pressure"), AsTerm("damping", "curve", "pressure")),
-)
+)  # fmt: skip
 
 
 class PressureFriction(NamedTuple):
-    """Dry friction grows with pressure, in both directions: a seal that the air presses on.
-
-    Dry friction per gauge pressure.
-    """
+    """Dry friction grows with pressure, in both directions: a seal that the air presses on."""
 
     n_per_pa: float = 0.0
 
@@ -275,30 +206,20 @@ def add_pressed_friction(
 
 
 PRESSURE_FRICTION = EffectDescription(
-    kind=PressureFriction,
-    block="mechanics",
+    kind=PressureFriction, block="mechanics",
     equation="f in [-(f_0 + f_1 P_g), f_0 + f_1 P_g]",
     parameters=(
-        size(
-            "n_per_pa",
-            "N/Pa",
-            4e-4,
-            smallest=1e-6,
-            start=1e-5,
-            meaning="f_1, dry friction per gauge pressure",
-        ),
+        size("n_per_pa", "N/Pa", 4e-4, smallest=1e-6, start=1e-5,
+             meaning="f_1, dry friction per gauge pressure"),
     ),
     signature="an error with the sign of the speed, in proportion to pressure",
     entries=(EffectEntry("friction", add_pressed_friction, after=("return_friction",)),),
     actuators=("direct",),
-)
+)  # fmt: skip
 
 
 class ReturnFriction(NamedTuple):
-    """Kinetic friction also acts when the muscle lengthens; in the paper only when it contracts.
-
-    Share of the friction of contraction that acts when the muscle lengthens.
-    """
+    """Kinetic friction also acts when the muscle lengthens; in the paper only when it contracts."""
 
     share: float = 0.0
 
@@ -309,32 +230,22 @@ def add_return_friction(friction: ReturnFriction, band: FrictionBand) -> Frictio
 
 
 RETURN_FRICTION = EffectDescription(
-    kind=ReturnFriction,
-    block="mechanics",
+    kind=ReturnFriction, block="mechanics",
     equation="f in [-r f_c, f_c],  f_c = mu_k N P_g A_b b theta cos(theta)",
     parameters=(
-        size(
-            "share",
-            "1",
-            2.0,
-            smallest=0.025,
-            start=0.1,
-            meaning="r, share of the friction when contracting",
-        ),
+        size("share", "1", 2.0, smallest=0.025, start=0.1,
+             meaning="r, share of the friction when contracting"),
     ),
     signature="an error only while the muscle lengthens, in proportion to pressure",
     best_experiment="slow-ramps",
     entries=(EffectEntry("friction", add_return_friction),),
     actuators=("muscle",),
     as_terms=(AsTerm("pull", "hysteresis", "position"),),
-)
+)  # fmt: skip
 
 
 class Stribeck(NamedTuple):
-    """Dry friction is greater at rest and at low speed.
-
-    Rise of the friction band towards zero speed.
-    """
+    """Dry friction is greater at rest and at low speed."""
 
     rise: float = 0.0
     speed_m_per_s: float = 5e-3
@@ -357,73 +268,48 @@ def scale_band(stribeck: Stribeck, band: FrictionBand, velocity_m_per_s: float) 
 
 
 STRIBECK = EffectDescription(
-    kind=Stribeck,
-    block="mechanics",
+    kind=Stribeck, block="mechanics",
     equation="f_lim (1 + s exp(-(|v| / v_s)^n))",
     parameters=(
         size("rise", "1", 1.5, smallest=0.04, start=0.2, meaning="s, rise at rest"),
-        shape(
-            "speed_m_per_s",
-            "m/s",
-            5e-4,
-            0.1,
-            usual=5e-3,
-            smallest=1e-3,
-            meaning="v_s, speed at which the rise has fallen to a third",
-        ),
-        shape(
-            "exponent", "1", 0.5, 2.0, usual=2.0, smallest=0.5, meaning="n: 2 Gaussian, 1 Tustin's"
-        ),
+        shape("speed_m_per_s", "m/s", 5e-4, 0.1, usual=5e-3, smallest=1e-3,
+              meaning="v_s, speed at which the rise has fallen to a third"),
+        shape("exponent", "1", 0.5, 2.0, usual=2.0, smallest=0.5,
+              meaning="n: 2 Gaussian, 1 Tustin's"),
     ),
     signature="a late break-away that overshoots, and an error at low speed",
     best_experiment="multisine-small",
     entries=(
-        EffectEntry(
-            "friction",
-            scale_band,
-            after=("coulomb_friction", "pressure_friction", "return_friction"),
-        ),
+        EffectEntry("friction", scale_band,
+                    after=("coulomb_friction", "pressure_friction", "return_friction")),
     ),
     forms=(
         EffectForm("Gaussian", ("rise", "speed_m_per_s"), {"exponent": 2.0}),
         EffectForm("Tustin", ("rise", "speed_m_per_s"), {"exponent": 1.0}),
     ),
     told_from={
-        "return_friction": Distinction(
-            "slow-ramps",
-            "return friction grows with pressure, while the muscle lengthens only; this one grows "
-            "at low speed, in both directions",
-        )
+        "return_friction": Distinction("slow-ramps",
+                                       "return friction grows with pressure, while the muscle "
+                                         "lengthens only; this one grows at low speed, in both "
+                                         "directions"),
     },
     as_terms=(AsTerm("braid_friction", "curve", "velocity"),),
-)
+)  # fmt: skip
 
 
 class ViscousAsymmetry(NamedTuple):
-    """Viscous friction differs between the two directions of motion.
-
-    Relative difference of the damping from its mean.
-    """
+    """Viscous friction differs between the two directions of motion."""
 
     share: float = 0.0
 
 
 VISCOUS_ASYMMETRY = EffectDescription(
-    kind=ViscousAsymmetry,
-    block="mechanics",
+    kind=ViscousAsymmetry, block="mechanics",
     equation="c (1 + a) while x grows, c (1 - a) while it falls",
     parameters=(
-        size(
-            "share",
-            "1",
-            0.95,
-            smallest=0.02,
-            start=0.1,
-            meaning="a, positive where the damping is greater while x grows",
-            low=-0.95,
-        ),
+        size("share", "1", 0.95, smallest=0.02, start=0.1,
+             meaning="a, positive where the damping is greater while x grows", low=-0.95),
     ),
     signature="an error in proportion to the absolute value of the speed",
-    woven=("mechanics",),
-    actuators=("direct",),
-)
+    woven=("mechanics",), actuators=("direct",),
+)  # fmt: skip

@@ -21,10 +21,7 @@ if TYPE_CHECKING:
 
 
 class BladderThreshold(NamedTuple):
-    """The bladder must stretch before it loads the braid.
-
-    Gauge pressure that is lost to the bladder.
-    """
+    """The bladder must stretch before it loads the braid."""
 
     pressure_pa: float = 0.0
 
@@ -37,8 +34,7 @@ def reduce_pulling_pa(bladder: BladderThreshold, pulling_pa: float) -> float:
 
 
 BLADDER_THRESHOLD = EffectDescription(
-    kind=BladderThreshold,
-    block="mechanics",
+    kind=BladderThreshold, block="mechanics",
     equation="F = max(P_g - P_th, 0) A(x)",
     parameters=(size("pressure_pa", "Pa", 6e4, smallest=1e3, start=5e3, meaning="P_th"),),
     signature="the stroke begins late at the vented end; above, a constant loss of pressure",
@@ -46,14 +42,11 @@ BLADDER_THRESHOLD = EffectDescription(
     entries=(EffectEntry("pulling_pressure", reduce_pulling_pa),),
     actuators=("muscle",),
     as_terms=(AsTerm("pressing", "constant"), AsTerm("pressing", "curve", "pressure")),
-)
+)  # fmt: skip
 
 
 class BraidStretch(NamedTuple):
-    """The braid's threads are elastic: pressure makes them longer.
-
-    Strain of the threads per gauge pressure.
-    """
+    """The braid's threads are elastic: pressure makes them longer."""
 
     compliance_per_pa: float = 0.0
 
@@ -64,26 +57,17 @@ def stretch_ratio(braid: BraidStretch, gauge_pa: float) -> float:
 
 
 BRAID_STRETCH = EffectDescription(
-    kind=BraidStretch,
-    block="mechanics",
+    kind=BraidStretch, block="mechanics",
     equation="b = b_0 (1 + e P_g) in V(x) and A(x)",
     parameters=(
-        size(
-            "compliance_per_pa",
-            "1/Pa",
-            2e-7,
-            smallest=1e-8,
-            start=3e-8,
-            meaning="e, strain per gauge pressure",
-        ),
+        size("compliance_per_pa", "1/Pa", 2e-7, smallest=1e-8, start=3e-8,
+             meaning="e, strain per gauge pressure"),
     ),
     signature="a static error in the square of the pressure; similar to a change of k and b",
-    best_experiment="fill-and-hold",
-    seen_by=("mechanics", "pressure"),
-    woven=("air", "mechanics"),
+    best_experiment="fill-and-hold", seen_by=("mechanics", "pressure"), woven=("air", "mechanics"),
     actuators=("muscle",),
     as_terms=(AsTerm("pull", "gain", "pressure"),),
-)
+)  # fmt: skip
 
 
 FAST = 0.1
@@ -135,36 +119,15 @@ def creep_force_n(creep: Creep, memory: DashpotPositions, position_m: float) -> 
 
 
 CREEP = EffectDescription(
-    kind=Creep,
-    block="mechanics",
+    kind=Creep, block="mechanics",
     equation="-k x - k_c (x - z),  tau z' = x - z; two branches: a share of k_c with tau / 10",
     parameters=(
-        size(
-            "stiffness_n_per_m",
-            "N/m",
-            6000.0,
-            smallest=50.0,
-            start=300.0,
-            meaning="k_c, stiffness that relaxes",
-        ),
-        shape(
-            "time_constant_s",
-            "s",
-            0.05,
-            30.0,
-            usual=1.0,
-            smallest=0.1,
-            meaning="tau of the dashpot",
-        ),
-        shape(
-            "fast_share",
-            "1",
-            0.0,
-            1.0,
-            usual=0.0,
-            smallest=0.1,
-            meaning="share of k_c with a tenth of tau",
-        ),
+        size("stiffness_n_per_m", "N/m", 6000.0, smallest=50.0, start=300.0,
+             meaning="k_c, stiffness that relaxes"),
+        shape("time_constant_s", "s", 0.05, 30.0, usual=1.0, smallest=0.1,
+              meaning="tau of the dashpot"),
+        shape("fast_share", "1", 0.0, 1.0, usual=0.0, smallest=0.1,
+              meaning="share of k_c with a tenth of tau"),
     ),
     signature="slow drift at rest after every step, in the direction of the step",
     best_experiment="long-holds",
@@ -173,21 +136,15 @@ CREEP = EffectDescription(
     ),
     forms=(
         EffectForm("one branch", ("stiffness_n_per_m", "time_constant_s")),
-        EffectForm(
-            "two branches",
-            ("stiffness_n_per_m", "time_constant_s", "fast_share"),
-            {"fast_share": 0.4},
-        ),
+        EffectForm("two branches", ("stiffness_n_per_m", "time_constant_s", "fast_share"),
+                   {"fast_share": 0.4}),
     ),
     as_terms=(AsTerm("force", "lag", "position"),),
-)
+)  # fmt: skip
 
 
 class CubicStiffness(NamedTuple):
-    """The return spring, or the bladder, hardens or softens with stroke.
-
-    Cubic part of the restoring force.
-    """
+    """The return spring, or the bladder, hardens or softens with stroke."""
 
     n_per_m3: float = 0.0
 
@@ -198,15 +155,14 @@ def cubic_force_n(cubic: CubicStiffness, position_m: float) -> float:
 
 
 CUBIC_STIFFNESS = EffectDescription(
-    kind=CubicStiffness,
-    block="mechanics",
+    kind=CubicStiffness, block="mechanics",
     equation="-k x - k_3 x^3",
     parameters=(size("n_per_m3", "N/m3", 1e7, smallest=2e5, start=1e6, meaning="k_3", low=-1e7),),
     signature="a static error, a function of the displacement only",
     best_experiment="fill-and-hold",
     entries=(EffectEntry("force", cubic_force_n),),
     as_terms=(AsTerm("force", "curve", "position"), AsTerm("force", "beyond", "position")),
-)
+)  # fmt: skip
 
 
 LEAST_FACTOR = 0.1
@@ -214,10 +170,7 @@ LEAST_FACTOR = 0.1
 
 
 class Drift(NamedTuple):
-    """What changes over minutes: temperature, wear, a supply that runs down.
-
-    Relative trends since the plant's start, in 1/s.
-    """
+    """What changes over minutes: temperature, wear, a supply that runs down."""
 
     valve_gain_per_s: float = 0.0
     stiffness_per_s: float = 0.0
@@ -235,44 +188,20 @@ def apply_gain_drift_v(drift: Drift, opening_v: float, age_s: float) -> float:
 
 
 DRIFT = EffectDescription(
-    kind=Drift,
-    block="pressure",
+    kind=Drift, block="pressure",
     equation="K_Av (1 + r_v t),  k (1 + r_k t),  mu_k (1 + r_f t)",
     parameters=(
-        size(
-            "valve_gain_per_s",
-            "1/s",
-            0.01,
-            smallest=2e-4,
-            start=5e-4,
-            meaning="r_v, trend of the valve's gain",
-            low=-0.01,
-        ),
-        size(
-            "stiffness_per_s",
-            "1/s",
-            0.01,
-            smallest=1e-4,
-            start=5e-4,
-            meaning="r_k, trend of the stiffness",
-            low=-0.01,
-        ),
-        size(
-            "friction_per_s",
-            "1/s",
-            0.01,
-            smallest=2e-4,
-            start=5e-4,
-            meaning="r_f, trend of the kinetic friction",
-            low=-0.01,
-        ),
+        size("valve_gain_per_s", "1/s", 0.01, smallest=2e-4, start=5e-4,
+             meaning="r_v, trend of the valve's gain", low=-0.01),
+        size("stiffness_per_s", "1/s", 0.01, smallest=1e-4, start=5e-4,
+             meaning="r_k, trend of the stiffness", low=-0.01),
+        size("friction_per_s", "1/s", 0.01, smallest=2e-4, start=5e-4,
+             meaning="r_f, trend of the kinetic friction", low=-0.01),
     ),
     signature="parameters fitted to successive parts of a record show a trend in time",
-    best_experiment="squares-apart",
-    seen_by=("pressure", "mechanics"),
+    best_experiment="squares-apart", seen_by=("pressure", "mechanics"),
     entries=(EffectEntry("opening", apply_gain_drift_v, after=("valve_asymmetry",)),),
     woven=("mechanics",),
-    is_searched=False,
     forms=(
         EffectForm("valve gain", free=("valve_gain_per_s",)),
         EffectForm("stiffness", free=("stiffness_per_s",)),
@@ -285,14 +214,11 @@ DRIFT = EffectDescription(
         AsTerm("stiffness", "gain", "time"),
         AsTerm("braid_friction", "gain", "time"),
     ),
-)
+)  # fmt: skip
 
 
 class EndCap(NamedTuple):
-    """The ends of the muscle are not cylindrical: a part of the length neither fills nor pulls.
-
-    Length that neither fills nor pulls.
-    """
+    """The ends of the muscle are not cylindrical: a part of the length neither fills nor pulls."""
 
     length_m: float = 0.0
 
@@ -303,26 +229,21 @@ def shorten_muscle(cap: EndCap, numbers: PaperParameters) -> PaperParameters:
 
 
 END_CAP = EffectDescription(
-    kind=EndCap,
-    block="mechanics",
+    kind=EndCap, block="mechanics",
     equation="L = L_0 - l_e - x in V(x), A(x) and theta",
     parameters=(
         size("length_m", "m", 0.02, smallest=1e-3, start=3e-3, meaning="l_e, lost length"),
     ),
     signature="a static error: a function of the displacement, multiplied by the pressure",
-    best_experiment="fill-and-hold",
-    seen_by=("mechanics", "pressure"),
+    best_experiment="fill-and-hold", seen_by=("mechanics", "pressure"),
     entries=(EffectEntry("numbers", shorten_muscle),),
     actuators=("muscle",),
     as_terms=(AsTerm("force", "curve", "position"), AsTerm("pull", "curve", "position")),
-)
+)  # fmt: skip
 
 
 class ExternalLoad(NamedTuple):
-    """A weight or a spring under tension pulls the muscle out.
-
-    Constant force against contraction.
-    """
+    """A weight or a spring under tension pulls the muscle out."""
 
     force_n: float = 0.0
 
@@ -333,33 +254,22 @@ def load_force_n(load: ExternalLoad) -> float:
 
 
 EXTERNAL_LOAD = EffectDescription(
-    kind=ExternalLoad,
-    block="mechanics",
+    kind=ExternalLoad, block="mechanics",
     equation="F - F_e",
     parameters=(
-        size(
-            "force_n",
-            "N",
-            20.0,
-            smallest=0.5,
-            start=3.0,
-            meaning="F_e, against contraction",
-            low=-20.0,
-        ),
+        size("force_n", "N", 20.0, smallest=0.5, start=3.0, meaning="F_e, against contraction",
+             low=-20.0),
     ),
     signature="a constant static offset; it vanishes if the encoder is homed under the load",
     best_experiment="fill-and-hold",
     entries=(EffectEntry("force", load_force_n),),
     actuators=("muscle",),
     as_terms=(AsTerm("force", "constant"),),
-)
+)  # fmt: skip
 
 
 class MovingMass(NamedTuple):
-    """A load moves with the muscle. On the paper's it hardly shows: M / c is 88 us, below a tick.
-
-    Mass added to M.
-    """
+    """A load moves with the muscle. On the paper's it hardly shows: M / c is 88 us."""
 
     added_kg: float = 0.0
 
@@ -379,22 +289,18 @@ def explain_settling(numbers: PaperParameters) -> str:
 
 
 MOVING_MASS = EffectDescription(
-    kind=MovingMass,
-    block="mechanics",
+    kind=MovingMass, block="mechanics",
     equation="(M + m) x''",
     parameters=(size("added_kg", "kg", 2.0, smallest=0.03, start=0.2, meaning="m"),),
     signature="with a light load nothing above the noise: velocity settles within M / c",
     entries=(EffectEntry("numbers", add_mass),),
     unidentifiable=explain_settling,
     actuators=("muscle",),
-)
+)  # fmt: skip
 
 
 class Piston(NamedTuple):
-    """A piston of constant area, on which the measured pressure acts.
-
-    Area of the piston.
-    """
+    """A piston of constant area, on which the measured pressure acts."""
 
     area_m2: float = 0.0
 
@@ -405,24 +311,16 @@ def piston_force_n(piston: Piston, gauge_pa: float) -> float:
 
 
 PISTON = EffectDescription(
-    kind=Piston,
-    block="mechanics",
+    kind=Piston, block="mechanics",
     equation="A (P - P_atm), added to the force",
     parameters=(
-        size(
-            "area_m2",
-            "m2",
-            1e-3,
-            smallest=1e-6,
-            start=3e-5,
-            meaning="A; negative where pressure pushes towards smaller x",
-            low=-1e-3,
-        ),
+        size("area_m2", "m2", 1e-3, smallest=1e-6, start=3e-5,
+             meaning="A; negative where pressure pushes towards smaller x", low=-1e-3),
     ),
     signature="an error in proportion to pressure, at any position and speed",
     entries=(EffectEntry("force", piston_force_n),),
     actuators=("direct",),
-)
+)  # fmt: skip
 
 
 class SpringHysteresis(NamedTuple):
@@ -460,40 +358,18 @@ def loop_force_n(spring: SpringHysteresis, memory: Loop) -> float:
 
 
 SPRING_HYSTERESIS = EffectDescription(
-    kind=SpringHysteresis,
-    block="mechanics",
+    kind=SpringHysteresis, block="mechanics",
     equation="-k x - f z,  dz = (sign(dx) - z) |dx| / w",
     parameters=(
-        size(
-            "force_n",
-            "N",
-            20.0,
-            smallest=0.3,
-            start=1.0,
-            meaning="f, half the force between loading and unloading",
-        ),
-        shape(
-            "way_m",
-            "m",
-            1e-5,
-            20e-3,
-            usual=1e-3,
-            smallest=1e-4,
-            meaning="w, the way over which the loop closes after a reversal",
-        ),
+        size("force_n", "N", 20.0, smallest=0.3, start=1.0,
+             meaning="f, half the force between loading and unloading"),
+        shape("way_m", "m", 1e-5, 20e-3, usual=1e-3, smallest=1e-4,
+              meaning="w, the way over which the loop closes after a reversal"),
     ),
     signature="after every reversal the motion lags by a force that builds up over a way, at any "
     "speed and also without pressure",
     best_experiment="slow-ramps",
     entries=(EffectEntry("force", loop_force_n, memory=EffectMemory(start_loop, follow_loop)),),
-    is_searched=False,
     actuators=("muscle", "direct"),
-    as_terms=(
-        AsTerm(
-            "force",
-            "hysteresis",
-            "position",
-            numbers=lambda term: {"force_n": -term["size"], "way_m": term["inner"]},
-        ),
-    ),
-)
+    as_terms=(AsTerm("force", "hysteresis", "position"),),
+)  # fmt: skip

@@ -22,10 +22,7 @@ if TYPE_CHECKING:
 
 
 class EncoderBacklash(NamedTuple):
-    """Play between the muscle's end and the encoder's scale.
-
-    Width of the play.
-    """
+    """Play between the muscle's end and the encoder's scale."""
 
     width_m: float = 0.0
 
@@ -95,31 +92,22 @@ def restart_behind_play(
 
 
 ENCODER_BACKLASH = EffectDescription(
-    kind=EncoderBacklash,
-    block="sensors",
+    kind=EncoderBacklash, block="sensors",
     equation="play operator: x - w/2 <= x_m <= x + w/2, x_m moves only when pushed",
     parameters=(
         size("width_m", "m", 1e-3, smallest=12e-6, start=50e-6, meaning="w, width of the play"),
     ),
     signature="a flat spot of constant width at every reversal, at any pressure",
-    best_experiment="chirp",
-    seen_by=("pressure", "mechanics"),
+    best_experiment="chirp", seen_by=("pressure", "mechanics"),
     entries=(
-        EffectEntry(
-            "position_reading",
-            show_carrier_m,
-            memory=EffectMemory(start_carrier, follow_backlash_m),
-            undo=undo_backlash_m,
-        ),
+        EffectEntry("position_reading", show_carrier_m,
+                    memory=EffectMemory(start_carrier, follow_backlash_m), undo=undo_backlash_m),
     ),
-)
+)  # fmt: skip
 
 
 class EncoderScale(NamedTuple):
-    """The encoder's scale is wrong: strip, mounting angle, elastic carrier.
-
-    Ratio of shown to true displacement.
-    """
+    """The encoder's scale is wrong: strip, mounting angle, elastic carrier."""
 
     scale: float = 1.0
 
@@ -137,38 +125,24 @@ def undo_scale_m(
 
 
 ENCODER_SCALE = EffectDescription(
-    kind=EncoderScale,
-    block="sensors",
+    kind=EncoderScale, block="sensors",
     equation="x_m = s x",
     parameters=(
-        size(
-            "scale",
-            "1",
-            1.1,
-            smallest=0.004,
-            start=1.01,
-            meaning="s, ratio of shown to true displacement",
-            neutral=1.0,
-            low=0.9,
-        ),
+        size("scale", "1", 1.1, smallest=0.004, start=1.01,
+             meaning="s, ratio of shown to true displacement", neutral=1.0, low=0.9),
     ),
     signature="an error in proportion to the displacement, at any pressure and speed",
-    best_experiment="square-1",
-    seen_by=("mechanics", "pressure"),
+    best_experiment="square-1", seen_by=("mechanics", "pressure"),
     entries=(
-        EffectEntry(
-            "position_reading", scale_position_m, after=("encoder_backlash",), undo=undo_scale_m
-        ),
+        EffectEntry("position_reading", scale_position_m, after=("encoder_backlash",),
+                    undo=undo_scale_m),
     ),
     as_terms=(AsTerm("encoder", "gain", "position"),),
-)
+)  # fmt: skip
 
 
 class PressureSensorGain(NamedTuple):
-    """The pressure sensor's scale is wrong.
-
-    Ratio of shown to true gauge pressure.
-    """
+    """The pressure sensor's scale is wrong."""
 
     gain: float = 1.0
 
@@ -190,38 +164,24 @@ def undo_gain_pa(
 
 
 PRESSURE_SENSOR_GAIN = EffectDescription(
-    kind=PressureSensorGain,
-    block="sensors",
+    kind=PressureSensorGain, block="sensors",
     equation="P_m - P_atm = g (P - P_atm)",
     parameters=(
-        size(
-            "gain",
-            "1",
-            1.2,
-            smallest=0.006,
-            start=1.02,
-            meaning="g, ratio of shown to true gauge pressure",
-            neutral=1.0,
-            low=0.8,
-        ),
+        size("gain", "1", 1.2, smallest=0.006, start=1.02,
+             meaning="g, ratio of shown to true gauge pressure", neutral=1.0, low=0.8),
     ),
     signature="an error in proportion to the gauge pressure, also at plateaus; both blocks show it",
-    best_experiment="square-1",
-    seen_by=("pressure", "mechanics"),
+    best_experiment="square-1", seen_by=("pressure", "mechanics"),
     entries=(
-        EffectEntry(
-            "pressure_reading", scale_pressure_pa, after=("pressure_sensor_lag",), undo=undo_gain_pa
-        ),
+        EffectEntry("pressure_reading", scale_pressure_pa, after=("pressure_sensor_lag",),
+                    undo=undo_gain_pa),
     ),
     as_terms=(AsTerm("pressure_sensor", "gain", "pressure"),),
-)
+)  # fmt: skip
 
 
 class PressureSensorLag(NamedTuple):
-    """The pressure sensor, or the tube to it, lags.
-
-    Lag of first order.
-    """
+    """The pressure sensor, or the tube to it, lags."""
 
     time_constant_s: float = 0.0
 
@@ -262,45 +222,33 @@ def undo_lag_pa(
 
 
 PRESSURE_SENSOR_LAG = EffectDescription(
-    kind=PressureSensorLag,
-    block="sensors",
+    kind=PressureSensorLag, block="sensors",
     equation="tau P_s' + P_s = P",
     parameters=(
         size("time_constant_s", "s", 20e-3, smallest=4e-4, start=1e-3, meaning="tau of the sensor"),
     ),
     signature="the measured pressure is late in the pressure block; the measured motion is early "
     "in the mechanics, by the same time",
-    best_experiment="square-1",
-    seen_by=("pressure", "mechanics"),
+    best_experiment="square-1", seen_by=("pressure", "mechanics"),
     entries=(
-        EffectEntry(
-            "pressure_reading",
-            show_lagged_pa,
-            memory=EffectMemory(start_lag, lag_pressure_pa),
-            undo=undo_lag_pa,
-        ),
+        EffectEntry("pressure_reading", show_lagged_pa,
+                    memory=EffectMemory(start_lag, lag_pressure_pa), undo=undo_lag_pa),
     ),
     told_from={
-        "valve_spool": Distinction(
-            "fill-and-hold",
-            "after the valve closes the spool has settled and the sensor still catches up",
-        ),
-        "command_delay": Distinction(
-            "fill-and-hold",
-            "after the valve closes the delay is over and the sensor still catches up",
-        ),
-        "dead_volume": Distinction(
-            "fill-and-hold", "a volume matters while air flows, a lag also afterwards"
-        ),
+        "valve_spool": Distinction("fill-and-hold",
+                                   "after the valve closes the spool has settled and the sensor "
+                                     "still catches up"),
+        "command_delay": Distinction("fill-and-hold",
+                                     "after the valve closes the delay is over and the sensor "
+                                       "still catches up"),
+        "dead_volume": Distinction("fill-and-hold",
+                                   "a volume matters while air flows, a lag also afterwards"),
     },
-)
+)  # fmt: skip
 
 
 class PressureSensorOffset(NamedTuple):
-    """The pressure sensor's zero is wrong.
-
-    Shown minus true pressure.
-    """
+    """The pressure sensor's zero is wrong."""
 
     offset_pa: float = 0.0
 
@@ -318,28 +266,18 @@ def undo_offset_pa(
 
 
 PRESSURE_SENSOR_OFFSET = EffectDescription(
-    kind=PressureSensorOffset,
-    block="sensors",
+    kind=PressureSensorOffset, block="sensors",
     equation="P_m = P + o",
     parameters=(
-        size(
-            "offset_pa",
-            "Pa",
-            2e4,
-            smallest=1e3,
-            start=2e3,
-            meaning="o, shown minus true pressure",
-            low=-2e4,
-        ),
+        size("offset_pa", "Pa", 2e4, smallest=1e3, start=2e3,
+             meaning="o, shown minus true pressure", low=-2e4),
     ),
     signature="at atmospheric pressure the sensor reads another one; both blocks show it",
-    best_experiment="square-1",
-    seen_by=("pressure", "mechanics"),
+    best_experiment="square-1", seen_by=("pressure", "mechanics"),
     entries=(
-        EffectEntry(
-            "pressure_reading", add_offset_pa, after=("pressure_sensor_gain",), undo=undo_offset_pa
-        ),
+        EffectEntry("pressure_reading", add_offset_pa, after=("pressure_sensor_gain",),
+                    undo=undo_offset_pa),
     ),
     actuators=("muscle", "chamber"),
     as_terms=(AsTerm("pressure_sensor", "constant"),),
-)
+)  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from math import copysign, pow
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from pamctl.plant.effects.description import (
     AsTerm,
@@ -13,7 +13,6 @@ from pamctl.plant.effects.description import (
     EffectEntry,
     EffectForm,
     EffectMemory,
-    EffectParameter,
     shape,
     size,
 )
@@ -26,40 +25,32 @@ class CommandDelay(NamedTuple):
     The delay shifts the commands in time before they reach the valve; a step of the plant does not
     contain it. It is exact: a step is cut where a command arrives, so a fit can resolve a fraction
     of a tick.
-
-    Time from writing a command to its effect at the valve's driver.
     """
 
     delay_s: float = 0.0
 
 
 COMMAND_DELAY = EffectDescription(
-    kind=CommandDelay,
-    block="pressure",
+    kind=CommandDelay, block="pressure",
     equation="u(t - tau)",
     parameters=(
-        size(
-            "delay_s", "s", 20e-3, smallest=2e-4, start=1e-3, meaning="tau, any fraction of a tick"
-        ),
+        size("delay_s", "s", 20e-3, smallest=2e-4, start=1e-3,
+             meaning="tau, any fraction of a tick"),
     ),
     signature="an error in the first milliseconds after every change of the command; a phase lag "
     "in proportion to frequency",
-    best_experiment="chirp",
-    woven=("timing",),
+    best_experiment="chirp", woven=("timing",),
     told_from={
-        "valve_spool": Distinction(
-            "chirp", "a lag of second order and a pure delay differ at high frequency only"
-        )
+        "valve_spool": Distinction("chirp",
+                                   "a lag of second order and a pure delay differ at high "
+                                     "frequency only"),
     },
     as_terms=(AsTerm("command", "lag", "command"),),
-)
+)  # fmt: skip
 
 
 class NullOffset(NamedTuple):
-    """The valve does not close at zero command: its spool, or its driver, has an offset.
-
-    What the valve adds to its command.
-    """
+    """The valve does not close at zero command: its spool, or its driver, has an offset."""
 
     offset_v: float = 0.0
 
@@ -75,35 +66,22 @@ def remove_offset_v(null: NullOffset, passed_v: float) -> float:
 
 
 NULL_OFFSET = EffectDescription(
-    kind=NullOffset,
-    block="pressure",
+    kind=NullOffset, block="pressure",
     equation="A_v = K_Av (u + u_0)",
     parameters=(
-        size(
-            "offset_v",
-            "V",
-            1.0,
-            smallest=0.02,
-            start=0.1,
-            meaning="u_0; above 0 the valve fills at zero command",
-            low=-1.0,
-        ),
+        size("offset_v", "V", 1.0, smallest=0.02, start=0.1,
+             meaning="u_0; above 0 the valve fills at zero command", low=-1.0),
     ),
     signature="at zero command the measured pressure moves one way; commands near null fill too "
     "much and exhaust too little, or the other way round",
     best_experiment="null-staircase",
     entries=(EffectEntry("command", add_offset_v, undo=remove_offset_v),),
-    # `diagnose` asks it as a question of the set-up, before any effect.
-    is_searched=False,
-    as_terms=(AsTerm("command", "constant", numbers=lambda term: {"offset_v": term["size"]}),),
-)
+    as_terms=(AsTerm("command", "constant"),),
+)  # fmt: skip
 
 
 class ValveAsymmetry(NamedTuple):
-    """The exhaust port is wider or narrower than the filling one.
-
-    Ratio of the exhaust gain to the filling gain.
-    """
+    """The exhaust port is wider or narrower than the filling one."""
 
     exhaust_gain: float = 1.0
 
@@ -119,20 +97,11 @@ def undo_asymmetry_v(asymmetry: ValveAsymmetry, passed_v: float) -> float:
 
 
 VALVE_ASYMMETRY = EffectDescription(
-    kind=ValveAsymmetry,
-    block="pressure",
+    kind=ValveAsymmetry, block="pressure",
     equation="A_v = a K_Av u for u < 0",
     parameters=(
-        size(
-            "exhaust_gain",
-            "1",
-            2.0,
-            smallest=0.03,
-            start=0.9,
-            meaning="ratio of the gain for u < 0 to that for u > 0",
-            neutral=1.0,
-            low=0.4,
-        ),
+        size("exhaust_gain", "1", 2.0, smallest=0.03, start=0.9,
+             meaning="ratio of the gain for u < 0 to that for u > 0", neutral=1.0, low=0.4),
     ),
     signature="filling is right; the flow of exhausting is wrong by a constant factor",
     best_experiment="null-staircase",
@@ -141,12 +110,11 @@ VALVE_ASYMMETRY = EffectDescription(
     ),
     told_from={
         "valve_deadband": Distinction("null-staircase", "a dead band acts near null only"),
-        "supply_droop": Distinction(
-            "square-1", "a droop grows with the flow, an asymmetry does not"
-        ),
+        "supply_droop": Distinction("square-1",
+                                    "a droop grows with the flow, an asymmetry does not"),
     },
     as_terms=(AsTerm("filling", "constant"), AsTerm("exhausting", "constant")),
-)
+)  # fmt: skip
 
 
 class ValveCurve(NamedTuple):
@@ -189,8 +157,7 @@ def undo_curve_v(curve: ValveCurve, passed_v: float) -> float:
 
 
 VALVE_CURVE = EffectDescription(
-    kind=ValveCurve,
-    block="pressure",
+    kind=ValveCurve, block="pressure",
     equation="A_v = K_Av u (1 + k_2 |u|) (|u| / 5 V)^(n - 1)",
     parameters=(
         size("curvature_per_v", "1/V", 0.2, smallest=0.006, start=0.02, meaning="k_2", low=-0.15),
@@ -204,14 +171,11 @@ VALVE_CURVE = EffectDescription(
         EffectForm("power", free=("exponent",)),
     ),
     as_terms=(AsTerm("command", "curve", "command"), AsTerm("opening", "curve", "command")),
-)
+)  # fmt: skip
 
 
 class ValveDeadband(NamedTuple):
-    """The spool's lands overlap the ports: near null the valve does not open.
-
-    Overlap on each side of null, at least 0.
-    """
+    """The spool's lands overlap the ports: near null the valve does not open."""
 
     fill_width_v: float = 0.0
     exhaust_width_v: float = 0.0
@@ -232,14 +196,12 @@ def undo_deadband_v(deadband: ValveDeadband, passed_v: float) -> float:
 
 
 VALVE_DEADBAND = EffectDescription(
-    kind=ValveDeadband,
-    block="pressure",
+    kind=ValveDeadband, block="pressure",
     equation="A_v = K_Av (u - d_f) for u > d_f, K_Av (u + d_e) for u < -d_e, else 0",
     parameters=(
         size("fill_width_v", "V", 1.5, smallest=0.02, start=0.1, meaning="dead band where u > 0"),
-        size(
-            "exhaust_width_v", "V", 1.5, smallest=0.02, start=0.1, meaning="dead band where u < 0"
-        ),
+        size("exhaust_width_v", "V", 1.5, smallest=0.02, start=0.1,
+             meaning="dead band where u < 0"),
     ),
     signature="with commands within some three widths of null the simulated pressure drifts and "
     "the measured one stays; full-scale squares show only a loss of gain",
@@ -251,44 +213,40 @@ VALVE_DEADBAND = EffectDescription(
         EffectForm("exhausting only", free=("exhaust_width_v",)),
     ),
     as_terms=(AsTerm("command", "dead_zone", "command"), AsTerm("command", "curve", "command")),
-)
+)  # fmt: skip
 
 
 class ValveHysteresis(NamedTuple):
-    """Play or stiction of the spool: it follows its command with a slack.
-
-    Slack between command and spool.
-    """
+    """Play or stiction of the spool: it follows its command with a slack."""
 
     width_v: float = 0.0
 
 
-class PushedSpool(NamedTuple):
-    """Where the command has pushed the spool."""
+class SpoolMemory(NamedTuple):
+    """Where the spool is, as far as an effect has let it go."""
 
     spool_v: float
 
 
-def start_hysteresis(position_m: float, pressure_pa: float) -> PushedSpool:
+def start_at_null(position_m: float, pressure_pa: float) -> SpoolMemory:
     """Return a spool at null."""
-    return PushedSpool(0.0)
+    return SpoolMemory(0.0)
 
 
-def follow_hysteresis_v(
-    hysteresis: ValveHysteresis, memory: PushedSpool, end: float
-) -> PushedSpool:
-    """Follow the command with a total slack of `width_v`."""
-    return PushedSpool(follow_with_play(memory.spool_v, end, hysteresis.width_v))
-
-
-def give_spool_v(hysteresis: ValveHysteresis, memory: PushedSpool) -> float:
+def give_spool_v(effect: Any, memory: SpoolMemory) -> float:
     """Return the spool's position (V)."""
     return memory.spool_v
 
 
+def follow_hysteresis_v(
+    hysteresis: ValveHysteresis, memory: SpoolMemory, end: float
+) -> SpoolMemory:
+    """Follow the command with a total slack of `width_v`."""
+    return SpoolMemory(follow_with_play(memory.spool_v, end, hysteresis.width_v))
+
+
 VALVE_HYSTERESIS = EffectDescription(
-    kind=ValveHysteresis,
-    block="pressure",
+    kind=ValveHysteresis, block="pressure",
     equation="play operator: u - w/2 <= s <= u + w/2, s moves only when pushed",
     parameters=(
         size("width_v", "V", 0.5, smallest=0.02, start=0.1, meaning="w, width of the slack"),
@@ -296,15 +254,12 @@ VALVE_HYSTERESIS = EffectDescription(
     signature="the opening depends on the previous commands; visible with small commands only",
     best_experiment="null-staircase",
     entries=(
-        EffectEntry(
-            "command",
-            give_spool_v,
-            memory=EffectMemory(start_hysteresis, follow_hysteresis_v),
-            after=("valve_saturation",),
-        ),
+        EffectEntry("command", give_spool_v,
+                    memory=EffectMemory(start_at_null, follow_hysteresis_v),
+                    after=("valve_saturation",)),
     ),
     as_terms=(AsTerm("command", "play", "command"),),
-)
+)  # fmt: skip
 
 
 class ValveLeak(NamedTuple):
@@ -323,47 +278,35 @@ def leak_area_m2(leak: ValveLeak, spool_v: float) -> float:
 
 
 VALVE_LEAK = EffectDescription(
-    kind=ValveLeak,
-    block="pressure",
+    kind=ValveLeak, block="pressure",
     equation="m += A (Psi(P_tank, P) - Psi(P, P_atm)),  A = A_l / (1 + k |u|)",
     parameters=(
         size("area_m2", "m2", 3e-7, smallest=1e-9, start=1e-8, meaning="A_l, area of each leak"),
-        shape(
-            "fade_per_v",
-            "1/V",
-            0.0,
-            5.0,
-            usual=0.0,
-            smallest=0.2,
-            meaning="k, fading of the leak as the spool leaves null",
-        ),
+        shape("fade_per_v", "1/V", 0.0, 5.0, usual=0.0, smallest=0.2,
+              meaning="k, fading of the leak as the spool leaves null"),
     ),
     signature="with the valve closed the pressure drifts to a value between tank and atmosphere; "
     "filling and exhausting do not reach their end pressures",
-    best_experiment="fill-and-hold",
-    woven=("air",),
+    best_experiment="fill-and-hold", woven=("air",),
     forms=(
         EffectForm("everywhere", free=("area_m2",)),
         EffectForm("at null", free=("area_m2", "fade_per_v"), held={"fade_per_v": 0.5}),
     ),
     as_terms=(AsTerm("flow", "curve", "pressure"),),
-)
+)  # fmt: skip
 
 
 FULL_COMMAND_V = 5.0
 
 
 class ValveSaturation(NamedTuple):
-    """The spool reaches its stop, or the driver its limit, before the command does.
-
-    How far below the full command of 5 V the opening stops growing.
-    """
+    """The spool reaches its stop, or the driver its limit, before the command does."""
 
     shortfall_v: float = 0.0
 
 
 def saturate_command_v(saturation: ValveSaturation, command_v: float) -> float:
-    """Return the command that the driver passes on."""
+    """Return the command that the driver passes on; it is its own inverse within the limit."""
     if saturation.shortfall_v <= 0.0:
         return command_v
     limit_v = FULL_COMMAND_V - saturation.shortfall_v
@@ -371,95 +314,49 @@ def saturate_command_v(saturation: ValveSaturation, command_v: float) -> float:
 
 
 VALVE_SATURATION = EffectDescription(
-    kind=ValveSaturation,
-    block="pressure",
+    kind=ValveSaturation, block="pressure",
     equation="u limited to +-(5 V - d)",
     parameters=(
-        size(
-            "shortfall_v",
-            "V",
-            4.0,
-            smallest=0.2,
-            start=0.5,
-            meaning="by how much the limit is below the full command of 5 V",
-        ),
+        size("shortfall_v", "V", 4.0, smallest=0.2, start=0.5,
+             meaning="by how much the limit is below the full command of 5 V"),
     ),
     signature="at large commands only, in both directions, the measured flow is smaller",
     best_experiment="null-staircase",
     entries=(
-        # Within its limit the driver passes the command on; more command does no more.
         EffectEntry("command", saturate_command_v, after=("null_offset",), undo=saturate_command_v),
     ),
     as_terms=(AsTerm("command", "saturation", "command"),),
-)
+)  # fmt: skip
 
 
 class ValveSlew(NamedTuple):
-    """The spool moves at a limited rate: its driver's current or its spring is at the limit.
-
-    The time that the spool takes for a volt of command; 0 is a spool without a limit.
-    """
+    """The spool moves at a limited rate: its driver's current or its spring is at the limit."""
 
     slowness_s_per_v: float = 0.0
 
 
-class MovingSpool(NamedTuple):
-    """Where the spool is on its way to the command."""
-
-    spool_v: float
-
-
-def start_slew(position_m: float, pressure_pa: float) -> MovingSpool:
-    """Return a spool at null."""
-    return MovingSpool(0.0)
-
-
-def follow_slew_v(slew: ValveSlew, memory: MovingSpool, end: float, step_s: float) -> MovingSpool:
+def follow_slew_v(slew: ValveSlew, memory: SpoolMemory, end: float, step_s: float) -> SpoolMemory:
     """Move towards the command by at most `step_s` over the slowness."""
     way_v = step_s / slew.slowness_s_per_v
-    return MovingSpool(memory.spool_v + min(max(end - memory.spool_v, -way_v), way_v))
-
-
-def give_moving_spool_v(slew: ValveSlew, memory: MovingSpool) -> float:
-    """Return the spool's position (V)."""
-    return memory.spool_v
+    return SpoolMemory(memory.spool_v + min(max(end - memory.spool_v, -way_v), way_v))
 
 
 VALVE_SLEW = EffectDescription(
-    kind=ValveSlew,
-    block="pressure",
+    kind=ValveSlew, block="pressure",
     equation="|s'| <= 1 / r, s goes to u",
     parameters=(
-        size(
-            "slowness_s_per_v",
-            "s/V",
-            20e-3,
-            smallest=1e-4,
-            start=5e-4,
-            meaning="r, time that the spool takes for a volt",
-        ),
+        size("slowness_s_per_v", "s/V", 20e-3, smallest=1e-4, start=5e-4,
+             meaning="r, time that the spool takes for a volt"),
     ),
     signature="an error in the first milliseconds after a step of the command; it grows with the "
     "height of the step, and small commands do not show it",
     best_experiment="chirp",
     entries=(
-        EffectEntry(
-            "command",
-            give_moving_spool_v,
-            memory=EffectMemory(start_slew, follow_slew_v),
-            after=("valve_saturation", "valve_hysteresis"),
-        ),
+        EffectEntry("command", give_spool_v, memory=EffectMemory(start_at_null, follow_slew_v),
+                    after=("valve_saturation", "valve_hysteresis")),
     ),
-    is_searched=False,
-    as_terms=(
-        AsTerm(
-            "command",
-            "slew",
-            "command",
-            numbers=lambda term: {"slowness_s_per_v": 1.0 / term["inner"]},
-        ),
-    ),
-)
+    as_terms=(AsTerm("command", "slew", "command"),),
+)  # fmt: skip
 
 
 class ValveSpool(NamedTuple):
@@ -509,35 +406,16 @@ def spool_step(
 
 
 VALVE_SPOOL = EffectDescription(
-    kind=ValveSpool,
-    block="pressure",
+    kind=ValveSpool, block="pressure",
     equation="s'' = w^2 (u - s) - 2 zeta w s',  A_v = K_Av s",
     parameters=(
-        EffectParameter(
-            "time_constant_s",
-            "s",
-            neutral=0.0,
-            low=0.0,
-            high=8e-3,
-            smallest_of_interest=2e-4,
-            meaning="1 / natural angular frequency",
-            start=1e-3,
-        ),
-        EffectParameter(
-            "damping_ratio",
-            "1",
-            neutral=0.7,
-            low=0.2,
-            high=2.0,
-            smallest_of_interest=0.1,
-            meaning="damping of the spool",
-            start=0.7,
-            role="shape",
-        ),
+        size("time_constant_s", "s", 8e-3, smallest=2e-4, start=1e-3,
+             meaning="1 / natural angular frequency"),
+        shape("damping_ratio", "1", 0.2, 2.0, usual=0.7, smallest=0.1,
+              meaning="damping of the spool"),
     ),
     signature="an error in the first milliseconds after every step of the command; it grows with "
     "frequency",
-    best_experiment="chirp",
-    woven=("valve",),
+    best_experiment="chirp", woven=("valve",),
     as_terms=(AsTerm("command", "lag", "command"),),
-)
+)  # fmt: skip

@@ -12,18 +12,15 @@ Run the cases of `hal/rig_contract.py` over a new one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, Literal, NamedTuple, Protocol, TypeVar
 
-from hal.calibration import CalibrationSettings
-from hal.configured import Configured
-from hal.converter import Output
-from hal.doctor_finding import DoctorFinding
-from hal.rig import Edge, Rig, RigError
+from hal.calibration import CalibrationSettings, Output
+from hal.rig import Configured, Edge, Rig, RigError
 
 GROUP = "pamctl.rigs"
 
@@ -169,7 +166,7 @@ class InstalledBackends(NamedTuple):
 
 
 _SHIPPED = (
-    EntryPoint("sim", "hal.sim.sim_backend:SIM", GROUP),
+    EntryPoint("sim", "hal.sim:SIM", GROUP),
     EntryPoint("nidaq", "hal.nidaq.nidaq_backend:NIDAQ", GROUP),
     EntryPoint("comedi", "hal.comedi.comedi_backend:COMEDI", GROUP),
 )
@@ -232,3 +229,48 @@ def hint_at_missing(name: str) -> str:
         package = installed.packages.get(name, "its package")
         return f"{package} does not load: {installed.failed[name]}"
     return f"if a package provides '{name}', install it (its entry point is in the group {GROUP})"
+
+
+Level = Literal["ok", "warning", "fault"]
+"""fault: a run would fail or would not be safe. warning: a run would work, but worse."""
+
+
+class DoctorFinding(NamedTuple):
+    """One check and its result; `name` is stable between versions."""
+
+    name: str
+    level: Level
+    found: str
+    wanted: str = ""
+    """What it should be; empty where all is well."""
+    fix: str = ""
+    """What to do, as a command where there is one."""
+    data: Mapping[str, object] = {}
+    """The figures behind the words, in SI, units in the names."""
+
+
+def report_rig_error(name: str, error: RigError, wanted: str) -> DoctorFinding:
+    """Return a check that ended in an error of the device, with the fix that the error names."""
+    return DoctorFinding(name, "fault", describe_rig_error(error), wanted, error.fix)
+
+
+def describe_rig_error(error: RigError) -> str:
+    """Return what the device reports, with its error number and without the fix."""
+    return error.what if error.code is None else f"{error.what} (device error {error.code})"
+
+
+def worst_level(findings: Iterable[DoctorFinding]) -> Level:
+    """Return the level of the worst finding; without findings all is well."""
+    levels = {finding.level for finding in findings}
+    return "fault" if "fault" in levels else "warning" if "warning" in levels else "ok"
+
+
+def format_findings(findings: Iterable[DoctorFinding]) -> Iterator[str]:
+    """Write a line for each finding; below each that is not ok, what it should be and the fix."""
+    for finding in findings:
+        yield f"{finding.level:<8} {finding.name:<22} {finding.found}"
+        if finding.level != "ok":
+            if finding.wanted:
+                yield f"{'':<31} should be: {finding.wanted}"
+            if finding.fix:
+                yield f"{'':<31} fix: {finding.fix}"

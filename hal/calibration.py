@@ -2,16 +2,18 @@
 
 Chain of the paper's rig: an MPX5700GP pressure sensor (gauge, ratiometric), an EM2
 encoder decoded four times per cycle, and a D1 valve driver that takes 0 to 10 V with
-5 V as null. The functions on NamedTuples are kernels: plain scalar arithmetic.
+5 V as null. A converter clamps a voltage to its range and rounds it to a code. The functions on
+NamedTuples are kernels: plain scalar arithmetic.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field
 
-from hal.configured import Configured
+from hal.rig import Configured
 
 
 class CalibrationSettings(Configured):
@@ -101,3 +103,45 @@ def output_v(cal: Calibration, valve_v: float) -> float:
 def valve_v(cal: Calibration, output_v: float) -> float:
     """Valve command that an output voltage carries: the inverse of `output_v`."""
     return (output_v - cal.driver_offset_v) / cal.driver_gain
+
+
+class Converter(NamedTuple):
+    """An ideal bipolar 16-bit converter of a given full scale, as the PCI-6221's are."""
+
+    full_scale_v: float
+    levels: float = 65536.0
+
+
+def quantise_v(converter: Converter, volts: float) -> float:
+    """Return the voltage of the nearest code, at most one step below full scale."""
+    full_scale_v, levels = converter
+    step = 2.0 * full_scale_v / levels
+    # Clamped first: a huge voltage has no integer code to be rounded to.
+    if volts >= full_scale_v - step:
+        return full_scale_v - step
+    if volts <= -full_scale_v:
+        return -full_scale_v
+    return math.floor(volts / step + 0.5) * step
+
+
+class Output(NamedTuple):
+    """An analog output that is kept within a range; both ends are codes of its converter."""
+
+    converter: Converter
+    lowest_v: float
+    highest_v: float
+
+
+def make_output(converter: Converter, low_v: float, high_v: float) -> Output:
+    """Return an output that reaches from the lowest to the highest code between two voltages."""
+    step = 2.0 * converter.full_scale_v / converter.levels
+    return Output(
+        converter,
+        quantise_v(converter, math.ceil(low_v / step) * step),
+        quantise_v(converter, math.floor(high_v / step) * step),
+    )
+
+
+def nearest_output_v(output: Output, volts: float) -> float:
+    """Return the voltage that an output really applies when told `volts`."""
+    return min(max(quantise_v(output.converter, volts), output.lowest_v), output.highest_v)

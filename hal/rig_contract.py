@@ -22,7 +22,7 @@ from functools import cached_property
 from typing import Any
 
 from hal.backend import Backend, BuiltRig, RigRequest
-from hal.converter import Output
+from hal.calibration import Output
 from hal.rig import RawSample, Rig, RigError, open_rig
 
 _VOLTAGES = 200

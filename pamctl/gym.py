@@ -18,9 +18,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.calibration import Zero, output_v, position_m, pressure_pa, valve_v
-from hal.converter import quantise_v
-from hal.sim.sim_rig import SensorChain, SimSettings, sensed_counts, sensed_pressure_v, sensor_chain
+from hal.calibration import Zero, output_v, position_m, pressure_pa, quantise_v, valve_v
+from hal.sim import SensorChain, SimSettings, sensed_counts, sensed_pressure_v, sensor_chain
 from pamctl.control.course import Course
 from pamctl.control.experiment import ExperimentSettings, plan_experiment
 from pamctl.exit_codes import ExitCode

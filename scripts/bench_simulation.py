@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from scipy.integrate import odeint, solve_ivp
 
 from hal.rig import RawSample
-from hal.sim.sim_rig import sensed_counts, sensed_pressure_v, sensor_chain
+from hal.sim import sensed_counts, sensed_pressure_v, sensor_chain
 from pamctl.control.experiment import plan_experiment
 from pamctl.control.law import Memory, respond
 from pamctl.kernel.calls import machine, prepare

@@ -46,7 +46,7 @@ import numpy as np
 from measured_table import format_table, write_measured
 from standin.standin import Card
 
-from hal.sim.register import peek_v
+from hal.sim import peek_v
 from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
 from pamctl.log.reader import read
 from pamctl.processes.backends import SHARED_MEMORY, ao_path

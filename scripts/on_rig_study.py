@@ -40,7 +40,7 @@ CODE = '''
 """A rig of tests/hidden behind the wires of the simulated one."""
 import json, os
 from dataclasses import replace
-from hal.sim.sim_backend import SIM
+from hal.sim import SIM
 
 
 class LatePlant:

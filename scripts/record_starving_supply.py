@@ -52,7 +52,7 @@ CODE = '''
 """A simulated rig whose supply starves as soon as a file is there."""
 import json, os
 from dataclasses import replace
-from hal.sim.sim_backend import SIM
+from hal.sim import SIM
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
 

@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from hal.sim.register import peek_v
+from hal.sim import peek_v
 from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
 from pamctl.daemon.protocol import INTERNAL_ERROR
 from pamctl.log import read

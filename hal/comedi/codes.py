@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from typing import NamedTuple
 
 from hal.comedi import libcomedi
-from hal.comedi.comedi_settings import UNCALIBRATED
+from hal.comedi.comedi_backend import UNCALIBRATED
 from hal.comedi.libcomedi import ComediFile, ComediPolynomial
 from hal.rig import RigError
 

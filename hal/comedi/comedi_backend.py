@@ -1,13 +1,246 @@
-"""The record of a card behind comedi. libcomedi is loaded only where the card is really needed."""
+"""The record of a card behind comedi: its section of a rig file, and its checks for the doctor.
+
+libcomedi is loaded only where the card is really needed: a PC without a card need not have it.
+"""
 
 from __future__ import annotations
 
-from pathlib import PurePosixPath
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Annotated, Self
 
-from hal.backend import Backend, BuiltRig, DeviceProbe, RigKeys, RigRequest
-from hal.comedi.comedi_checks import REQUIRED, examine_comedi
-from hal.comedi.comedi_settings import ComediSettings
-from hal.m_series import card_output
+from pydantic import Field, model_validator
+
+from hal.backend import (
+    Backend,
+    BuiltRig,
+    DeviceProbe,
+    DoctorFinding,
+    ProbeRequest,
+    RigKeys,
+    RigRequest,
+    describe_rig_error,
+    report_rig_error,
+)
+from hal.card import (
+    COMEDI_DRIVER,
+    NO_CARD_FIX,
+    PCI_DEVICES,
+    MSeriesWiring,
+    PciCard,
+    card_output,
+    describe_holders,
+    find_pci_cards,
+    judge_input_range,
+)
+from hal.comedi.libcomedi import (
+    BUSY,
+    FROM_PHYSICAL,
+    PERMIT,
+    TO_PHYSICAL,
+    ComediFile,
+    find_library_path,
+    load_library,
+)
+from hal.rig import RigError
+
+if TYPE_CHECKING:
+    from hal.comedi.codes import AnalogChannel
+
+
+UNCALIBRATED = "none"
+"""The `calibration_file` of a rig whose owner accepts the nominal ranges of the card."""
+
+
+class ComediSettings(MSeriesWiring):
+    """Which terminals of which card, in what ranges, and where its calibration lies.
+
+    There is no timeout: the kernel's driver itself gives up on a converter that is silent, and
+    a program cannot change how long it waits.
+    """
+
+    device: Annotated[
+        str, Field(pattern="^/dev/comedi[0-9]+$", description="the card's device file")
+    ] = "/dev/comedi0"
+    encoder_a_pfi: Annotated[
+        int, Field(ge=0, le=15, description="PFI line of the encoder's A; the 37-pin card has 0-7")
+    ] = 8
+    encoder_b_pfi: Annotated[
+        int, Field(ge=0, le=15, description="PFI line of the encoder's B; the 37-pin card has 0-7")
+    ] = 10
+    calibration_file: Annotated[
+        str,
+        Field(
+            description="made by `comedi_soft_calibrate`; empty: where comedi keeps it; none: "
+            "nominal ranges, wrong by some 5 %"
+        ),
+    ] = ""
+
+    @model_validator(mode="after")
+    def _check_lines(self) -> Self:
+        if self.encoder_a_pfi == self.encoder_b_pfi:
+            raise ValueError("encoder_a_pfi and encoder_b_pfi must be two lines")
+        return self
+
+
+REQUIRED = frozenset(
+    {"card.driver", "card.device", "card.channels", "card.calibration", "card.reservations"}
+)
+"""Findings whose fault means that no rig can be opened; other faults leave it usable."""
+
+_PFI_LINES_OF_37_PINS = 8
+
+
+def examine_comedi(request: ProbeRequest[ComediSettings]) -> Iterator[DoctorFinding]:
+    """Check library and driver, then the card and its parts, as far as each step allows."""
+    from hal.comedi.comedi_rig import require_card
+
+    settings = request.settings
+    yield judge_kernel_driver(find_pci_cards(PCI_DEVICES))
+    try:
+        load_library()
+    except RigError as error:
+        yield report_rig_error("card.driver", error, "libcomedi loaded")
+        return
+    yield DoctorFinding("card.driver", "ok", f"libcomedi ({find_library_path()})")
+    yield from check_permission(Path(settings.device))
+    try:
+        require_card(settings)
+        file = ComediFile(settings.device)
+    except RigError as error:
+        wanted = "a card behind comedi.device of the rig file"
+        yield report_rig_error("card.device", error, wanted)
+        return
+    with file:
+        told = file.describe()
+        found = f"{settings.device}: {told['product_type']}, driver {told['driver_name']}"
+        yield DoctorFinding("card.device", "ok", found, data=told)
+        yield from _examine_parts(file, request, str(told["product_type"]))
+
+
+def _examine_parts(
+    file: ComediFile, request: ProbeRequest[ComediSettings], product: str
+) -> Iterator[DoctorFinding]:
+    from hal.comedi.codes import list_ranges
+    from hal.comedi.comedi_rig import (
+        find_counter,
+        find_pfi_lines,
+        find_pressure_input,
+        find_valve_output,
+    )
+
+    settings = request.settings
+    try:
+        sensor = find_pressure_input(file, settings)
+        valve = find_valve_output(file, settings)
+        counter = find_counter(file, settings)
+        find_pfi_lines(file)
+    except RigError as error:
+        wanted = "as section comedi of the rig file says"
+        yield report_rig_error("card.channels", error, wanted)
+        return
+    yield judge_pfi_lines(settings, product)
+    ranges = list_ranges(file, sensor.subdevice, sensor.channel).values()
+    asked = (settings.input_low_v, settings.input_high_v)
+    yield judge_input_range("comedi", asked, tuple(ranges), request)
+    yield judge_calibration(file, settings, sensor, valve)
+    yield judge_locks(
+        file,
+        {
+            settings.pressure_channel: sensor.subdevice,
+            settings.encoder_counter: counter,
+            settings.valve_channel: valve.subdevice,
+        },
+    )
+
+
+def judge_kernel_driver(cards: Sequence[PciCard]) -> DoctorFinding:
+    """Say which kernel driver holds NI's cards: only one of NI's own and comedi's can."""
+    name = "card.kernel_driver"
+    wanted = f"a card held by {COMEDI_DRIVER}"
+    if not cards:
+        return DoctorFinding(name, "warning", "no card of NI's on the PCI bus", wanted, NO_CARD_FIX)
+    found = describe_holders(cards)
+    data = {"cards": [card._asdict() for card in cards]}
+    if any(card.driver == COMEDI_DRIVER for card in cards):
+        return DoctorFinding(name, "ok", found, data=data)
+    held = next((card.driver for card in cards if card.driver), "")
+    fix = (
+        f"NI's driver {held} holds it, so comedi cannot: `pamctl manual comedi` shows how to switch"
+        if held
+        else f"sudo modprobe {COMEDI_DRIVER}"
+    )
+    return DoctorFinding(name, "fault", found, wanted, fix, data)
+
+
+def check_permission(device: Path) -> Iterator[DoctorFinding]:
+    """Check that this user may use the device file, where there is one."""
+    if not device.exists():
+        return
+    if os.access(device, os.R_OK | os.W_OK):
+        yield DoctorFinding("card.permission", "ok", f"access to {device}")
+        return
+    try:
+        group = device.group()
+    except KeyError:
+        group = str(device.stat().st_gid)
+    found = f"no access to {device}, of the group {group}"
+    fix = PERMIT.format(device=device).replace("GROUP", group)
+    yield DoctorFinding("card.permission", "fault", found, "read and write", fix)
+
+
+def judge_pfi_lines(settings: ComediSettings, product: str) -> DoctorFinding:
+    """Check that the card has terminals for the encoder's lines."""
+    lines = (settings.encoder_a_pfi, settings.encoder_b_pfi)
+    found = (
+        f"{settings.pressure_channel}, {settings.encoder_counter} on PFI {lines[0]} and "
+        f"{lines[1]}, {settings.valve_channel}"
+    )
+    if "37pin" in product and max(lines) >= _PFI_LINES_OF_37_PINS:
+        fix = "wire A and B to two of PFI 0 to 7, and set comedi.encoder_a_pfi and encoder_b_pfi"
+        return DoctorFinding("card.channels", "fault", found, "PFI 0 to 7 on this card", fix)
+    return DoctorFinding("card.channels", "ok", found)
+
+
+def judge_calibration(
+    file: ComediFile, settings: ComediSettings, sensor: AnalogChannel, valve: AnalogChannel
+) -> DoctorFinding:
+    """Check that the calibration file knows both converters."""
+    from hal.comedi.codes import CALIBRATE, read_calibration
+
+    name, wanted = "card.calibration", "a file from comedi_soft_calibrate"
+    if settings.calibration_file == UNCALIBRATED:
+        found = "comedi.calibration_file: none: nominal ranges, wrong by some 5 %"
+        fix = CALIBRATE.format(device=settings.device).partition(";")[0]
+        return DoctorFinding(name, "warning", found, wanted, fix)
+    try:
+        with read_calibration(file, settings.calibration_file) as calibration:
+            calibration.get_polynomial(file, sensor, TO_PHYSICAL)
+            calibration.get_polynomial(file, valve, FROM_PHYSICAL)
+    except RigError as error:
+        return report_rig_error(name, error, wanted)
+    return DoctorFinding(name, "ok", calibration.path)
+
+
+def judge_locks(file: ComediFile, parts: dict[str, int]) -> DoctorFinding:
+    """Take each part of the card for a moment; say which of them another program holds."""
+    busy: dict[str, RigError] = {}
+    for part, subdevice in parts.items():
+        try:
+            file.lock(subdevice, part)
+        except RigError as error:
+            busy[part] = error
+        else:
+            file.unlock(subdevice)
+    name = "card.reservations"
+    if not busy:
+        return DoctorFinding(name, "ok", "input, counter and output are free")
+    found = "; ".join(describe_rig_error(error) for error in busy.values())
+    fix = next(iter(busy.values())).fix
+    if all(error.code in BUSY for error in busy.values()):
+        fix = f"{fix}; sudo fuser -v {file.path} names it"
+    return DoctorFinding(name, "fault", found, "free", fix, {"channels": sorted(busy)})
 
 
 def _require(settings: ComediSettings) -> None:

@@ -17,7 +17,7 @@ from contextlib import ExitStack, suppress
 from ctypes import POINTER, byref, c_uint, cast, sizeof
 from typing import NamedTuple
 
-from hal.card_rig import CardRig
+from hal.card import CardRig, refuse_stand_in, unwrap_count
 from hal.comedi import libcomedi
 from hal.comedi.codes import (
     AnalogChannel,
@@ -27,10 +27,8 @@ from hal.comedi.codes import (
     make_nominal,
     read_calibration,
 )
-from hal.comedi.comedi_settings import UNCALIBRATED, ComediSettings
+from hal.comedi.comedi_backend import UNCALIBRATED, ComediSettings
 from hal.comedi.libcomedi import ComediFile, ComediInsn, ComediInsnList, LibraryMissingError
-from hal.driver_library import refuse_stand_in
-from hal.m_series import unwrap_count
 from hal.rig import RawSample, RigError, RigIdentity
 
 STAND_IN_DRIVER = "stand_in"

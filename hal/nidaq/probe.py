@@ -1,11 +1,14 @@
 """What the driver says of an NI card, found out without moving anything.
 
 Tasks are reserved and released, an input is read. Only `try_hardware_timing` writes to the output.
+As a process of its own (`child_command`) it reserves the valve's output until it is killed: the
+doctor kills it, to measure how long the driver keeps a dead process's reservation.
 """
 
 from __future__ import annotations
 
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
@@ -19,20 +22,20 @@ from nidaqmx.constants import TaskMode
 from nidaqmx.stream_readers import AnalogSingleChannelReader
 from nidaqmx.system import Device, System
 
+from hal.card import find_loaded_library
 from hal.child import child_command
-from hal.driver_library import find_loaded_library
-from hal.nidaq import hold_output
-from hal.nidaq.card_settings import NidaqSettings
-from hal.nidaq.driver import LIBRARY, raise_rig_errors, require_card
-from hal.nidaq.driver_errors import BUSY_CODES
-from hal.nidaq.hardware_timed import HardwareTimedRig
-from hal.nidaq.tasks import (
+from hal.nidaq.card_settings import BUSY_CODES, NidaqSettings
+from hal.nidaq.driver import (
+    LIBRARY,
     make_encoder_task,
     make_pressure_task,
     make_valve_task,
     make_valve_writer,
     make_volt_reader,
+    raise_rig_errors,
+    require_card,
 )
+from hal.nidaq.nidaq_rig import HardwareTimedRig
 from hal.rig import RigError, open_rig
 
 GLITCH_V = 0.05
@@ -43,6 +46,9 @@ _START_SAMPLES = 25_000
 RELEASE_PATIENCE_S = 1.0
 """Ten times what a guardian needs from a frozen loop to the safe voltage."""
 _HARDWARE_TIMED_SAMPLES = 100
+
+HELD = "held"
+"""What it prints once it holds the output."""
 
 Range = tuple[float, float]
 TaskMaker = Callable[[NidaqSettings], AbstractContextManager[Task]]
@@ -172,7 +178,7 @@ def measure_release(settings: NidaqSettings) -> float | None:
     None: it was not free within `RELEASE_PATIENCE_S`. Raises `RigError` where no process could
     hold it.
     """
-    holder = child_command(hold_output.__name__, settings.model_dump_json())
+    holder = child_command(__name__, settings.model_dump_json())
     with subprocess.Popen(
         holder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     ) as process:
@@ -180,7 +186,7 @@ def measure_release(settings: NidaqSettings) -> float | None:
         told = process.stdout.readline().strip()
         killed_s = time.monotonic()
         process.kill()
-    if told != hold_output.HELD:
+    if told != HELD:
         raise RigError("no second process could hold the output", fix="is the PC short of memory?")
     while True:
         waited_s = time.monotonic() - killed_s
@@ -226,7 +232,13 @@ def record_output_start(settings: NidaqSettings, safe_v: float) -> OutputStart:
 
 def try_on_demand_read(settings: NidaqSettings) -> RigError | None:
     """Read the input once on demand; return the error where it fails."""
-    return _catch_rig_error(lambda: _read_on_demand(settings))
+    try:
+        with raise_rig_errors("reading on demand"), make_pressure_task(settings) as task:
+            task.start()
+            make_volt_reader(task)(settings.timeout_s)
+    except RigError as error:
+        return error
+    return None
 
 
 def try_hardware_timing(
@@ -255,20 +267,6 @@ def try_hardware_timing(
     return ClockTrial(edges, missed, str(told["wait_mode"]), told["data_transfer_in_use"])
 
 
-def _read_on_demand(settings: NidaqSettings) -> None:
-    with raise_rig_errors("reading on demand"), make_pressure_task(settings) as task:
-        task.start()
-        make_volt_reader(task)(settings.timeout_s)
-
-
-def _catch_rig_error(reading: Callable[[], None]) -> RigError | None:
-    try:
-        reading()
-    except RigError as error:
-        return error
-    return None
-
-
 def _reserve(settings: NidaqSettings, channel: str, make_task: TaskMaker) -> None:
     with raise_rig_errors(f"reserving {settings.device}/{channel}"), make_task(settings) as task:
         # A task that is only reserved writes nothing: the output keeps its voltage.
@@ -282,3 +280,15 @@ def _strip_device_names(collection) -> tuple[str, ...]:  # type: ignore[no-untyp
 
 def _pair_ranges(flat: Sequence[float]) -> tuple[Range, ...]:
     return tuple(zip(flat[::2], flat[1::2], strict=True))
+
+
+def hold_output() -> None:
+    """Hold the output that the settings on the command line name, until standard input ends."""
+    with make_valve_task(NidaqSettings.model_validate_json(sys.argv[1])) as task:
+        task.control(TaskMode.TASK_RESERVE)
+        print(HELD, flush=True)
+        sys.stdin.read()
+
+
+if __name__ == "__main__":
+    hold_output()

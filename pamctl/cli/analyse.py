@@ -132,7 +132,7 @@ def replay(asked: ReplayOptions) -> None:
 def _compare_with_log(log: Log, asked: ReplayOptions) -> ExitCode:
     from pamctl.replay import replay_log
     from pamctl.replay.replay_text import format_replay, make_replay_document
-    from pamctl.replay.tolerance import EXACT, OTHER_CPU
+    from pamctl.replay.tick_replay import EXACT, OTHER_CPU
 
     tolerances = EXACT if asked.tolerance is None else OTHER_CPU
     found = replay_log(log, from_s=asked.from_s, plain=asked.plain, tolerances=tolerances)

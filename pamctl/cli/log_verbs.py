@@ -17,7 +17,7 @@ from pamctl.settings.problems import ConfigError
 
 if TYPE_CHECKING:
     from pamctl.log.check import LogCheckReport
-    from pamctl.log.cut import CutLog
+    from pamctl.log.edit import CutLog
     from pamctl.log.importing.column_map import ImportMap
     from pamctl.log.recover import Recovery
 
@@ -42,7 +42,7 @@ def show_info(asked: InfoOptions) -> None:
     Of a damaged or unfinished log it shows what stands before the damage, and exits with 3.
     """
     from pamctl.log import info
-    from pamctl.log.moments import CHANGES, spell_controller
+    from pamctl.log.run_meta import CHANGES, spell_controller
 
     found = info(asked.path)
     if asked.as_json:
@@ -197,7 +197,7 @@ class ExportOptions(Options):
     """`pamctl log export`."""
 
     source: Path = argument("LOG", "Log to export")
-    destination: Path = argument("OUT", "New file: .csv, .mat, .npz, .parquet or .tdms")
+    destination: Path = argument("OUT", "New file: .csv, .mat or .parquet")
     fields: str | None = option(
         "--fields NAME,...", "Columns to export, in this order", shown="all columns"
     )
@@ -274,7 +274,7 @@ def cut_file(asked: CutOptions) -> None:
             "say what to cut: --from-s, --to-s, --from-row, --to-row or --at-gaps",
             param_hint="--out",
         )
-    from pamctl.log.cut import cut_log
+    from pamctl.log.edit import cut_log
 
     given: Any = limits
     done = cut_log(asked.source, asked.destination, **given, at_gaps=asked.at_gaps)

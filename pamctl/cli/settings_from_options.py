@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypedDict, Unpack
 import typer
 
 from hal.backend import find_backends, hint_at_missing
-from pamctl.log.moments import CHANGES, describe_changes
+from pamctl.log.run_meta import CHANGES, describe_changes
 from pamctl.settings.config_files import DEFAULT_NAMES, find_config_file, list_shipped
 from pamctl.settings.envelope import find_excesses
 from pamctl.settings.problems import ConfigError, Problem

@@ -13,8 +13,7 @@ from typing import Annotated
 from pydantic import Field
 
 from hal.calibration import CalibrationSettings, Zero
-from hal.configured import Configured
-from hal.rig import RawSample
+from hal.rig import Configured, RawSample
 from pamctl.control.course import make_valve_reference
 from pamctl.signals import Phase, Reference
 

@@ -41,8 +41,7 @@ from pamctl.daemon.session import DaemonRun, Session, Workshop
 from pamctl.daemon.shelf import Shelf
 from pamctl.exit_codes import EMERGENCY_STOP, Ending
 from pamctl.log.annotation import NOTHING_SAID, Annotation, annotate_meta
-from pamctl.log.moments import CHANGES, describe_changes
-from pamctl.log.run_meta import bare_name
+from pamctl.log.run_meta import CHANGES, bare_name, describe_changes
 from pamctl.plain_text import clean_text
 from pamctl.plant.model import PlantSettings
 from pamctl.processes.keep_awake import SleepInhibitor

@@ -80,7 +80,8 @@ class Shelf:
 def _has_tag(log: Path) -> bool:
     """Tell whether somebody has tagged the log; a damaged one says what stands before its end."""
     # Not at the top: a daemon that keeps all its logs needs no memory for this.
-    from pamctl.log.annotate import LogError, read_annotation
+    from pamctl.log.edit import read_annotation
+    from pamctl.log.framing import LogError
 
     try:
         return bool(read_annotation(log).tags)

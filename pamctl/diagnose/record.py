@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 import pamctl.log
 from pamctl.exit_codes import ExitCode
-from pamctl.log.cut import find_longest_step_s, split_at_gaps
+from pamctl.log.edit import find_longest_step_s, split_at_gaps
 from pamctl.log.framing import map_log_file
 from pamctl.log.measured_signals import judge_ticks
-from pamctl.log.moments import Moment, list_moments
+from pamctl.log.run_meta import Moment, list_moments
 from pamctl.signals import Phase
 
 Array = NDArray[np.float64]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from pamctl.log.moments import spell_controller
+from pamctl.log.run_meta import spell_controller
 from pamctl.report.progress_line import format_progress
 
 if TYPE_CHECKING:  # `pamctl status` does not wait for it

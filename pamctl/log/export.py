@@ -1,4 +1,4 @@
-"""Write the ticks of a log for other tools: CSV, MAT, NPZ, Parquet, TDMS.
+"""Write the ticks of a log for other tools: CSV, MAT, Parquet.
 
 Field names end with the unit in every format; all but CSV also store units apart.
 """
@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.exit_codes import ExitCode
-from pamctl.json_text import to_json
 from pamctl.log.framing import LogError
 from pamctl.log.reader import NoSuchColumn, read
 from pamctl.log.schema import TICK_TOPIC, unit_of_column
@@ -90,21 +89,13 @@ def _choose_writer(destination: Path) -> Callable[[BufferedWriter, Columns, str]
     if suffix not in _WRITERS:
         known = ", ".join(_WRITERS)
         raise ExportError(f"{destination}: no such format {suffix!r}; there are {known}")
-    if suffix in _PACKAGES:
-        _require_package(*_PACKAGES[suffix])
+    if suffix == ".parquet":
+        try:
+            __import__("pyarrow")
+        except ImportError:
+            fix = "install it with pip install pyarrow"
+            raise ExportError(f"Parquet needs the package pyarrow; {fix}") from None
     return _WRITERS[suffix]
-
-
-def _require_package(what: str, package: str) -> None:
-    try:
-        __import__(package)
-    except ImportError:
-        detail = f"{what} needs the package {package}; install it with pip install {package}"
-        raise ExportError(detail) from None
-
-
-def _units(columns: Columns) -> dict[str, str]:
-    return {name: unit_of_column(name) for name in columns}
 
 
 def _write_csv(stream: BufferedWriter, columns: Columns, source: str) -> None:
@@ -117,16 +108,12 @@ def _write_csv(stream: BufferedWriter, columns: Columns, source: str) -> None:
         stream.write(("\r\n".join(rows) + "\r\n").encode())
 
 
-def _write_npz(stream: BufferedWriter, columns: Columns, source: str) -> None:
-    story = {"units": to_json(_units(columns)).decode(), "source": source}
-    np.savez_compressed(stream, allow_pickle=False, **columns, **story)
-
-
 def _write_mat(stream: BufferedWriter, columns: Columns, source: str) -> None:
     """Write `log.NAME`, columns of a struct, and `units.NAME`."""
     from scipy.io import savemat
 
-    content = {"log": dict(columns), "units": _units(columns), "source": source}
+    units = {name: unit_of_column(name) for name in columns}
+    content = {"log": dict(columns), "units": units, "source": source}
     savemat(stream, content, long_field_names=True, do_compression=True, oned_as="column")
 
 
@@ -144,27 +131,4 @@ def _write_parquet(stream: BufferedWriter, columns: Columns, source: str) -> Non
     parquet.write_table(table, stream)
 
 
-def _write_tdms(stream: BufferedWriter, columns: Columns, source: str) -> None:
-    """Write one group, a channel for each field, with its unit as LabVIEW names it."""
-    from nptdms import ChannelObject, RootObject, TdmsWriter
-
-    channels = [
-        ChannelObject("pamctl", name, column, {"unit_string": unit_of_column(name)})
-        for name, column in columns.items()
-    ]
-    with TdmsWriter(stream) as writer:
-        writer.write_segment([RootObject({"source": source}), *channels])
-
-
-_WRITERS = {
-    ".csv": _write_csv,
-    ".mat": _write_mat,
-    ".npz": _write_npz,
-    ".parquet": _write_parquet,
-    ".tdms": _write_tdms,
-}
-_PACKAGES = {
-    ".parquet": ("Parquet", "pyarrow"),
-    ".tdms": ("TDMS", "nptdms"),
-}
-"""Formats that another package writes."""
+_WRITERS = {".csv": _write_csv, ".mat": _write_mat, ".parquet": _write_parquet}

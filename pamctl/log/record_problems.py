@@ -12,35 +12,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import combinations
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
-from pamctl.log.reading.column_problems import (
-    JITTER,
-    Floats,
-    ProblemKind,
-    RecordColumn,
-    RecordProblem,
-    Sensor,
-    find_runs,
-    find_sensor_step,
-    judge_numbers,
-    judge_sensors,
-    make_problem,
-    nominal_period_s,
-)
-
-__all__ = [
-    "RecordColumn",
-    "RecordProblem",
-    "find_record_problems",
-    "find_sensor_step",
-    "judge_first_tick",
-    "judge_schema",
-    "nominal_period_s",
-]
 
 GAP_PERIODS = 1.5
 """A longer step of the time has missed rows."""
@@ -158,3 +133,357 @@ def _judge_time(t_s: Floats, name: str) -> Iterator[RecordProblem]:
     if off.max() > JITTER:
         text = f"steps differ from {period_s:.6g} s by up to {float(off.max()):.0%}"
         yield make_problem(t_s, "jitter", name, text, [(0, len(t_s))])
+
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+ProblemKind = Literal[
+    "frozen", "clipped", "spikes", "resampled", "missing", "infinite", "empty", "constant",
+    "duplicated", "backwards", "reversed", "gap", "jitter", "short",
+    "misnumbered", "schema", "version",
+]  # fmt: skip
+
+JITTER = 0.05
+"""Deviation from the even grid that is a problem, as a share of the period."""
+FEWEST_HELD = 20
+"""Equal samples in a row that may be a frozen sensor; fewer are a dropout."""
+CHANCE = 1e-3
+"""Chance in a whole record that noise holds a value for as long as a frozen sensor."""
+NOISE_STEPS = 0.5
+"""Noise of so many steps of the converter shows in every sample; rounding alone makes 0.29."""
+FLIPS = 0.6
+"""Share of turns in noise: a smooth motion turns seldom, white noise in 0.73 of its samples."""
+MOST_UNEVEN = 0.02
+"""Share of uneven time steps; with more, a motion looks as rough as noise."""
+BLOCK = 50
+"""Samples whose noise is taken together."""
+BESIDE = 12
+"""Samples beside a held stretch that must show the noise which it lacks."""
+STILL_PUSHED = 0.35
+"""Share of another sensor's span that no friction holds."""
+JUMP = 9.0
+"""A spike is this many usual deviations away from its neighbours."""
+MOST_SPIKES = 0.02
+"""Share of the samples; more are no single spikes, but the signal."""
+AROUND = 8
+"""Samples before and after a spike that show how busy the signal is."""
+ANSWER = 4
+"""Samples after a jump of the command in which a rig may answer it by a jump."""
+REGULAR = 0.95
+"""Share of the changes that come at one interval in a resampled column."""
+FEWEST_CHANGES = 20
+SHOWN_STRETCHES = 5
+MOST_COMPARED = 200
+"""Stretches, the longest ones, that are compared with other sensors."""
+MOST_SORTED = 100_000
+"""Samples of a long column whose levels are looked at."""
+
+
+class RecordColumn(NamedTuple):
+    """A column of a record."""
+
+    name: str
+    unit: str
+    values: Floats
+    """Shape (n,); NaN where nothing was measured."""
+    step: float | None = None
+    """The converter's step, in `unit`; 0 for none; None where it is to be found in the values."""
+    is_sensor: bool = True
+    """False for a command: it may hold a value, and jump, as it likes."""
+
+
+class RecordProblem(NamedTuple):
+    """One thing that is wrong with a record."""
+
+    kind: ProblemKind
+    column: str
+    text: str
+    """What is wrong, without the place."""
+    stretches: tuple[tuple[int, int], ...]
+    """Rows [start, stop), from 0, in order; all of them."""
+    from_s: float
+    """Time of the first row concerned; NaN where the time is unknown."""
+    to_s: float
+    """Time of the last row concerned."""
+    share: float
+    """Part of the record's rows that is concerned, 0 to 1."""
+    is_fatal: bool
+    """Whether nothing right can be computed from the record before this is repaired."""
+
+    def describe(self, numbers: Sequence[int] | NDArray[np.int64] | None = None) -> str:
+        """Return the problem with its place; `numbers` are those of the rows in the source."""
+        if self.share >= 1.0 or not self.stretches:
+            return f"{self.column} {self.text}"
+        shown = []
+        for start, stop in self.stretches[:SHOWN_STRETCHES]:
+            rows = [start, stop - 1] if numbers is None else [numbers[start], numbers[stop - 1]]
+            shown.append(" to ".join(str(row) for row in dict.fromkeys(rows)))
+        more = len(self.stretches) - len(shown)
+        rest = f" and {more} more" if more else ""
+        is_one = len(self.stretches) == 1 and self.stretches[0][1] - self.stretches[0][0] == 1
+        times = [f"{t_s:.6g}" for t_s in dict.fromkeys((self.from_s, self.to_s)) if t_s == t_s]
+        when = f" ({' to '.join(times)} s)" if times else ""
+        return f"{self.column} {self.text}: row{'s'[is_one:]} {', '.join(shown)}{rest}{when}"
+
+
+def find_sensor_step(values: Floats) -> float:
+    """Return the step with which a column was digitised; 0 where none is visible.
+
+    The step is the smallest difference between levels, if the others are whole multiples.
+    Differences in time would not do: a motion at one speed has equal ones.
+    """
+    steps = np.diff(np.sort(values))
+    steps = steps[steps > 1e-9 * max(float(np.ptp(values)), 1e-30)]
+    if not len(steps):
+        return 0.0
+    # The smallest differences are one step each, apart from rounding.
+    smallest = float(np.quantile(steps, 0.01))
+    step = float(np.median(steps[steps < 1.5 * smallest]))
+    multiples = steps[steps < 30.0 * step] / step
+    off = np.abs(multiples - np.round(multiples))
+    return step if len(multiples) > 1 and float(np.quantile(off, 0.95)) < 0.1 else 0.0
+
+
+def nominal_period_s(t_s: Floats) -> float:
+    """Return the sampling period, estimated as the median time step."""
+    return float(np.median(np.diff(t_s)))
+
+
+# The numbers of a column.
+
+
+def judge_numbers(t_s: Floats, column: RecordColumn) -> Iterator[RecordProblem]:
+    """Yield where a column has no numbers, or only one."""
+    values, whole = column.values, [(0, len(t_s))]
+    good = np.isfinite(values)
+    if not good.any():
+        yield make_problem(t_s, "empty", column.name, "has no values", whole, is_fatal=True)
+        return
+    if not good.all():
+        infinite = np.isinf(values)
+        kinds: tuple[tuple[ProblemKind, Flags], ...] = (
+            ("missing", ~good & ~infinite),
+            ("infinite", infinite),
+        )
+        for kind, where in kinds:
+            if where.any():
+                count = int(np.count_nonzero(where))
+                text = f"is {kind} in {count} row{'s' * (count > 1)}"
+                yield make_problem(t_s, kind, column.name, text, find_runs(where))
+        values = values[good]
+    if float(values.min()) == float(values.max()):
+        text = f"is {float(values[0]):.6g} {column.unit} throughout"
+        yield make_problem(t_s, "constant", column.name, text, whole)
+
+
+class Sensor:
+    """A sensor's column, its gaps filled, with its noise and its converter's step."""
+
+    def __init__(self, column: RecordColumn, t_s: Floats) -> None:
+        self.column = column
+        self.lost = ~np.isfinite(column.values)
+        self.values = column.values
+        if self.lost.any():
+            index = np.where(self.lost, 0, np.arange(len(self.lost)))
+            filled = column.values[np.maximum.accumulate(index)]
+            self.values = np.where(np.isfinite(filled), filled, column.values[~self.lost][0])
+        self.ends = (float(self.values.min()), float(self.values.max()))
+        self.span = self.ends[1] - self.ends[0]
+        every = -(-len(t_s) // MOST_SORTED)
+        self.step = find_sensor_step(self.values[::every]) if column.step is None else column.step
+        self.noise, flips = _measure_noise(self.values)
+        uneven = ~(np.abs(np.diff(t_s) - nominal_period_s(t_s)) < JITTER * nominal_period_s(t_s))
+        self.is_noisy = (
+            self.noise > NOISE_STEPS * self.step
+            and flips > FLIPS
+            and float(uneven.mean()) < MOST_UNEVEN
+        )
+        """Whether its noise must show in every stretch of some samples."""
+
+
+def _measure_noise(values: Floats) -> tuple[float, float]:
+    """Return the usual noise, and how often it turns; white noise grows by sqrt(20) in a third
+    difference, where a ramp vanishes.
+    """
+    second = np.diff(values, 2)
+    third = np.diff(second)
+    whole = len(third) // BLOCK * BLOCK
+    blocks = third[:whole].reshape(-1, BLOCK) if whole else third.reshape(1, -1)
+    scatter = np.sqrt(np.mean(blocks**2, axis=1) / 20.0) if third.size else np.zeros(1)
+    alive = scatter[scatter > 0.0]
+    signs = np.sign(second)
+    both = signs[1:] * signs[:-1]
+    moved = int(np.count_nonzero(both))
+    flips = np.count_nonzero(both < 0.0) / moved if moved else 0.0
+    return float(np.median(alive)) if len(alive) else 0.0, float(flips)
+
+
+def judge_sensors(
+    t_s: Floats, sensors: Sequence[Sensor], jumps: NDArray[np.intp]
+) -> Iterator[RecordProblem]:
+    """Yield where sensors hold a value, are resampled, or have spikes.
+
+    `jumps`, shape (n,), counts those of the command up to each row.
+    """
+    frozen = [_judge_frozen(t_s, sensor) for sensor in sensors]
+    alive = [sensor for sensor, how in zip(sensors, frozen, strict=True) if not how]
+    for sensor, held in zip(sensors, frozen, strict=True):
+        others = [one for one in alive if one is not sensor]
+        yield from _judge_resampled(t_s, sensor) or held or _judge_stopped(t_s, sensor, others)
+        yield from _judge_spikes(t_s, sensor, jumps)
+
+
+def _judge_frozen(t_s: Floats, sensor: Sensor) -> list[RecordProblem]:
+    """Return where a sensor holds a value while its noise shows right before and after."""
+    if not sensor.is_noisy:
+        return []
+    held = [stretch for stretch in _find_held(sensor) if _is_noise_beside(sensor, stretch)]
+    return _describe_held(t_s, sensor, held, "while its noise shows before and after")
+
+
+def _judge_stopped(t_s: Floats, sensor: Sensor, others: Sequence[Sensor]) -> list[RecordProblem]:
+    """Return where a sensor holds a value while another one moves: no friction holds so much."""
+    held = sorted(_find_held(sensor), key=lambda stretch: stretch[0] - stretch[1])[:MOST_COMPARED]
+    moving = [(stretch, _find_mover(others, [stretch])) for stretch in sorted(held)]
+    stopped = [stretch for stretch, mover in moving if mover]
+    movers = [mover for _, mover in moving if mover]
+    for extreme in sensor.ends:
+        there = [stretch for stretch in sorted(held) if sensor.values[stretch[0]] == extreme]
+        if not stopped and there and (mover := _find_mover(others, there)):
+            stopped, movers = there, [mover]
+    return _describe_held(t_s, sensor, stopped, f"while {movers[0]} moves" if movers else "")
+
+
+def _describe_held(
+    t_s: Floats, sensor: Sensor, held: Sequence[tuple[int, int]], why: str
+) -> list[RecordProblem]:
+    """Return the problem for stretches at an extreme, and the one for those between."""
+    at_end = [s for s in held if sensor.values[s[0]] in sensor.ends]
+    between = [s for s in held if s not in at_end]
+    texts: tuple[tuple[ProblemKind, list[tuple[int, int]], str, str], ...] = (
+        ("clipped", at_end, "stays at its extreme", "clipped, or at a stop"),
+        ("frozen", between, "stands still at", "frozen"),
+    )
+    found = []
+    for kind, stretches, what, verdict in texts:
+        if stretches:
+            start, _ = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
+            value = f"{float(sensor.values[start]):.6g} {sensor.column.unit}".rstrip()
+            text = f"{what} {value}, {why}: it is {verdict}"
+            found.append(make_problem(t_s, kind, sensor.column.name, text, stretches))
+    return found
+
+
+def _find_held(sensor: Sensor) -> list[tuple[int, int]]:
+    """Return the stretches of equal values that are too long for chance."""
+    equal = (np.diff(sensor.values) == 0.0) & ~sensor.lost[1:]
+    runs = find_runs(equal)
+    lengths = runs[:, 1] - runs[:, 0]
+    long = lengths >= FEWEST_HELD - 1
+    in_long = int(lengths[long].sum())
+    share = (int(equal.sum()) - in_long) / max(len(equal) - in_long, 1)  # of equal neighbours
+    least = np.log(CHANCE / len(equal)) / np.log(min(max(share, 1e-9), 0.99))
+    return [(start, stop + 1) for start, stop in runs[long & (lengths > least)].tolist()]
+
+
+def _is_noise_beside(sensor: Sensor, stretch: tuple[int, int]) -> bool:
+    """Tell whether the noise goes on beside a stretch within the record: else it may be a rest."""
+    start, stop = stretch
+    if start < BESIDE or stop > len(sensor.values) - BESIDE:
+        return False
+    beside = (sensor.values[start - BESIDE : start], sensor.values[stop : stop + BESIDE])
+    return all(_measure_noise(part)[0] > 0.3 * sensor.noise for part in beside)
+
+
+def _find_mover(others: Sequence[Sensor], stretches: Sequence[tuple[int, int]]) -> str | None:
+    """Return the sensor that moves, in these stretches, farther than friction holds another."""
+    for other in others:
+        values = np.concatenate([other.values[start:stop] for start, stop in stretches])
+        low, high = np.quantile(values, (0.02, 0.98))
+        jump = max(float(np.abs(np.diff(other.values[a:b])).max()) for a, b in stretches)
+        if high - low - jump > max(STILL_PUSHED * other.span, 10.0 * other.noise):
+            return other.column.name
+    return None
+
+
+def _judge_resampled(t_s: Floats, sensor: Sensor) -> list[RecordProblem]:
+    """Return that a column has fewer samples than rows: held, or on straight lines, in between."""
+    step = np.diff(sensor.values)
+    bend = np.abs(np.diff(step))
+    changes = np.flatnonzero(step)
+    kinks = np.flatnonzero(bend > max(2.5 * sensor.step, 1e-9 * sensor.span))
+    # A motion at one speed changes at one interval too, but always by one step of the converter.
+    is_coarse = len(changes) and float(np.median(np.abs(step[changes]))) <= 3.0 * sensor.step
+    held = None if is_coarse else _find_interval(changes, len(step))
+    rows = held or _find_interval(kinks, len(bend))
+    if rows is None:
+        return []
+    how = "held" if held else "interpolated"
+    rate_hz = 1.0 / (rows * nominal_period_s(t_s))
+    text = f"was sampled at {rate_hz:.3g} Hz and {how} in between: it changes every {rows} rows"
+    return [make_problem(t_s, "resampled", sensor.column.name, text, [(0, len(t_s))])]
+
+
+def _find_interval(rows: NDArray[np.intp], length: int) -> int | None:
+    """Return the one interval at which rows come; None where they do not."""
+    if not FEWEST_CHANGES <= len(rows) <= length // 2:
+        return None
+    apart = np.diff(rows)
+    every = int(np.median(apart))
+    if not 2 <= every <= BLOCK:
+        return None
+    rest = np.abs(apart - np.rint(apart / every) * every)
+    return every if float(np.mean(rest <= every // 8)) >= REGULAR else None
+
+
+def _judge_spikes(t_s: Floats, sensor: Sensor, jumps: NDArray[np.intp]) -> Iterator[RecordProblem]:
+    """Yield what leaves the signal for one to three samples and is back at once."""
+    values = sensor.values
+    bend = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
+    usual = max(float(np.median(bend)) / 0.6745, sensor.step) if len(bend) else 0.0
+    starts = np.flatnonzero(bend > 0.5 * JUMP * usual) + 1
+    starts = starts[(starts >= AROUND) & (starts < len(values) - AROUND - 3)]
+    found: dict[int, int] = {}
+    for length in (1, 2, 3) if 0 < len(starts) < 3.0 * MOST_SPIKES * len(values) else ():
+        before = values[starts[:, None] + np.arange(-AROUND, 0)]
+        after = values[starts[:, None] + length + np.arange(AROUND)]
+        inside = values[starts[:, None] + np.arange(length)]
+        level = 0.5 * (before[:, -1] + after[:, 0])
+        away = np.abs(inside - level[:, None]).min(axis=1)
+        back = np.abs(before[:, -1] - after[:, 0])
+        # Another spike may be close by: the two largest steps do not count.
+        busy = np.sort(np.abs(np.diff(np.hstack([before, after]), axis=1)), axis=1)[:, -3]
+        is_spike = (away > JUMP * usual) & (back < 0.25 * away) & (busy < 0.3 * away)
+        is_spike &= jumps[starts + length] == jumps[starts - ANSWER]  # a rig may answer a jump
+        for start in starts[is_spike].tolist():
+            found.setdefault(start, start + length)
+    lone = [(a, b) for a, b in sorted(found.items()) if a - 1 not in found]
+    if 0 < len(lone) <= MOST_SPIKES * len(values):
+        text = f"has {len(lone)} spike{'s'[: len(lone) - 1]} that no rig makes"
+        yield make_problem(t_s, "spikes", sensor.column.name, text, lone)
+
+
+# The place of a problem.
+
+
+def find_runs(flags: Flags) -> NDArray[np.int64]:
+    """Return the stretches [start, stop) of True, shape (stretches, 2)."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
+    return edges.astype(np.int64).reshape(-1, 2)
+
+
+def make_problem(
+    t_s: Floats,
+    kind: ProblemKind,
+    column: str,
+    text: str,
+    stretches: NDArray[np.int64] | Sequence[tuple[int, int]],
+    *,
+    is_fatal: bool = False,
+) -> RecordProblem:
+    """Return a problem that concerns these stretches of rows, [start, stop)."""
+    places = [(int(start), int(stop)) for start, stop in stretches]
+    share = sum(stop - start for start, stop in places) / len(t_s)
+    from_s, to_s = float(t_s[places[0][0]]), float(t_s[places[-1][1] - 1])
+    return RecordProblem(kind, column, text, tuple(places), from_s, to_s, share, is_fatal)

@@ -1,7 +1,7 @@
 """Repair a damaged log: take over every part that is whole, and finish the file.
 
 A whole chunk is copied as it is packed; the index is made anew. `LogCopy` also begins what a dead
-recorder's log becomes (`pamctl.recording.finish_from_ring`), and a piece of a log (`cut.py`).
+recorder's log becomes (`pamctl.recording.finish_from_ring`), and a piece of a log (`edit.py`).
 """
 
 from __future__ import annotations

@@ -123,7 +123,7 @@ def advance_and_show(
 
 
 class SimulatedPlant:
-    """The plant of Eq. 9, as `hal.sim.sim_rig` calls it.
+    """The plant of Eq. 9, as `hal.sim` calls it.
 
     A loop in real time has a fraction of a period for it, and gives `prepare` of
     `pamctl.kernel.calls`.

@@ -230,8 +230,8 @@ def _compute_figures(
     figures = summarise_run(log, _find_shipped_experiment(settings, names["experiment"]))
     text = format_run_summary(figures, settings.controller.law)
     if ending.code in (ExitCode.SAFETY_TRIP, ExitCode.OVERRUNS):
-        from pamctl.log.moments import dump_last_seconds
         from pamctl.log.reader import read_paged
+        from pamctl.log.run_meta import dump_last_seconds
         from pamctl.new_file import NewFileError
 
         try:

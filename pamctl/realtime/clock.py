@@ -18,8 +18,7 @@ from typing import Annotated, NamedTuple, Protocol
 
 from pydantic import Field, model_validator
 
-from hal.configured import Configured
-from hal.rig import Edge
+from hal.rig import Configured, Edge
 
 PHASE_NS = 300_000
 """Where in the millisecond the grid lies. The kernel's own tick (250, 300 or 1000 times a second)

@@ -18,10 +18,9 @@ import math
 from functools import singledispatch
 from typing import Any, NamedTuple
 
-from hal.calibration import output_v, valve_v
-from hal.converter import Output, nearest_output_v, quantise_v
+from hal.calibration import Output, nearest_output_v, output_v, quantise_v, valve_v
 from hal.rig import RawSample
-from hal.sim.sim_rig import SensorChain, sensed_counts, sensed_pressure_v
+from hal.sim import SensorChain, sensed_counts, sensed_pressure_v
 from pamctl.control.course import NO_COURSE, CoursePlace, find_course_reference
 from pamctl.plant.parameters import PlantParameters, PlantState
 from pamctl.plant.simulated import CommandLine, OnTheWay, advance_muscle, show_muscle

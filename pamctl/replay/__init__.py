@@ -20,13 +20,24 @@ from hal.calibration import Zero
 from pamctl.control.course import Course, Segment
 from pamctl.log import Log
 from pamctl.realtime.tick import first_state
-from pamctl.replay.course_kernel import trace_course
-from pamctl.replay.differences import Difference, Differences, StageField
-from pamctl.replay.read_source import find_absent_fields, read_replay_source
-from pamctl.replay.replay_source import BehindTheEnd, NotReplayable, ReplaySource
-from pamctl.replay.stretch import replay_stretch
-from pamctl.replay.tick_replay import TickReplay, list_compared_fields
-from pamctl.replay.tolerance import EXACT, Tolerances
+from pamctl.replay.program_replay import trace_course
+from pamctl.replay.replay_source import (
+    BehindTheEnd,
+    NotReplayable,
+    ReplaySource,
+    find_absent_fields,
+    read_replay_source,
+    replay_stretch,
+)
+from pamctl.replay.tick_replay import (
+    EXACT,
+    Difference,
+    Differences,
+    StageField,
+    TickReplay,
+    Tolerances,
+    list_compared_fields,
+)
 
 __all__ = [
     "BehindTheEnd",
@@ -92,7 +103,7 @@ def replay_log(
         _load_kernels(recording)
     began_s = time.perf_counter()
     run = TickReplay(recording, begin, Differences(tolerances), plain=plain)
-    for stretch in recording.cut_stretches(begin):
+    for stretch in recording.run_stretches(begin, plain=plain):
         run.take(*stretch)
     if run.skipped == len(recording) - begin:
         raise NotReplayable(

@@ -14,13 +14,15 @@ from numpy.typing import NDArray
 
 from hal.calibration import Zero
 from hal.rig import RawSample
-from pamctl.control.course import make_valve_reference
+from pamctl.control.course import Course, CoursePlace, find_course_reference, make_valve_reference
 from pamctl.control.homing import HomingError
+from pamctl.kernel.calls import machine
 from pamctl.realtime.program import Program
-from pamctl.replay.course_kernel import trace_course
 from pamctl.replay.replay_source import LONGEST_STRETCH, ReplaySource
 from pamctl.settings.build import build_ordered_program, build_program, nominal_zero_of
 from pamctl.signals import Phase, Reference
+
+Floats = NDArray[np.float64]
 
 _NOTHING = (-1.0, math.nan, math.nan, math.nan, math.nan, math.nan)
 """Reference of a program that is over or refuses to home; -1 is not a phase."""
@@ -173,3 +175,32 @@ class ProgramReplay:
 
     def _begin_stop(self, program: Program, t_s: float, valve_v: float) -> None:
         program.begin_stop(t_s, self._safe_v if math.isnan(valve_v) else valve_v)
+
+
+def trace_course(course: Course, begin_s: float, t_s: Floats) -> Floats | None:
+    """Return the references of a course from `begin_s` on; None if it ends before the last time.
+
+    None too if the course has shapes: only plain Python evaluates those. `t_s`, shape (n,), rises;
+    the result has shape (len(Reference._fields), n).
+    """
+    if course.table is None:
+        return None
+    place = CoursePlace(len(course.segments), 0, begin_s, course.duration_s)
+    rows = np.empty((len(Reference._fields), len(t_s)))
+    done = np.zeros(1, dtype=np.int64)
+    machine(fill_course)(place, np.frombuffer(course.table), t_s, rows, done)
+    return rows if done[0] == len(t_s) else None
+
+
+def fill_course(
+    place: CoursePlace, table: Floats, t_s: Floats, rows: Floats, done: NDArray[np.int64]
+) -> None:
+    """Kernel: fill a column of `rows` for each time before the end, and their number."""
+    for i in range(len(t_s)):
+        place, reference = find_course_reference(place, table, t_s[i])
+        if place.segment == place.segments:
+            return
+        phase, x, v, a, j, valve_v = reference
+        rows[0, i], rows[5, i] = phase, valve_v
+        rows[1, i], rows[2, i], rows[3, i], rows[4, i] = x, v, a, j
+        done[0] = i + 1

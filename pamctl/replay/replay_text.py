@@ -10,8 +10,7 @@ from typing import Any
 from pamctl.log import Log
 from pamctl.log.schema import unit_of_column
 from pamctl.replay import Replay
-from pamctl.replay.differences import Difference, are_within_tolerance
-from pamctl.replay.tolerance import OTHER_CPU, OTHER_CPU_NAME
+from pamctl.replay.tick_replay import OTHER_CPU, OTHER_CPU_NAME, Difference, are_within_tolerance
 from pamctl.replay.what_if import WhatIf
 from pamctl.safety import explain_verdicts
 from pamctl.settings.resolve import RunSettings

@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 
 from pamctl.log import Log
 from pamctl.new_file import write_files
-from pamctl.realtime.tick import TickState
-from pamctl.replay.read_source import read_replay_source
-from pamctl.replay.replay_source import NotReplayable
-from pamctl.replay.stretch import REPLAYED_FIELDS, replay_stretch
+from pamctl.replay.replay_source import (
+    REPLAYED_FIELDS,
+    NotReplayable,
+    read_replay_source,
+)
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import (
@@ -103,18 +104,10 @@ def run_what_if(log: Log, settings: RunSettings, *, from_s: float | None = None)
     begin = 0 if from_s is None else recording.find_tick_before(from_s) + 1
     setup = build_tick_setup(settings)
     parts: list[tuple[NDArray[Any], ...]] = []
-    after: TickState | None = recording.keyframes.get(begin - 1)
-    for start, end in recording.cut_stretches(begin):
-        state = recording.state_at(start, after)
-        if state is None:
-            after = recording.keyframes.get(end - 1)
+    for start, end, after, rows in recording.run_stretches(begin, setup):
+        if after is None:
             continue
-        if type(state.law) is not type(setup.armed):
-            state = state._replace(law=setup.armed)  # another law's memory means nothing here
-        after, stretch = replay_stretch(
-            setup, recording.output, state, recording.inputs(start, end)
-        )
-        others = stretch[[_COMMAND, _SATURATED]]
+        others = rows[[_COMMAND, _SATURATED]]
         by_law = np.isfinite(others[0]) & np.isnan(log["reference_valve_v"][start:end])
         logged = (log[name][start:end][by_law] for name in _LOGGED)
         parts.append((start + np.flatnonzero(by_law), *logged, *others[:, by_law]))

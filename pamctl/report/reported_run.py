@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pamctl.control.law_registry import LawWords, find_law, read_law_words
 from pamctl.log import Log
-from pamctl.log.moments import Moment, list_moments
+from pamctl.log.run_meta import Moment, list_moments
 from pamctl.settings.resolve import resolve as shipped
 from pamctl.settings.resolve import settings_to_data
 from pamctl.signals import Phase

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from pamctl.control.law import Term
-from pamctl.log.moments import Moment
+from pamctl.log.run_meta import Moment
 from pamctl.report.figure import MUTED, Plot, PlotAxis, plot_apart
 from pamctl.report.report import Figure, Points, Report, Section, Text
 from pamctl.report.reported_run import MICRO, ReportedRun, law_name, paper_rows, rms_of_finite

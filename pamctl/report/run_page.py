@@ -14,7 +14,7 @@ from pamctl.json_text import to_json
 from pamctl.log import Log
 from pamctl.log.annotation import ANNOTATION, Annotation
 from pamctl.log.measured_signals import judge_ticks
-from pamctl.log.moments import describe_running_changes, list_gain_changes, spell_controller
+from pamctl.log.run_meta import describe_running_changes, list_gain_changes, spell_controller
 from pamctl.plain_text import clean_text
 from pamctl.report.figure import Plot, PlotAxis
 from pamctl.report.frequency import write_frequency_response

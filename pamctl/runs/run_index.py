@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from pamctl.exit_codes import ExitCode
-from pamctl.log.annotate import read_annotation, write_annotation
 from pamctl.log.annotation import Annotation
+from pamctl.log.edit import read_annotation, write_annotation
 from pamctl.runs.index_finished import INDEX_NAME
 from pamctl.runs.run_row import RunRow, read_row
 

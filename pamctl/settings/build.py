@@ -10,8 +10,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from hal.calibration import Calibration, Zero, calibration, valve_v
-from hal.converter import Output
+from hal.calibration import Calibration, Output, Zero, calibration, valve_v
 from hal.rig import RawSample
 from pamctl.control.course import Course, start_at_position
 from pamctl.control.experiment import ExperimentSettings, plan_experiment

@@ -14,8 +14,8 @@ from pydantic import Field, create_model, model_validator
 
 from hal.backend import Backend, find_backends, get_backend
 from hal.calibration import CalibrationSettings
-from hal.configured import Configured
 from hal.faulty import FaultSettings
+from hal.rig import Configured
 from pamctl.control.homing import HomingSettings
 from pamctl.realtime.clock import LoopSettings
 from pamctl.safety import LimitSettings

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.control.forms import MOST_ROWS
+from pamctl.log.importing.column_map import TIME, UNITS, parse_column_name
 from pamctl.log.importing.file_formats import read_table
 from pamctl.log.importing.measured_table import ImportRefused, MeasuredTable, TableColumn
-from pamctl.log.importing.quantities import TIME, UNITS, parse_column_name
 from pamctl.regular_file import describe_irregular_file
 
 Floats = NDArray[np.float64]

@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.calibration import output_v, valve_v
-from hal.converter import quantise_v
-from hal.sim.sim_rig import SensorChain, SimSettings, sensor_chain
+from hal.calibration import output_v, quantise_v, valve_v
+from hal.sim import SensorChain, SimSettings, sensor_chain
 from pamctl.control.course import Course, Segment
 from pamctl.control.experiment import plan_experiment
 from pamctl.kernel.calls import recall

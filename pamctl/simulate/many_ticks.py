@@ -11,7 +11,7 @@ from array import array
 from random import Random
 from typing import Any
 
-from hal.sim.sim_rig import SimMoment, SimRig
+from hal.sim import SimMoment, SimRig
 from pamctl.kernel.calls import machine, prepare
 from pamctl.plant.simulated import LONGEST_STEP_S, SimulatedPlant
 from pamctl.realtime.clock import Clock, VirtualClock

@@ -207,7 +207,7 @@ def test_files_go_in_and_out_where_the_system_has_another_name(log, system, monk
         book.worksheets[0].append(row)
     book.save(log.with_name("lab.xlsx"))
     run_elsewhere(
-        system, log.parent, "log export run.mcap out.tdms", "log import lab.xlsx lab.mcap",
+        system, log.parent, "log export run.mcap out.parquet", "log import lab.xlsx lab.mcap",
         "log cut run.mcap --out part.mcap --from-s 1 --to-s 1.2", "report run.mcap --out page.html",
         "plant new --actuator muscle --out plant.yaml", "config check plant.yaml",
         "plant export plant.yaml plant.fmu --sources-only", "compare part.mcap", "manual",

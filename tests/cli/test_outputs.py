@@ -25,7 +25,6 @@ CSV = "t_s,position_m\n" + "".join(f"{n * 1e-3},{0.01 + n * 1e-6}\n" for n in ra
 VERBS = {
     "log export": ["log", "export", LOG, "{}/new.csv"],
     "log export mat": ["log", "export", LOG, "{}/new.mat"],
-    "log export npz": ["log", "export", LOG, "{}/new.npz"],
     "log recover": ["log", "recover", LOG, "{}/new.mcap"],
     "log import": ["log", "import", "table.csv", "{}/new.mcap"],
     "report": ["report", LOG, "--out", "{}/new.html"],
@@ -154,9 +153,7 @@ def test_a_link_to_itself_is_an_error_and_no_traceback(
     assert sorted(path.name for path in tmp_path.iterdir()) == names
 
 
-@pytest.mark.parametrize(
-    "verb", ["log export", "log export mat", "log export npz", "log recover", "log import"]
-)
+@pytest.mark.parametrize("verb", ["log export", "log export mat", "log recover", "log import"])
 def test_a_disk_that_fills_while_a_file_is_written_leaves_nothing(
     verb: str, place: Path, tmp_path: Path
 ) -> None:

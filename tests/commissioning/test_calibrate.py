@@ -24,23 +24,22 @@ from typer.testing import CliRunner
 
 from hal.calibration import CalibrationSettings
 from hal.faulty import FaultSettings, FaultyRig
-from hal.sim.register import peek_v
-from hal.sim.sim_rig import SimRig, SimSettings, sensor_chain
-from pamctl.commissioning.calibrate.encoder_sign_and_scale import (
-    calibrate_encoder_by_hand,
-    calibrate_encoder_by_muscle,
-)
-from pamctl.commissioning.calibrate.outcome import (
+from hal.sim import SimRig, SimSettings, peek_v, sensor_chain
+from pamctl.commissioning.bench import Bench, LimitError
+from pamctl.commissioning.guided import (
     CalibrationError,
     CalibrationOutcome,
     CalibrationValue,
     PreparedAnswers,
+    insert_values,
+)
+from pamctl.commissioning.sensor_scales import (
+    calibrate_encoder_by_hand,
+    calibrate_encoder_by_muscle,
+    calibrate_pressure,
     slope,
 )
-from pamctl.commissioning.calibrate.pressure_sensor import calibrate_pressure
-from pamctl.commissioning.calibrate.rig_file_text import insert_values
-from pamctl.commissioning.calibrate.valve_null import calibrate_valve
-from pamctl.commissioning.hands_on import Bench, LimitError
+from pamctl.commissioning.valve_null import calibrate_valve
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
@@ -333,7 +332,7 @@ def card(monkeypatch: pytest.MonkeyPatch) -> Iterator[Card]:
 @pytest.fixture
 def on_card(card: Card) -> Iterator[Bench]:
     """A bench over the stand-in on a virtual clock, by the shipped rig file."""
-    from hal.nidaq.on_demand import NidaqRig
+    from hal.nidaq.nidaq_rig import NidaqRig
 
     class Clock(VirtualClock):
         def wait(self) -> Wake:

@@ -17,8 +17,9 @@ from standin.standin import PERMIT, Card, here
 from support.patience import PATIENCE_S
 from support.runs import AO_STEP_V, MS, parts, run_settings
 
+from hal.backend import DoctorFinding, format_findings, worst_level
 from hal.faulty import FaultSettings
-from hal.nidaq.card_checks import (
+from hal.nidaq.nidaq_backend import (
     check_device_nodes,
     examine_card,
     examine_card_clock,
@@ -27,29 +28,30 @@ from hal.nidaq.card_checks import (
     judge_reservations,
 )
 from hal.rig import RigError
-from hal.sim.register import peek_v
-from pamctl.commissioning.doctor.actuate import examine_actuation
-from pamctl.commissioning.doctor.examination import make_probe_request
-from pamctl.commissioning.doctor.findings import DoctorFinding, format_findings, worst_level
-from pamctl.commissioning.doctor.latency import (
+from hal.sim import peek_v
+from pamctl.commissioning.bench import Bench, LimitError
+from pamctl.commissioning.examination import make_probe_request
+from pamctl.commissioning.pc_checks import (
     CallCosts,
     WakeUps,
+    check_governor,
+    check_log_disk,
+    check_processors,
+    check_shared_memory,
     judge_calls,
+    judge_permissions,
     judge_rate,
     judge_wake_ups,
     measure_calls,
     measure_wake_ups,
     summarise_latencies,
 )
-from pamctl.commissioning.doctor.pc import (
-    check_governor,
-    check_log_disk,
-    check_processors,
-    check_shared_memory,
-    judge_permissions,
+from pamctl.commissioning.rig_checks import (
+    examine_actuation,
+    judge_hand_motion,
+    judge_sensors,
+    measure_at_rest,
 )
-from pamctl.commissioning.doctor.sensors import judge_hand_motion, judge_sensors, measure_at_rest
-from pamctl.commissioning.hands_on import Bench, LimitError
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
 from pamctl.processes.interrupts import Interrupts, SignalInterrupt
@@ -239,7 +241,7 @@ class CardClock(VirtualClock):
 @pytest.fixture
 def wired(card: Card) -> Iterator[Callable[..., Bench]]:
     """Make a bench over the card on a virtual clock; it is closed at the end."""
-    from hal.nidaq.on_demand import NidaqRig
+    from hal.nidaq.nidaq_rig import NidaqRig
 
     made = []
 
@@ -482,7 +484,7 @@ def test_a_reversed_valve_on_the_card_is_found(card: Card, wired) -> None:
 
 
 def test_slow_calls_of_the_driver_are_found_and_the_slow_one_is_named(card: Card, wired) -> None:
-    from hal.nidaq.on_demand import NidaqRig
+    from hal.nidaq.nidaq_rig import NidaqRig
 
     rig = NidaqRig(resolve(rig="pci6221").rig.nidaq, safe_output_v=0.0)  # type: ignore[union-attr]
     rig.open()

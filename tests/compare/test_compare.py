@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from pamctl.cli.app import app
 from pamctl.compare.comparison import compare_model, measure_gap, split_regimes
 from pamctl.log import LogError, read, signals
-from pamctl.log.importing.imported_log import write_imported
+from pamctl.log.importing.pipeline import write_imported
 from pamctl.plant.drive import drive_coupled, drive_mechanics, drive_pressure
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import parameters_of, rest_state

@@ -15,9 +15,8 @@ from fmpy.fmi3 import FMU3Slave, fmi3LogMessageCallback
 from fmpy.validation import validate_fmu
 from typer.testing import CliRunner
 
-from hal.calibration import calibration, output_v, valve_v
-from hal.converter import Converter, quantise_v
-from hal.sim.sim_rig import sensor_chain
+from hal.calibration import Converter, calibration, output_v, quantise_v, valve_v
+from hal.sim import sensor_chain
 from pamctl.cli.app import app
 from pamctl.control.experiment import plan_experiment
 from pamctl.fmu.archive import write_fmu

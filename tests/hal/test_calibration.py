@@ -12,17 +12,18 @@ from support.runs import COUNT_M
 
 from hal.calibration import (
     CalibrationSettings,
+    Converter,
     Zero,
     calibration,
     encoder_counts,
     output_v,
     position_m,
     pressure_pa,
+    quantise_v,
     sensor_v,
     valve_v,
 )
-from hal.converter import Converter, quantise_v
-from hal.sim.sim_rig import SimRig, SimSettings, sensor_chain
+from hal.sim import SimRig, SimSettings, sensor_chain
 
 NOMINAL = calibration(CalibrationSettings())
 VENTED = Zero(0.2, 0.0)

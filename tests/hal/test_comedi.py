@@ -25,8 +25,8 @@ from support.runs import (
 )
 
 from hal.comedi import libcomedi
+from hal.comedi.comedi_backend import ComediSettings
 from hal.comedi.comedi_rig import ComediRig
-from hal.comedi.comedi_settings import ComediSettings
 from hal.rig import RigError, open_rig
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.guardian import drive_safe
@@ -509,7 +509,7 @@ def test_a_card_that_is_gone_raises_nowhere_on_the_way_out(card: Card, make: Mak
 HOLD = """
 import time
 from hal.comedi.comedi_rig import ComediRig
-from hal.comedi.comedi_settings import ComediSettings
+from hal.comedi.comedi_backend import ComediSettings
 rig = ComediRig(ComediSettings(), safe_output_v=1.25)
 rig.open()
 rig.write(8.0)

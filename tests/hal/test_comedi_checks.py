@@ -10,19 +10,19 @@ from pathlib import Path
 import pytest
 from standin.standin import PERMIT, Card, here_behind_comedi
 
-from hal.comedi import comedi_checks, libcomedi
-from hal.comedi.comedi_checks import (
+from hal.backend import DoctorFinding
+from hal.card import PciCard, find_pci_cards
+from hal.comedi import comedi_backend, libcomedi
+from hal.comedi.comedi_backend import (
     REQUIRED,
+    ComediSettings,
     check_permission,
     examine_comedi,
     judge_kernel_driver,
     judge_pfi_lines,
 )
 from hal.comedi.comedi_rig import ComediRig
-from hal.comedi.comedi_settings import ComediSettings
-from hal.doctor_finding import DoctorFinding
-from hal.pci_cards import PciCard, find_pci_cards
-from pamctl.commissioning.doctor.examination import make_probe_request
+from pamctl.commissioning.examination import make_probe_request
 from pamctl.settings.resolve import resolve
 
 Examine = Callable[..., dict[str, DoctorFinding]]
@@ -53,7 +53,7 @@ def make_slot(directory: Path, slot: str, vendor: str, driver: str) -> None:
 def examine(card: Card, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Examine:
     """Examine the card in a PC whose driver `ni_pcimio` holds it."""
     make_slot(tmp_path, "0000:05:00.0", "0x1093", "ni_pcimio")
-    monkeypatch.setattr(comedi_checks, "PCI_DEVICES", tmp_path / "devices")
+    monkeypatch.setattr(comedi_backend, "PCI_DEVICES", tmp_path / "devices")
 
     def examine_one(*overrides: str) -> dict[str, DoctorFinding]:
         settings = resolve(rig="pci6221-comedi", overrides=list(overrides))
@@ -114,7 +114,7 @@ def test_without_the_library_the_doctor_says_what_to_install_and_looks_no_furthe
     examine: Examine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(libcomedi, "SONAME", "libcomedi-that-is-not-there.so")
-    monkeypatch.setattr(libcomedi, "load_library", libcomedi.load_library.__wrapped__)
+    monkeypatch.setattr(comedi_backend, "load_library", libcomedi.load_library.__wrapped__)
     found = examine()
     assert set(found) == {"card.kernel_driver", "card.driver"}
     assert found["card.driver"].level == "fault"

@@ -23,7 +23,7 @@ from hal.comedi import libcomedi
 DRIVE = """
 import json, sys, time
 from hal.comedi.comedi_rig import ComediRig
-from hal.comedi.comedi_settings import ComediSettings
+from hal.comedi.comedi_backend import ComediSettings
 from hal.rig import RigError, open_rig
 
 settings = ComediSettings(calibration_file=sys.argv[1])

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hal.nidaq.edges import EdgeGrid
+from hal.nidaq.nidaq_rig import EdgeGrid
 from hal.rig import Edge
 from pamctl.realtime.clock import GridClock, SampleClock, Wake
 

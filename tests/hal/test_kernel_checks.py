@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from hal.doctor_finding import DoctorFinding
-from hal.nidaq.kernel_checks import examine_kernel
+from hal.backend import DoctorFinding
+from hal.nidaq.nidaq_backend import examine_kernel
 
 
 def make_card(pci: Path, driver: str, iommu: str = "") -> None:

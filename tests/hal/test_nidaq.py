@@ -51,7 +51,7 @@ def card(monkeypatch: pytest.MonkeyPatch) -> Iterator[Card]:
 @pytest.fixture
 def make(card: Card) -> Iterator[Callable[..., object]]:
     """Make rigs, and close them whatever the test has done to them."""
-    from hal.nidaq.on_demand import NidaqRig
+    from hal.nidaq.nidaq_rig import NidaqRig
 
     made = []
 
@@ -366,12 +366,12 @@ def test_without_a_driver_the_error_says_what_to_install(
 ) -> None:
     from nidaqmx.errors import DaqNotFoundError
 
-    import hal.nidaq.tasks
+    import hal.nidaq.driver
 
     def missing(purpose: str) -> None:
         raise DaqNotFoundError("Could not find an installation of NI-DAQmx.")
 
-    monkeypatch.setattr(hal.nidaq.tasks, "_make_task", missing)
+    monkeypatch.setattr(hal.nidaq.driver, "_make_task", missing)
     rig = make()
     with pytest.raises(RigError, match="install NI-DAQmx for Linux"):
         rig.open()

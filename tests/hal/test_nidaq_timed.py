@@ -9,8 +9,8 @@ from nidaqmx.constants import WaitMode
 from standin.standin import PERMIT, USB, Card, here
 from support.runs import AO_STEP_V, MS
 
-from hal.nidaq.card_checks import judge_hardware_timing
 from hal.nidaq.card_settings import NidaqSettings
+from hal.nidaq.nidaq_backend import judge_hardware_timing
 from hal.nidaq.probe import try_hardware_timing
 from hal.rig import RigError, open_rig
 from pamctl.processes.backends import build_clock, build_rig
@@ -36,7 +36,7 @@ def card(monkeypatch: pytest.MonkeyPatch) -> Iterator[Card]:
 
 @pytest.fixture
 def make(card: Card) -> Iterator[Callable[..., object]]:
-    from hal.nidaq.hardware_timed import HardwareTimedRig
+    from hal.nidaq.nidaq_rig import HardwareTimedRig
 
     made = []
 

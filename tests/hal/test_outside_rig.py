@@ -41,8 +41,8 @@ from pathlib import Path
 
 from hal.backend import Backend, BuiltRig, RigKeys
 from hal.calibration import Zero, calibration, encoder_counts, sensor_v, valve_v
-from hal.configured import Configured
-from hal.converter import Converter, make_output, nearest_output_v
+from hal.rig import Configured
+from hal.calibration import Converter, make_output, nearest_output_v
 from hal.rig import RawSample, RigError, RigIdentity
 
 OUTPUT = make_output(Converter(10.0, levels=4096.0), 0.0, 10.0)

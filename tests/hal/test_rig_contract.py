@@ -16,13 +16,11 @@ from standin.standin import PERMIT, here, here_behind_comedi
 
 from hal.backend import _SHIPPED, GROUP, BuiltRig, RigRequest
 from hal.calibration import CalibrationSettings
-from hal.comedi.comedi_backend import COMEDI
-from hal.comedi.comedi_settings import ComediSettings
-from hal.configured import Configured
+from hal.comedi.comedi_backend import COMEDI, ComediSettings
 from hal.faulty import FaultSettings, FaultyRig
 from hal.nidaq.card_settings import NidaqSettings
 from hal.nidaq.nidaq_backend import NIDAQ
-from hal.rig import RawSample, Rig, RigError, RigIdentity, open_rig
+from hal.rig import Configured, RawSample, Rig, RigError, RigIdentity, open_rig
 from hal.rig_contract import (
     RIG_CONTRACT,
     MakeBench,
@@ -32,8 +30,7 @@ from hal.rig_contract import (
     safe_voltage_is_out_before_open_returns,
     write_within_the_range_goes_to_the_nearest_code,
 )
-from hal.sim.sim_backend import SIM
-from hal.sim.sim_rig import SimRig, SimSettings, sensor_chain
+from hal.sim import SIM, SimRig, SimSettings, sensor_chain
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
 

@@ -13,8 +13,7 @@ from support.patience import PATIENCE_S
 from support.runs import AO_STEP_V
 
 from hal.rig import RigError, open_rig
-from hal.sim.register import SharedRegister, peek_v
-from hal.sim.sim_rig import SimRig, SimSettings, sensor_chain
+from hal.sim import SharedRegister, SimRig, SimSettings, peek_v, sensor_chain
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.processes.backends import ao_path, build_clock, build_rig

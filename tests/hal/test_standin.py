@@ -76,7 +76,7 @@ def test_its_constants_are_ni_s() -> None:
 def test_the_fixes_of_the_backend_are_for_errors_that_exist() -> None:
     from nidaqmx.error_codes import DAQmxErrors
 
-    from hal.nidaq.driver_errors import FIXES
+    from hal.nidaq.card_settings import FIXES
 
     assert set(FIXES) <= {error.value for error in DAQmxErrors}
 

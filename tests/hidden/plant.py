@@ -10,7 +10,7 @@ from hidden.rig import HiddenRig, needed_step_s
 
 
 class HiddenPlant:
-    """A plant for `hal.sim.sim_rig.SimRig`: time passes under a command, and it is read."""
+    """A plant for `hal.sim.SimRig`: time passes under a command, and it is read."""
 
     def __init__(self, rig: HiddenRig, longest_run_s: float = 600.0) -> None:
         """Start vented and at rest; noise and steps are the simulated rig's own."""

@@ -58,7 +58,7 @@ from pamctl.signals import Phase, Reference, Timing
 
 ROOMS = (
     "hal.calibration",
-    "hal.converter",
+    "hal.calibration",
     "pamctl.compensation",
     "pamctl.control",
     "pamctl.plant",

@@ -17,7 +17,6 @@ from typer.testing import CliRunner
 
 from pamctl.cli.app import app
 from pamctl.log import LogError, info
-from pamctl.log.annotate import append_metadata, read_annotation, write_annotation
 from pamctl.log.annotation import (
     ANNOTATION,
     Annotation,
@@ -25,7 +24,7 @@ from pamctl.log.annotation import (
     make_annotation,
 )
 from pamctl.log.check import check_log
-from pamctl.log.cut import cut_log
+from pamctl.log.edit import append_metadata, cut_log, read_annotation, write_annotation
 from pamctl.log.framing import map_log_file
 from pamctl.log.reading.record_walk import walk_records
 from pamctl.log.recover import recover_file

@@ -18,7 +18,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from pamctl.log import Log, columns, info, read
 from pamctl.log.check import check_log
-from pamctl.log.cut import cut_log
+from pamctl.log.edit import cut_log
 from pamctl.log.reader import read_paged, read_some
 from pamctl.log.recover import recover_file
 from pamctl.log.schema import EVENT_TOPIC, TICK_TOPIC, tick_descriptor

@@ -11,7 +11,7 @@ from support.processes.daemons import daemon
 
 from pamctl.live.status_text import format_status
 from pamctl.log import read
-from pamctl.log.moments import describe_changes, describe_running_changes
+from pamctl.log.run_meta import describe_changes, describe_running_changes
 
 CHANGED = "qsmc*, lambda_per_s 60 (file 37.82)"
 

@@ -149,7 +149,7 @@ def test_what_does_not_belong_into_a_chunk_costs_none_of_its_messages(tmp_path):
 def test_ticks_of_many_columns_and_few_bytes_are_refused_before_they_fill_the_memory(
     tmp_path, monkeypatch, capsys
 ):
-    monkeypatch.setattr("pamctl.log.reading.scan.MOST_SILENT_BYTES", 1 << 20)
+    monkeypatch.setattr("pamctl.log.reader.MOST_SILENT_BYTES", 1 << 20)
     fields = [Field(f"a{number}", float, "measurement") for number in range(400)]
     with create_new_file(tmp_path / "a.mcap") as stream:
         writer = LogWriter(stream)

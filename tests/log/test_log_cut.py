@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import pamctl.log
 from pamctl.cli.app import app
 from pamctl.diagnose.record import record_of
-from pamctl.log.importing.imported_log import write_imported
+from pamctl.log.importing.pipeline import write_imported
 
 
 def pamctl_(*arguments: str | Path) -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import builtins
 import csv
-import json
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from nptdms import TdmsFile
 from scipy.io import loadmat
 from support.made_up import log_run
 from typer.testing import CliRunner
@@ -45,13 +43,6 @@ def from_csv(path: Path) -> dict[str, list[Any]]:
     )
 
 
-def from_npz(path: Path) -> dict[str, list[Any]]:
-    with np.load(path, allow_pickle=False) as content:
-        units = json.loads(str(content["units"]))
-        assert units == {name: unit_of_column(name) for name in units}
-        return {name: content[name].tolist() for name in units}
-
-
 def from_mat(path: Path) -> dict[str, list[Any]]:
     content = loadmat(path, simplify_cells=True)
     assert content["units"] == {name: unit_of_column(name) for name in content["log"]}
@@ -67,15 +58,7 @@ def from_parquet(path: Path) -> dict[str, list[Any]]:
     return dict(table.to_pydict())
 
 
-def from_tdms(path: Path) -> dict[str, list[Any]]:
-    channels = TdmsFile.read(path)["pamctl"].channels()
-    assert all(c.properties["unit_string"] == unit_of_column(c.name) for c in channels)
-    return {channel.name: channel[:].tolist() for channel in channels}
-
-
-FORMATS = {
-    "csv": from_csv, "npz": from_npz, "mat": from_mat, "parquet": from_parquet, "tdms": from_tdms,
-}  # fmt: skip
+FORMATS = {"csv": from_csv, "mat": from_mat, "parquet": from_parquet}
 
 
 @pytest.mark.parametrize(("suffix", "read_back"), FORMATS.items(), ids=FORMATS)
@@ -99,7 +82,7 @@ def test_a_part_is_chosen_by_fields_time_and_stride(log, tmp_path, suffix, read_
 
 
 def test_numbers_that_are_not_finite_survive_a_csv(tmp_path):
-    from pamctl.log.importing.imported_log import write_imported
+    from pamctl.log.importing.pipeline import write_imported
 
     values = np.array([math.nan, math.inf, -math.inf, -0.0, 5e-324])
     write_imported(tmp_path / "a.mcap", np.arange(5.0), {"force_n": values}, {})

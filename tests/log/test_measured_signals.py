@@ -13,7 +13,7 @@ from support.made_up import log_run
 
 import pamctl.log
 from hal.calibration import CalibrationSettings
-from pamctl.log.importing.imported_log import write_imported
+from pamctl.log.importing.pipeline import write_imported
 from pamctl.log.measured_signals import SIGNAL_FIELDS, Signals
 from pamctl.log.reader import read_some
 from pamctl.report.run_figures import FIGURE_FIELDS, summarise_run

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hal.sim.sim_rig import SimRig, sensor_chain
+from hal.sim import SimRig, sensor_chain
 from pamctl.plant import drive, effects
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.drive import drive_coupled, drive_mechanics, drive_pressure

@@ -14,7 +14,7 @@ import pytest
 from support.patience import BUSY_PC, PATIENCE_S
 from typer.testing import CliRunner
 
-from hal.sim.register import peek_v
+from hal.sim import peek_v
 from pamctl.cli.app import app
 from pamctl.log import read
 from pamctl.plain_text import LONGEST_REMARK

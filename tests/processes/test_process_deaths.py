@@ -25,7 +25,7 @@ from support.processes.killing import kill_as_one
 from support.processes.rings import await_ring, await_tick, ring_left
 from support.runs import AO_STEP_V
 
-from hal.sim.register import peek_v
+from hal.sim import peek_v
 from pamctl.log.reader import read
 from pamctl.processes.backends import ao_path
 from pamctl.recording.ring import Ring

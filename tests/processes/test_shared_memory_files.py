@@ -15,7 +15,7 @@ from support.patience import BUSY_PC, PATIENCE_S
 from support.processes.card_runs import OWN_SAFE_V, of, own
 from support.processes.daemons import AO_STEP_V, as_root
 
-from hal.sim.register import SharedRegister, peek_v
+from hal.sim import SharedRegister, peek_v
 from pamctl.processes.backends import SHARED_MEMORY
 from pamctl.recording.ring import Ring, RingError
 

@@ -22,10 +22,9 @@ from support.processes.daemons import AO_STEP_V, NOT_HOMED, SAFE_V, daemon
 from support.processes.rings import await_tick
 from support.processes.sleeping import SleepingPc
 
-from hal.sim.register import peek_v
-from pamctl.commissioning.doctor.pc import check_sleep
-from pamctl.commissioning.hands_on import LimitError
-from pamctl.commissioning.open_bench import open_workplace
+from hal.sim import peek_v
+from pamctl.commissioning.bench import LimitError, open_workplace
+from pamctl.commissioning.pc_checks import check_sleep
 from pamctl.daemon.client import DaemonDeclinedError
 from pamctl.log.reader import read
 from pamctl.processes import keep_awake

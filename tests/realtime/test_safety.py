@@ -16,7 +16,7 @@ from support.runs import COUNT_M, run_settings
 
 from hal.calibration import Zero, calibration
 from hal.rig import RawSample
-from hal.sim.sim_rig import sensed_counts, sensed_pressure_v, sensor_chain
+from hal.sim import sensed_counts, sensed_pressure_v, sensor_chain
 from pamctl.control.course import Course, Segment, make_valve_reference
 from pamctl.control.experiment import plan_experiment
 from pamctl.plant.model import PlantSettings, plant_parameters

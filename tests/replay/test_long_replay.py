@@ -16,7 +16,7 @@ from pamctl.log.columns import GridRows, Pages
 from pamctl.log.reader import read_paged
 from pamctl.log.recover import recover_file
 from pamctl.replay import Replay, read_replay_source, replay_log, replay_source
-from pamctl.replay.tolerance import OTHER_CPU
+from pamctl.replay.tick_replay import OTHER_CPU
 from pamctl.replay.what_if import replace_law, run_what_if
 
 GOLDEN = Path(__file__).parents[1] / "golden"

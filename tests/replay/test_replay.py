@@ -23,9 +23,8 @@ from hypothesis import strategies as st
 from support.mutation import mutated
 from typer.testing import CliRunner
 
-import hal.converter
-from hal.calibration import position_m
-from hal.converter import quantise_v
+import hal.calibration
+from hal.calibration import position_m, quantise_v
 from pamctl.cli.app import app
 from pamctl.control import course as course_module
 from pamctl.control import filters, pid, qsmc, smc
@@ -35,17 +34,16 @@ from pamctl.control.homing import Homing
 from pamctl.control.law import answer
 from pamctl.control.waves import rest_to_rest
 from pamctl.log import Log, read
-from pamctl.log.importing.imported_log import write_imported
+from pamctl.log.importing.pipeline import write_imported
 from pamctl.log.recover import recover_file
 from pamctl.log.schema import CUT
 from pamctl.plant import paper
 from pamctl.realtime import tick
 from pamctl.realtime.tick import freeze_state
 from pamctl.replay import NotReplayable, list_compared_fields, read_replay_source, replay_log
-from pamctl.replay.course_kernel import trace_course
-from pamctl.replay.differences import find_differing
-from pamctl.replay.stretch import REPLAYED_FIELDS, replay_stretch
-from pamctl.replay.tolerance import OTHER_CPU
+from pamctl.replay.program_replay import trace_course
+from pamctl.replay.replay_source import REPLAYED_FIELDS, replay_stretch
+from pamctl.replay.tick_replay import OTHER_CPU, find_differing
 from pamctl.safety import PINNED, SENSOR_RANGE, admit
 from pamctl.settings.resolve import from_resolved
 from pamctl.signals import TICK_FIELDS, Phase
@@ -258,7 +256,7 @@ MUTATIONS: dict[str, tuple[str, str, Any, Any, str, str]] = {
     "output": (
         "card",
         "outcome",
-        hal.converter,
+        hal.calibration,
         quantise_v,
         "volts / step",
         "1.01 * volts / step",

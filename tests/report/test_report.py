@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from pamctl.cli.app import app
 from pamctl.log import read
-from pamctl.log.importing.imported_log import write_imported
+from pamctl.log.importing.pipeline import write_imported
 from pamctl.log.reader import read_some
 from pamctl.report.figure import Plot, PlotAxis
 from pamctl.report.html_page import write_html

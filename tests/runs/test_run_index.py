@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 
 from pamctl.cli.app import app
 from pamctl.log import read
-from pamctl.log.annotate import append_metadata, read_annotation, write_annotation
 from pamctl.log.annotation import make_annotation
+from pamctl.log.edit import append_metadata, read_annotation, write_annotation
 from pamctl.runs.index_finished import INDEX_NAME, index_quietly
 from pamctl.runs.run_index import RunIndex, RunsError, edit_annotations
 from pamctl.runs.run_row import RunRow, read_row

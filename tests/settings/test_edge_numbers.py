@@ -11,7 +11,7 @@ from support.command_line import run_pamctl
 
 from hal.calibration import CalibrationSettings
 from hal.rig import RigError
-from hal.sim.sim_rig import SimRig, SimSettings, sensor_chain
+from hal.sim import SimRig, SimSettings, sensor_chain
 from pamctl.processes.backends import SHARED_MEMORY
 from pamctl.settings.build import build_program, build_tick_setup
 from pamctl.settings.envelope import find_excesses

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from support.runs import MemoryJournal, ScriptedSupervisor
 
-from hal.sim.sim_rig import sensor_chain
+from hal.sim import sensor_chain
 from pamctl.control.experiment import plan_experiment
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.plant.model import plant_parameters

@@ -41,14 +41,14 @@ class CardTime(VirtualClock):
 
 
 def on_demand(card: Card, safe_output_v: float) -> tuple[Rig, Clock]:
-    from hal.nidaq.on_demand import NidaqRig
+    from hal.nidaq.nidaq_rig import NidaqRig
 
     clock = CardClock(card)
     return NidaqRig(NidaqSettings(), safe_output_v=safe_output_v, now_ns=clock.now_ns), clock
 
 
 def hardware_timed(card: Card, safe_output_v: float) -> tuple[Rig, Clock]:
-    from hal.nidaq.hardware_timed import HardwareTimedRig
+    from hal.nidaq.nidaq_rig import HardwareTimedRig
 
     time, wiring = CardTime(card), NidaqSettings(timing="hardware_timed")
     rig = HardwareTimedRig(wiring, rate_hz=1e3, safe_output_v=safe_output_v, now_ns=time.now_ns)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from hal.backend import Plant
 from hal.faulty import FaultSettings, FaultyRig
-from hal.sim.sim_rig import SimRig, sensor_chain
+from hal.sim import SimRig, sensor_chain
 from pamctl.exit_codes import Ending
 from pamctl.kernel.calls import PlainCall
 from pamctl.plant.model import plant_parameters

@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 
 from pamctl.cli.app import app
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.log.annotate import append_metadata, read_annotation, write_annotation
 from pamctl.log.annotation import SWEEP, Annotation, make_annotation
+from pamctl.log.edit import append_metadata, read_annotation, write_annotation
 from pamctl.runs.run_index import RunIndex
 from pamctl.runs.run_row import RunRow, read_row
 from pamctl.settings.resolve import resolve

@@ -18,9 +18,8 @@ from pamctl.settings.problems import ConfigError, Problem
 if TYPE_CHECKING:  # no other verb waits for these
     from collections.abc import Sequence
 
-    from pamctl.commissioning.calibrate.guided import CalibrationTask
-    from pamctl.commissioning.calibrate.outcome import CalibrationOutcome, Operator
-    from pamctl.commissioning.hands_on import Bench
+    from pamctl.commissioning.bench import Bench
+    from pamctl.commissioning.guided import CalibrationOutcome, CalibrationTask, Operator
 
 calibrate_app = typer.Typer(
     no_args_is_help=True,
@@ -71,14 +70,14 @@ def pressure(
 ) -> None:
     """Find the pressure sensor's zero at the atmosphere, and its gain against a reference gauge."""
     require_linux()
-    from pamctl.commissioning.calibrate.guided import CalibrationTask, check_answers
-    from pamctl.commissioning.calibrate.pressure_sensor import (
-        DEFAULT_POINTS_KPA,
+    from pamctl.commissioning.guided import CalibrationTask, check_answers
+    from pamctl.commissioning.sensor_scales import (
+        PRESSURE_POINTS_KPA,
         calibrate_pressure,
     )
 
     settings, names = resolve_options(backend, rig, overrides, fast=False)
-    points = () if zero_only else tuple(points_kpa or DEFAULT_POINTS_KPA)
+    points = () if zero_only else tuple(points_kpa or PRESSURE_POINTS_KPA)
     task = CalibrationTask(
         "pressure",
         settings,
@@ -117,14 +116,14 @@ def encoder(
 ) -> None:
     """Find the encoder's scale and sign against known displacements, moved by hand or muscle."""
     require_linux()
-    from pamctl.commissioning.calibrate.encoder_sign_and_scale import (
-        DEFAULT_POINTS_KPA,
+    from pamctl.commissioning.guided import CalibrationTask, check_answers
+    from pamctl.commissioning.sensor_scales import (
+        ENCODER_POINTS_KPA,
         calibrate_encoder_by_hand,
         calibrate_encoder_by_muscle,
     )
-    from pamctl.commissioning.calibrate.guided import CalibrationTask, check_answers
 
-    points = tuple(points_kpa or DEFAULT_POINTS_KPA)
+    points = tuple(points_kpa or ENCODER_POINTS_KPA)
     known_mm = tuple(displacements_mm or ())
 
     def work(bench: Bench, operator: Operator) -> CalibrationOutcome:
@@ -164,8 +163,8 @@ def valve(
 ) -> None:
     """Find the valve's sign, null voltage and dead band, and the supply pressure."""
     require_linux()
-    from pamctl.commissioning.calibrate.guided import CalibrationTask
-    from pamctl.commissioning.calibrate.valve_null import calibrate_valve
+    from pamctl.commissioning.guided import CalibrationTask
+    from pamctl.commissioning.valve_null import calibrate_valve
 
     settings, names = resolve_options(backend, rig, overrides, fast=False)
     task = CalibrationTask(
@@ -182,7 +181,7 @@ def valve(
 def _calibrate(
     task: CalibrationTask, answers: Sequence[float] | None, *, yes: bool, as_json: bool
 ) -> None:
-    from pamctl.commissioning.calibrate.guided import (
+    from pamctl.commissioning.guided import (
         calibrate_rig,
         format_calibration,
         make_calibration_document,

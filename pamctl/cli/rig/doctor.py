@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hal.backend import (
+    DoctorFinding,
+    format_findings,
+    worst_level,
+)
 from pamctl.cli.backend_option import BackendOption
 from pamctl.cli.options import JsonOption, RigOption, SetOption, require_linux
 from pamctl.cli.output import print_json
 from pamctl.cli.settings_from_options import resolve_options
-from pamctl.commissioning.doctor.findings import (
-    DoctorFinding,
-    encode_findings,
-    format_findings,
-    worst_level,
-)
 from pamctl.exit_codes import ExitCode
 
 if TYPE_CHECKING:
@@ -49,7 +48,7 @@ def doctor(
     """Check whether this PC and this rig are fit for a run, with a fix for each fault."""
     settings, _ = resolve_options(backend, rig, overrides, fast=False)
     require_linux()
-    from pamctl.commissioning.doctor.examination import examine_all
+    from pamctl.commissioning.examination import examine_all
     from pamctl.processes.backends import device_of
     from pamctl.processes.interrupts import SignalInterrupt
 
@@ -76,7 +75,7 @@ def doctor(
             "backend": settings.rig.backend,
             "device": device_of(settings),
             "actuated": actuate,
-            "findings": encode_findings(findings),
+            "findings": [finding._asdict() for finding in findings],
         }
         print_json(document)
     else:

@@ -13,7 +13,7 @@ from pamctl.diagnose.evidence.fit import WeighedModel
 from pamctl.diagnose.evidence.run_pieces import Runs
 from pamctl.diagnose.record import Array
 from pamctl.diagnose.report.verdict_words import SIGNAL_DISPLAYS
-from pamctl.log.moments import Moment
+from pamctl.log.run_meta import Moment
 from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot, plot_apart
 from pamctl.report.html_page import Page
 from pamctl.report.run_motion import mark_moments

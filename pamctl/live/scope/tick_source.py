@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pamctl.live.scope.tick_memory import TickMemory
 from pamctl.live.scope.trigger import Armed, Crossing, Slope, find_crossing
-from pamctl.log.cut import cut_log
+from pamctl.log.edit import cut_log
 from pamctl.log.framing import LogError
 from pamctl.log.reader import read
 from pamctl.plain_text import clean_document

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pamctl.log.check import LogFinding
+from pamctl.log.importing.column_map import TIME
 from pamctl.log.importing.measured_table import Floats
-from pamctl.log.importing.quantities import TIME
 
 _BARS = (
     "\N{LOWER ONE EIGHTH BLOCK}\N{LOWER ONE QUARTER BLOCK}\N{LOWER THREE EIGHTHS BLOCK}"

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 
 from pamctl.log.check import LogFindings
-from pamctl.log.importing.column_map import KEYS, ColumnMap, ImportMap, ValveMap
+from pamctl.log.importing.column_map import KEYS, UNITS, ColumnMap, ImportMap, ValveMap
 from pamctl.log.importing.column_roles import NEVER_ABSOLUTE_PA
 from pamctl.log.importing.measured_table import Floats, Ints
-from pamctl.log.importing.quantities import UNITS
 from pamctl.log.record_problems import RecordColumn, find_record_problems, nominal_period_s
 
 LONGEST_S = 2.0**62 * 1e-9

@@ -1,4 +1,4 @@
-"""Read all of a log file in order: the walk over its records, its index, what columns show.
+"""The walk over the records of a log file, and what the file's end says of them.
 
-Read `record_walk.py` first, then `scan.py`.
+Read `record_walk.py` first.
 """

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from hal.sim.register import peek_v
+from hal.sim import peek_v
 from pamctl.daemon.client import Client, DaemonUnreachableError
 from pamctl.processes.backends import ao_path
 from support.patience import BUSY_PC, PATIENCE_S

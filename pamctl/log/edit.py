@@ -1,26 +1,46 @@
-"""Cut a log: by time, by rows, or at the gaps in its time.
+"""Make a log of a part of a log, and say something of a finished one.
 
-A piece is a log of its own; its metadata `cut` say of what. Ticks keep their number, time and
-bytes. Of the other messages the piece keeps those of its ticks, the frozen state right before
-them, and the gains that were set earlier.
+What is said is a metadata record behind the data. Every byte of the data stays: only the end of
+the file, its index, is written anew. The new file is complete before it takes the place of the old
+one, so that a full disk or a power cut leaves the log as it was. The checksum of the data is
+continued from the stored one: damage that was there before is still found. A file beside the log
+would be left behind when the log is copied or sent.
 """
 
 from __future__ import annotations
 
 import hashlib
+import os
+import shutil
+import zlib
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
+from mcap.opcode import Opcode
+from mcap.records import DataEnd, Footer, Metadata, MetadataIndex, Statistics
 from numpy.typing import NDArray
 
 from pamctl.exit_codes import ExitCode
 from pamctl.json_text import to_json
-from pamctl.log.framing import LogError, map_log_file
+from pamctl.log.annotation import ANNOTATION, Annotation, date_record
+from pamctl.log.framing import (
+    MAGIC,
+    Damage,
+    FileRecord,
+    LogError,
+    encode_record,
+    encode_summary,
+    map_log_file,
+    records_in,
+    translate_parse_errors,
+)
 from pamctl.log.reader import Log, read_some
-from pamctl.log.reading.record_walk import parse_messages
+from pamctl.log.reading.record_walk import parse_messages, walk_records
 from pamctl.log.recover import LogCopy
 from pamctl.log.schema import CUT, GAINS_TOPIC, JSON_SCHEMAS, KEYFRAME_TOPIC, TICK_TOPIC
 from pamctl.log.writer import LogWriter
@@ -245,3 +265,93 @@ def _find_homing(log: Log, first_tick: int) -> str:
     if not before:
         return str(log.metadata.get(CUT, {}).get("homed_t_s", ""))
     return repr(float(log["t_s"][int(np.searchsorted(log["tick"], before[-1]))]))
+
+
+_BLOCK_BYTES = 1 << 20
+
+
+def read_annotation(path: Path) -> Annotation:
+    """Return what is said of a run, from its metadata alone; raise LogError if it is no log.
+
+    A log that is not finished says what stands before its end.
+    """
+    values: Mapping[str, str] = {}
+    try:
+        for record in walk_records(map_log_file(path)):
+            if record.opcode == Opcode.METADATA:
+                with translate_parse_errors(record):
+                    metadata = Metadata.read(record.stream())
+                values = metadata.metadata if metadata.name == ANNOTATION else values
+    except Damage as damage:
+        if damage.offset == 0:
+            raise LogError(f"{path} is not a log: {damage}") from damage
+    return Annotation.from_metadata(values)
+
+
+def write_annotation(path: Path, said: Annotation) -> None:
+    """Say this of a run from now on; raise LogError or NewFileError if its log cannot be changed.
+
+    The log must be finished.
+    """
+    append_metadata(path, ANNOTATION, date_record(said.to_metadata()))
+
+
+def append_metadata(path: Path, name: str, values: Mapping[str, str]) -> None:
+    """Add a metadata record to a finished log."""
+    path = Path(os.path.realpath(path))
+    data_bytes, tail = _make_end(path, Metadata(name=name, metadata=dict(values)))
+    before = path.stat()
+    with create_new_file(path, replaces="") as stream:
+        with path.open("rb") as log:
+            _copy_bytes(log, stream, data_bytes)
+        stream.write(tail)
+        shutil.copymode(path, stream.name)
+        with suppress(OSError, AttributeError):  # only root can, and Windows has no such owners
+            os.chown(stream.name, before.st_uid, before.st_gid)
+        if path.stat().st_size != before.st_size:
+            raise LogError(f"{path} has changed meanwhile; try again")
+    with suppress(OSError):  # the time of the measurement, for those who sort by it
+        os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+
+
+def _make_end(path: Path, metadata: Metadata) -> tuple[int, bytes]:
+    """Return how many bytes of the file stay, and all that follows them then."""
+    try:
+        file = map_log_file(path)
+        ends = [r for r in walk_records(file) if r.opcode in (Opcode.DATA_END, Opcode.FOOTER)]
+        data_end, footer = ends[0], ends[-1]
+        with translate_parse_errors(footer):
+            added = encode_record(metadata)
+            crc = DataEnd.read(data_end.stream()).data_section_crc
+            data = added + encode_record(DataEnd(zlib.crc32(added, crc) if crc else 0))
+            if not Footer.read(footer.stream()).summary_start:
+                return data_end.start, data + encode_record(Footer(0, 0, 0)) + MAGIC
+            index = MetadataIndex(offset=data_end.start, length=len(added), name=metadata.name)
+            old = records_in(file[: footer.start], data_end.end)
+            summary = _add_to_summary(old, index)
+            start = data_end.start + len(data)
+            return data_end.start, data + encode_summary(start, summary.items())
+    except Damage as damage:
+        fix = f"save the undamaged part with `pamctl log recover {path} DESTINATION`"
+        raise LogError(f"{path} is damaged, or not finished: {damage}; {fix}") from damage
+
+
+def _add_to_summary(old: Iterable[FileRecord], index: MetadataIndex) -> dict[int, bytes]:
+    """Return the records of the summary by kind, with one metadata record more."""
+    groups: dict[int, bytes] = {}
+    for record in old:
+        data = record.frame()
+        if record.opcode == Opcode.STATISTICS:
+            statistics = Statistics.read(record.stream())
+            statistics.metadata_count += 1
+            data = encode_record(statistics)
+        if record.opcode != Opcode.SUMMARY_OFFSET:
+            groups[record.opcode] = groups.get(record.opcode, b"") + data
+    groups[Opcode.METADATA_INDEX] = groups.get(Opcode.METADATA_INDEX, b"") + encode_record(index)
+    return groups
+
+
+def _copy_bytes(source: BinaryIO, target: BinaryIO, count: int) -> None:
+    while count and (block := source.read(min(count, _BLOCK_BYTES))):
+        target.write(block)
+        count -= len(block)

@@ -12,13 +12,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from hal.calibration import output_v
-from pamctl.commissioning.calibrate.outcome import (
-    CalibrationError,
-    CalibrationOutcome,
-    CalibrationValue,
-)
-from pamctl.commissioning.doctor.actuate import judge_valve_sign, pulse_valve
-from pamctl.commissioning.hands_on import Bench, SensorStatistics, summarise_samples
+from pamctl.commissioning.bench import Bench, SensorStatistics, summarise_samples
+from pamctl.commissioning.guided import CalibrationError, CalibrationOutcome, CalibrationValue
+from pamctl.commissioning.rig_checks import judge_valve_sign, pulse_valve
 
 RESOLUTION_V = 0.5e-3
 """About an output code and a half."""

@@ -6,28 +6,27 @@ from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any
 
-from hal.backend import ProbeRequest
-from hal.doctor_finding import DoctorFinding, report_rig_error
+from hal.backend import DoctorFinding, ProbeRequest, report_rig_error
 from hal.rig import RigError
-from pamctl.commissioning.doctor.actuate import examine_actuation
-from pamctl.commissioning.doctor.latency import (
+from pamctl.commissioning.bench import Bench, open_workplace
+from pamctl.commissioning.pc_checks import (
+    examine_pc,
     judge_calls,
+    judge_permissions,
     judge_rate,
     judge_wake_ups,
     measure_calls,
     measure_wake_ups,
 )
-from pamctl.commissioning.doctor.pc import examine_pc, judge_permissions
-from pamctl.commissioning.doctor.sensors import (
+from pamctl.commissioning.rig_checks import (
     BY_HAND_COUNTS,
+    examine_actuation,
     is_in_range,
     judge_hand_motion,
     judge_sensors,
     measure_at_rest,
     report_unmoved_encoder,
 )
-from pamctl.commissioning.hands_on import Bench
-from pamctl.commissioning.open_bench import open_workplace
 from pamctl.commissioning.terminal_operator import NoAnswer, Terminal
 from pamctl.processes.backends import SHARED_MEMORY, build_clock, hold_device
 from pamctl.realtime.scheduling import prepare

@@ -1,25 +1,31 @@
 """A rig in a person's hands: command the valve for a while, read samples, watch the limits.
 
 `doctor --actuate` and `calibrate` move slowly and little, with a person watching. They need no
-law, no log and no loop process, but they keep the limits of the rig file.
+law, no log and no loop process, but they keep the limits of the rig file. The rig is held by them
+alone, and safe at the end.
 """
 
 from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import pairwise
 from typing import NamedTuple
 
 from hal.backend import NO_KEYS, RigKeys
 from hal.calibration import CalibrationSettings, Zero, calibration, output_v, pressure_pa, valve_v
-from hal.rig import RawSample, Rig
+from hal.rig import RawSample, Rig, open_rig
 from pamctl.control.homing import HomingSettings
 from pamctl.exit_codes import ExitCode
-from pamctl.processes.keep_awake import MASK
+from pamctl.processes.backends import build_clock, build_rig, hold_device
+from pamctl.processes.guardian_main import keep_watchman
+from pamctl.processes.interrupts import Interrupts
+from pamctl.processes.keep_awake import MASK, keep_awake
 from pamctl.realtime.clock import Clock, SleepWatch
 from pamctl.safety import LimitSettings
+from pamctl.settings.resolve import RunSettings
 
 HOLD_V_PER_PA = 1e-4
 """Gain of the pressure hold. The valve fills some 1.5 MPa a second and volt: a pole at 150 1/s,
@@ -254,3 +260,33 @@ class Bench:
                 f"the pressure sensor gives {sensor_v:.3f} V, outside {limits.sensor_low_v:g} to "
                 f"{limits.sensor_high_v:g} V; check its wire and its supply"
             )
+
+
+@contextmanager
+def open_workplace(settings: RunSettings) -> Iterator[Bench]:
+    """Hold the device, open the rig, and make a bench of it.
+
+    Raises `RigError` where the device is not available, for instance because a run holds it,
+    and `SignalInterrupt` when a signal ends the work.
+    """
+    clock = build_clock(settings, may_spin=False)
+    # Nothing here is fast: the computer's clock paces the work even where a device could.
+    rig = build_rig(settings, clock, by_computer=True).rig
+    file = settings.rig
+    with (
+        Interrupts() as interrupts,
+        hold_device(settings),
+        keep_watchman(settings, rig),
+        keep_awake(),
+        open_rig(rig),
+        interrupts.heed_signals(),
+    ):
+        yield Bench(
+            rig,
+            clock,
+            file.calibration,
+            file.limits,
+            file.homing,
+            file.safe_volts,
+            file.record.keys,
+        )

@@ -1,0 +1,323 @@
+"""A calibration with a person at the rig, from the settings to the new rig file.
+
+The new file is the text of the old one with the values put in; its comments and order stay.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+import re
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+from hal.rig import RawSample
+from pamctl.commissioning.bench import Bench, SensorStatistics, open_workplace, summarise_samples
+from pamctl.commissioning.terminal_operator import Terminal
+from pamctl.exit_codes import ExitCode
+from pamctl.new_file import NewFileError, require_place, write_files
+from pamctl.processes.backends import require_backend
+from pamctl.settings.config_files import find_config_file
+from pamctl.settings.problems import ConfigError, Problem
+from pamctl.settings.resolve import (
+    SECTIONS,
+    RawSettings,
+    RunSettings,
+    settings_to_data,
+    shorten_path,
+    validate_settings,
+)
+from pamctl.settings.yaml12 import YamlError, dump_yaml, parse_yaml
+
+
+def check_answers(
+    option: str, values: Sequence[float] | None, points: Sequence[float]
+) -> Sequence[float] | None:
+    """Return the answers given by an option, if any; raise `ConfigError` where they do not fit.
+
+    Called before anything moves: a rig is not pressurised for a number that no instrument shows.
+    """
+    if values is None:
+        return None
+    if len(values) != len(points):
+        message = f"{len(values)} values for {len(points)} points; give --point as often"
+        raise ConfigError([Problem(option, "", message)])
+    for value in values:
+        if not (math.isfinite(value) and value > 0.0):
+            raise ConfigError([Problem(option, "", f"must be above 0 (got {value:g})")])
+    return values
+
+
+class CalibrationTask(NamedTuple):
+    """What is calibrated, and where the result goes."""
+
+    what: str
+    """Verb: pressure, encoder, valve."""
+    settings: RunSettings
+    rig: str
+    """Name or path of the rig file that is copied."""
+    out: Path
+    points_kpa: Sequence[float]
+    """Pressures to hold, kPa gauge; empty where none is held."""
+    work: Callable[[Bench, Operator], CalibrationOutcome]
+
+
+class CalibratedRig(NamedTuple):
+    """What a calibration found, and what became of it."""
+
+    settings: RunSettings
+    """Before the calibration."""
+    outcome: CalibrationOutcome
+    out: Path
+    failure: NewFileError | None
+    """Why the file could not be written; None where it was."""
+
+
+def calibrate_rig(
+    task: CalibrationTask, answers: Sequence[float] | None, *, may_move: bool
+) -> CalibratedRig:
+    """Calibrate, and write the new rig file; an error leaves no file behind.
+
+    The person is asked where `answers` are missing, and whether the rig may move unless
+    `may_move`. Raises `ConfigError`, `NewFileError`, `NoAnswer`, `CalibrationError`,
+    `LimitError`, `RigError` and `SignalInterrupt`.
+    """
+    settings = task.settings
+    source = find_config_file("rig", task.rig)
+    _require_new(task.out)
+    _require_within_limit(task.points_kpa, settings)
+    terminal = Terminal()
+    if not may_move:
+        terminal.require_yes("the rig will be pressurised and may move; is everything clear of it?")
+    require_backend(settings)
+    with open_workplace(settings) as bench:
+        outcome = task.work(bench, terminal if answers is None else PreparedAnswers(answers))
+    text = _make_rig_file(task.out, source, outcome, task.what)
+    failure = None
+    try:
+        write_files({task.out: text})
+    except NewFileError as error:  # the values must not be lost with the file
+        failure = error
+    return CalibratedRig(settings, outcome, task.out, failure)
+
+
+def _require_new(out: Path) -> None:
+    if out.suffix not in {".yaml", ".yml"}:
+        message = "must end in .yaml, for --rig to take it as a file"
+        raise ConfigError([Problem(f"--out {out}", "", message)])
+    require_place(out)
+
+
+def _require_within_limit(points_kpa: Sequence[float], settings: RunSettings) -> None:
+    rig = settings.rig
+    most_kpa = (rig.limits.pressure_pa - rig.calibration.atmospheric_pressure_pa) * 1e-3
+    for point_kpa in points_kpa:
+        if not point_kpa < most_kpa:
+            message = f"must be below {most_kpa:g}, limits.pressure_pa as gauge (got {point_kpa:g})"
+            raise ConfigError([Problem("--point", "", message)])
+
+
+def _make_rig_file(out: Path, source: Path, outcome: CalibrationOutcome, what: str) -> str:
+    """Return the source's text with the values; raise `ConfigError` if that is no rig file."""
+    now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+    heading = f"{now}: pamctl calibrate {what}, from {source.name}"
+    text = insert_values(source.read_text(encoding="utf-8"), outcome, heading)
+    validate_settings(SECTIONS["rig"], RawSettings.parse(text, out), title="rig")
+    return text
+
+
+def make_calibration_document(made: CalibratedRig) -> dict[str, Any]:
+    """Return what was found as one document; SI, keys as in the rig file."""
+    outcome = made.outcome
+    return {
+        "values": [{**v._asdict(), "keys": ".".join(v.keys)} for v in outcome.values],
+        "rig_file": None if made.failure else str(made.out),
+        "notes": list(outcome.notes),
+        "figures": dict(outcome.figures),
+    }
+
+
+def format_calibration(made: CalibratedRig) -> str:
+    """Return what was found for people: each value beside the one before."""
+    before = settings_to_data(made.settings.rig)
+    lines = []
+    for value in made.outcome.values:
+        section, key = value.keys
+        within = f" +- {value.uncertainty:.2g}" if value.uncertainty else ""
+        was = before.get(section, {}).get(key)
+        lines.append(f"{section}.{key}: {value.value:.7g}{within} {value.unit} (was {was:.7g})")
+        lines.append(f"    {value.how}")
+    lines += made.outcome.notes
+    if not made.failure:
+        lines.append(f"rig file: {shorten_path(made.out)}")
+    return "\n".join(lines)
+
+
+class CalibrationValue(NamedTuple):
+    """One value for the rig file, with its uncertainty."""
+
+    keys: tuple[str, str]
+    """Section and key."""
+    value: float
+    unit: str
+    uncertainty: float
+    """Two standard deviations, of this measurement alone; 0 for what is exact."""
+    how: str
+
+
+class CalibrationOutcome(NamedTuple):
+    """All that a calibration found."""
+
+    values: tuple[CalibrationValue, ...]
+    notes: tuple[str, ...]
+    """Facts that have no key in the file: they become dated comments."""
+    figures: Mapping[str, object]
+    """What the values rest on: points, residuals, noise; SI, units in the names."""
+
+
+class CalibrationError(Exception):
+    """A measurement or an answer makes no sense; the message says why and what to check."""
+
+    exit_code = ExitCode.CHECK_FAILED
+
+
+class Operator(Protocol):
+    """The person at the rig. `idle` keeps the rig going while an answer is awaited."""
+
+    def wait(self, request: str, idle: Callable[[], object]) -> None:
+        """Ask for something to be done, and wait until it is."""
+
+    def number(self, question: str, idle: Callable[[], object]) -> float:
+        """Ask for a number."""
+
+
+class PreparedAnswers:
+    """Answers given in advance, in the order of the questions: for scripts."""
+
+    def __init__(self, answers: Sequence[float], idle_times: int = 30) -> None:
+        """`idle_times` is how often the rig goes on before each answer."""
+        self._answers = list(answers)
+        self._idle_times = idle_times
+
+    def wait(self, request: str, idle: Callable[[], object]) -> None:
+        """Let the rig go on for a moment, then go on as if it were done."""
+        for _ in range(self._idle_times):
+            idle()
+
+    def number(self, question: str, idle: Callable[[], object]) -> float:
+        """Let the rig go on for a moment, then give the next answer."""
+        self.wait(question, idle)
+        if not self._answers:
+            raise CalibrationError(f"no value was given for: {question}")
+        return self._answers.pop(0)
+
+
+_AVERAGED, _IDLE = 500, 20
+"""Samples that a reading is the mean of, and those between two looks at the person."""
+
+
+def read_while_held(
+    bench: Bench, operator: Operator, point_kpa: float, question: str
+) -> tuple[SensorStatistics, float]:
+    """Hold a pressure (kPa gauge) until the question is answered.
+
+    Returns what the sensors read just before the answer, and the answer. Raises `LimitError` where
+    the pressure cannot be reached.
+    """
+    target_pa = bench.absolute_pa(point_kpa)
+    bench.bring_to_pressure(target_pa)
+    latest: deque[RawSample] = deque(maxlen=_AVERAGED)
+
+    def hold_on() -> None:
+        latest.extend(bench.hold_pressure(target_pa, lambda samples: len(samples) >= _IDLE))
+
+    answer = operator.number(f"about {point_kpa:g} kPa: {question}", hold_on)
+    while len(latest) < _AVERAGED:
+        hold_on()
+    return summarise_samples(latest), answer
+
+
+def insert_values(text: str, outcome: CalibrationOutcome, heading: str) -> str:
+    """Return the text of a rig file with the values of a calibration put in.
+
+    `heading` gives the time, the command and the source file; heading and notes become comments at
+    the top. A comment above each value says how it was found.
+    """
+    wanted = _change_data(parse_yaml(text, Path("rig file")).data, outcome.values)
+    edited = text
+    for value in outcome.values:
+        edited = _edit_line(edited, value, heading)
+    if (
+        _parse_data(edited) != wanted
+    ):  # written in a way that lines cannot follow: flow style, anchors
+        edited = dump_yaml(wanted)
+    return _add_notes(edited, [heading, *outcome.notes])
+
+
+def _change_data(data: dict[str, object], values: Sequence[CalibrationValue]) -> dict[str, Any]:
+    changed: dict[str, Any] = copy.deepcopy(data)
+    for value in values:
+        section, key = value.keys
+        changed[section] = {**(changed.get(section) or {}), key: value.value}
+    return changed
+
+
+def _parse_data(text: str) -> dict[str, Any] | None:
+    try:
+        return parse_yaml(text, Path("rig file")).data
+    except YamlError:
+        return None
+
+
+def _edit_line(text: str, value: CalibrationValue, heading: str) -> str:
+    """Change or add one line, with a comment above it."""
+    section, key = value.keys
+    marks = parse_yaml(text, Path("rig file")).marks
+    lines = text.splitlines()
+    if value.keys in marks:
+        at = marks[value.keys].line - 1
+        old = re.match(rf"(\s*{key}\s*:\s*)([^\s#]*)(.*)", lines[at])
+        if old is None:
+            return text
+        before, was, after = old.groups()
+        indent = re.match(r"\s*", before)
+        assert indent is not None
+        comment = f"{indent[0]}# {_describe_value(value, heading)}; was {was}"
+        lines[at : at + 1] = [comment, f"{before}{_format_value(value)}{after}"]
+        return "\n".join(lines) + "\n"
+    if (section,) not in marks:
+        lines += [
+            f"{section}:",
+            f"  # {_describe_value(value, heading)}",
+            f"  {key}: {_format_value(value)}",
+        ]
+        return "\n".join(lines) + "\n"
+    at = marks[(section,)].line
+    columns = [mark.column for at, mark in marks.items() if len(at) == 2 and at[0] == section]
+    indent_text = " " * (min(columns, default=3) - 1)
+    lines[at:at] = [
+        f"{indent_text}# {_describe_value(value, heading)}; was the default",
+        f"{indent_text}{key}: {_format_value(value)}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _describe_value(value: CalibrationValue, heading: str) -> str:
+    date = heading.split(maxsplit=1)[0]
+    within = f", +-{value.uncertainty:.2g} {value.unit}" if value.uncertainty else ""
+    return f"{date}: {value.how}{within}"
+
+
+def _format_value(value: CalibrationValue) -> str:
+    return f"{value.value:d}" if isinstance(value.value, int) else repr(value.value)
+
+
+def _add_notes(text: str, notes: Sequence[str]) -> str:
+    """Put notes below the comments that a file begins with."""
+    lines = text.splitlines()
+    first = next((i for i, line in enumerate(lines) if not line.startswith("#")), len(lines))
+    lines[first:first] = [f"# {note}" for note in notes]
+    return "\n".join(lines) + "\n"

@@ -99,10 +99,10 @@ VERBS: Mapping[str, Verb] = {
     ),
     "reproduce": Verb(
         "Other",
-        "reproduce:reproduce",
+        "other:reproduce",
         "Write DIR/index.html and DIR/numbers.json; every number is simulated now.",
     ),
-    "manual": Verb("Other", "manual:manual", "List the pages of the manual, or print one of them."),
+    "manual": Verb("Other", "other:manual", "List the pages of the manual, or print one of them."),
     # A negative position is an argument, not an option: goto -1mm.
     "goto": Verb(
         "Daemon",
@@ -124,10 +124,10 @@ VERBS: Mapping[str, Verb] = {
         "Logs", "runs.runs:runs_app", "Find runs again by law, date, error, tag or setting."
     ),
     "plant": Verb(
-        "Analyse", "plant:plant_app", "Make and export plant files, which describe a rig."
+        "Analyse", "file_verbs:plant_app", "Make and export plant files, which describe a rig."
     ),
     "config": Verb(
-        "Other", "config:config_app", "Check, show and describe the configuration files."
+        "Other", "file_verbs:config_app", "Check, show and describe the configuration files."
     ),
 }
 PANELS = ("Run", "Daemon", "Analyse", "Tune", "Rig", "Logs", "Other")

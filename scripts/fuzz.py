@@ -330,37 +330,38 @@ def _files() -> Iterator[bytes]:
 
 def _protocol() -> Harness:
     from pamctl.daemon import requested_settings
-    from pamctl.daemon.methods import methods_of
     from pamctl.daemon.protocol import (
+        Method,
         RequestError,
         RequestRefusedError,
         encode_failure,
         encode_result,
+        list_orders,
         parse_request,
     )
+    from pamctl.daemon.rig_session import RigSession
     from pamctl.settings.resolve import resolve
 
     settings = resolve()
 
-    class Service:
-        """Checks what is asked as the daemon does, and moves nothing."""
-
-        def start(self, experiment: Any, name: str, duration_s: float | None) -> str:
-            requested_settings.load_experiment(settings, experiment, name, duration_s)
-            return name
-
-        def set_gains(self, changes: list[str], ramp_s: float) -> None:
-            changed = requested_settings.change_gains(settings, changes)
+    def check(name: str, **given: Any) -> object:
+        """Check what is asked as the session does, and move nothing."""
+        if name == "start":
+            experiment = given["experiment"]
+            requested_settings.load_experiment(settings, experiment, given["name"], None)
+        elif name in ("set", "load"):
+            changed = (
+                requested_settings.change_gains(settings, given["changes"])
+                if name == "set"
+                else requested_settings.load_controller(settings, given["controller"], "file")
+            )
             requested_settings.require_tunable(settings, changed)
+        return list(map(str, given))
 
-        def load_gains(self, controller: Any, name: str, ramp_s: float) -> None:
-            changed = requested_settings.load_controller(settings, controller, name)
-            requested_settings.require_tunable(settings, changed)
-
-        def __getattr__(self, name: str) -> Callable[..., object]:
-            return lambda *args: list(args)
-
-    methods = methods_of(Service())  # type: ignore[arg-type]
+    methods = {
+        name: Method(told.params, lambda p, name=name: check(name, **dict(p)))
+        for name, told in list_orders(RigSession).items()
+    }
 
     def answer(data: bytes) -> None:
         for line in data.split(b"\n"):

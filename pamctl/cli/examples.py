@@ -23,7 +23,7 @@ EXAMPLES: Mapping[str, Sequence[str]] = {
     "mark": ("pamctl mark 'touched the hose'",),
     "watch": ("pamctl watch", "pamctl watch --web --allow-control"),
     "goto": ("pamctl goto 12mm", "pamctl goto 8mm --in 2"),
-    "set": ("pamctl set lambda_per_s=60 --ramp 2",),
+    "set": ("pamctl set controller.lambda_per_s=60 --ramp 2",),
     "gains load": ("pamctl gains load qsmc", "pamctl gains load tuned.yaml"),
     "gains show": ("pamctl gains show",),
     "report": (

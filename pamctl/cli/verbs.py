@@ -27,28 +27,30 @@ VERBS: Mapping[str, Verb] = {
         "daemon.daemon:daemon",
         "Stay up: home, run experiments and hold positions as clients such as `pamctl start` ask.",
     ),
-    "status": Verb("Daemon", "daemon.status:status", "Show what the daemon is doing."),
+    "status": Verb("Daemon", "daemon.orders:status", "Show what the daemon is doing."),
     "start": Verb(
-        "Daemon", "daemon.start:start", "Run an experiment; home first if the muscle is not homed."
+        "Daemon", "daemon.orders:start", "Run an experiment; home first if the muscle is not homed."
     ),
     "stop": Verb(
-        "Daemon", "daemon.stop:stop", "Stop what is running, smoothly; the muscle stays homed."
+        "Daemon", "daemon.orders:stop", "Stop what is running, smoothly; the muscle stays homed."
     ),
     "estop": Verb(
         "Daemon",
-        "daemon.estop:estop",
+        "daemon.orders:estop",
         "Drive the safe voltage within a tick; latched until `pamctl ack`.",
     ),
-    "ack": Verb("Daemon", "daemon.ack:ack", "Acknowledge a fault, so that the daemon runs again."),
-    "disarm": Verb("Daemon", "daemon.disarm:disarm", "End the session; the next run homes again."),
+    "ack": Verb(
+        "Daemon", "daemon.orders:ack", "Acknowledge a fault, so that the daemon runs again."
+    ),
+    "disarm": Verb("Daemon", "daemon.orders:disarm", "End the session; the next run homes again."),
     "mark": Verb(
         "Daemon",
-        "daemon.mark:mark",
+        "daemon.orders:mark",
         "Put a remark into the log of the run that goes on, of the daemon or of pamctl run.",
     ),
     "watch": Verb(
         "Daemon",
-        "daemon.watch:watch",
+        "daemon.daemon:watch",
         "Show state, position, error, pressure, command and timing ten times a second.",
     ),
     "report": Verb(
@@ -106,14 +108,12 @@ VERBS: Mapping[str, Verb] = {
     # A negative position is an argument, not an option: goto -1mm.
     "goto": Verb(
         "Daemon",
-        "daemon.goto:goto",
+        "daemon.orders:goto",
         "Go to a position and hold it.",
         {"ignore_unknown_options": True},
     ),
-    "set": Verb(
-        "Daemon", "daemon.set_keys:set_keys", "Change gains while the loop runs, on a ramp."
-    ),
-    "gains": Verb("Daemon", "daemon.gains:gains_app", "Load and show the daemon's gains."),
+    "set": Verb("Daemon", "daemon.orders:set", "Change gains while the loop runs, on a ramp."),
+    "gains": Verb("Daemon", "daemon.orders:gains_app", "Load and show the daemon's gains."),
     "calibrate": Verb(
         "Rig",
         "rig.calibrate:calibrate_app",

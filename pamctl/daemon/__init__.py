@@ -1,5 +1,5 @@
 """`pamctl daemon`: the rig as a service, and its clients.
 
 A session keeps the loop alive between runs; clients speak JSON-RPC over a socket.
-Read `service.py` first, then `session.py` and `server.py`.
+Read `rig_session.py` first, then `session.py` and `server.py`.
 """

@@ -43,7 +43,6 @@ _ACCEPTED_AT_ONCE = 8
 _MOST_UNACCEPTED = 64
 _READS_WITHIN_S = 2.0
 _MOST_UNREAD_BYTES = 1 << 20
-_EMERGENCY = b"estop"
 _LONGEST_EMERGENCY = 1024
 """Bytes of a line that may be an emergency stop: only a short one is parsed out of turn."""
 _READ_BYTES = 1 << 16
@@ -180,6 +179,7 @@ class Server:
     def __init__(self, methods: Methods, now_s: Callable[[], float] = time.monotonic) -> None:
         """`methods` are what can be asked; none may end the process. `now_s` is the clock."""
         self._methods = methods
+        self._at_once = {name.encode() for name, method in methods.items() if method.at_once}
         self._now_s = now_s
         self._clients: dict[_Client, None] = {}
         """The one that was heard of last stands last."""
@@ -286,11 +286,11 @@ class Server:
 
         It is granted after any number of requests.
         """
-        if _EMERGENCY not in line or len(line) > _LONGEST_EMERGENCY:
+        if len(line) > _LONGEST_EMERGENCY or not any(name in line for name in self._at_once):
             return None
         try:
             request = parse_request(line, self._methods)
-            if request.name != _EMERGENCY.decode():
+            if not request.method.at_once:
                 return None
         except RequestError:
             return None

@@ -18,14 +18,12 @@ from typing import Any, NamedTuple
 from hal.child import child_command
 from hal.rig import Rig
 from pamctl import __version__
-from pamctl.daemon.announcements import Announcements
-from pamctl.daemon.latch import Latch
-from pamctl.daemon.methods import methods_of
-from pamctl.daemon.notify import notify, watchdog_period_s
+from pamctl.daemon.announcements import Announcements, notify, watchdog_period_s
+from pamctl.daemon.protocol import methods_of
+from pamctl.daemon.rig_session import RigSession, RigState
 from pamctl.daemon.server import Server, find_group, require_no_daemon
-from pamctl.daemon.service import DaemonState, Service
 from pamctl.daemon.session import Workshop
-from pamctl.daemon.shelf import Shelf
+from pamctl.daemon.shelf import Latch, Shelf
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.plant.model import PlantSettings
 from pamctl.processes.backends import SHARED_MEMORY, device_of, require_backend, require_open_files
@@ -90,7 +88,7 @@ def serve_daemon(
                 print(f"note: {risk}", file=sys.stderr, flush=True)
         with secure_device(settings) as device:
             finish_orphans_in_own_process(SHARED_MEMORY)  # its memory would stay with the daemon
-            service = Service(
+            service = RigSession(
                 settings,
                 names,
                 _make_workshop(settings, device, readers=find_group(options.group)),
@@ -139,7 +137,7 @@ def _make_workshop(settings: RunSettings, rig: Rig, readers: int) -> Workshop:
     )
 
 
-async def _serve(service: Service, path: Path, group: str | None, tell: Tell) -> Ending:
+async def _serve(service: RigSession, path: Path, group: str | None, tell: Tell) -> Ending:
     """Answer until a signal comes; then leave the valve safe. A second signal ends it at once."""
     events = asyncio.get_running_loop()
     stop: asyncio.Future[Ending] = events.create_future()
@@ -186,7 +184,7 @@ def _ignore_signals() -> None:
         signal.signal(number, signal.SIG_IGN)
 
 
-def _stop(stop: asyncio.Future[Ending], service: Service, ending: Ending) -> None:
+def _stop(stop: asyncio.Future[Ending], service: RigSession, ending: Ending) -> None:
     if stop.done():
         service.stop_at_once()
     else:
@@ -202,7 +200,7 @@ def _make_signal_ending(number: signal.Signals) -> Ending:
 class _Watch(threading.Thread):
     """Looks after session and run, and feeds the watchdog of the service manager."""
 
-    def __init__(self, service: Service, tell: Tell, give_up: Callable[[], object]) -> None:
+    def __init__(self, service: RigSession, tell: Tell, give_up: Callable[[], object]) -> None:
         super().__init__(name="watch", daemon=True)
         self.has_failed = False
         self._service = service
@@ -211,7 +209,7 @@ class _Watch(threading.Thread):
         self._ended = threading.Event()
         self._period_s = watchdog_period_s()
         self._fed_s = 0.0
-        self._said: DaemonState | None = None
+        self._said: RigState | None = None
 
     def run(self) -> None:
         try:

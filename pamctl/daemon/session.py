@@ -60,6 +60,14 @@ class Workshop:
     readers: int | None = None
     """Group, by number, that may read the ring of a run: those who may steer; None is nobody."""
 
+    def begin(self, settings: RunSettings, names: Mapping[str, str]) -> Session:
+        """Start loop and guardian; raise `RequestRefusedError` if they do not start."""
+        return Session(self, settings, names)
+
+    def make_safe(self) -> None:
+        """Drive the safe voltage where no loop is left to do it."""
+        self.rig.make_safe()
+
 
 @dataclass(frozen=True)
 class DaemonRun:

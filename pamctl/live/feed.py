@@ -1,13 +1,20 @@
-"""Where a viewer's values come from: the daemon's control socket."""
+"""What a viewer sees of the daemon: looks at its control socket, as lines or in a terminal."""
 
 from __future__ import annotations
 
+import itertools
+import json
 import math
-from collections.abc import Sequence
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import closing, nullcontext, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
+from pamctl.log.run_meta import spell_controller
+from pamctl.report.progress_line import format_progress
 
 _PATIENCE_S = 5.0
 
@@ -70,3 +77,96 @@ class DaemonFeed:
         if self._client is not None:
             self._client.close()
             self._client = None
+
+
+LOOKS_PER_S = 10.0
+EVERY = 20
+"""Every twentieth tick is plotted: 50 points a second."""
+COLUMNS = ("tick", "t_s", "phase", "position_m", "reference_m", "pressure_pa", "valve_v")
+_STATUS_FIELDS = (
+    "state", "fault", "run", "log", "worst_late_s", "missed_ticks", "backend", "device",
+    "limits", "controller", "names", "gain_changes", "disk_free_bytes", "version", "events",
+    "monitor",
+)  # fmt: skip
+
+
+def encode_glimpse(glimpse: Glimpse) -> str:
+    """Return what was seen in one look as one line."""
+    document = describe_glimpses([glimpse], glimpse)
+    return json.dumps(document, separators=(",", ":"), allow_nan=False)
+
+
+def describe_glimpses(glimpses: Sequence[Glimpse], newest: Glimpse | None) -> dict[str, Any]:
+    """Return the ticks of several looks, and the state of the newest."""
+    newest = newest or Glimpse(None, [])
+    status: dict[str, Any] | None = None
+    if newest.status is not None:
+        status = {name: newest.status.get(name) for name in _STATUS_FIELDS}
+    rows = [
+        [_nan_to_none(tick[name]) for name in COLUMNS] for one in glimpses for tick in one.ticks
+    ]
+    return {"status": status, "problem": newest.problem, "fields": COLUMNS, "ticks": rows}
+
+
+def _nan_to_none(value: float) -> float | None:
+    return None if math.isnan(value) else value
+
+
+def format_status(status: Mapping[str, Any]) -> str:
+    """Write a status, as the daemon sends it, as a few lines."""
+    what = f" ({status['run']})" if status["run"] else ""
+    if status["fault"]:
+        what = f": {status['fault']}"
+    lines = [f"{status['state']}{what}, {status['backend']} {status['device']}"]
+    if status["tick"] is not None:
+        tick = {k: float("nan") if v is None else v for k, v in status["tick"].items()}
+        lines.append(format_progress(tick, status["worst_late_s"]).strip())
+    lines.append(f"controller: {spell_controller(status['names'])}")
+    if status.get("monitor"):
+        lines.append(status["monitor"]["sentence"])
+    if status["log"]:
+        lines.append(f"log: {status['log']}")
+    lines.append(f"disk: {status['disk_free_bytes'] / 1e9:.1f} GB free")
+    return "\n".join(lines)
+
+
+def format_glimpse(glimpse: Glimpse) -> str:
+    """Write what was seen in one look as one line."""
+    if glimpse.status is None:
+        return f"away: {glimpse.problem}"
+    return "  ".join(format_status(glimpse.status).splitlines()[:2])
+
+
+_LINES_PER_S = 1.0
+
+
+def watch_in_terminal(socket: Path, count: int | None = None, *, as_json: bool = False) -> bool:
+    """Show the daemon's status `count` times or until Ctrl-C; return whether it ever answered.
+
+    A file, a pipe, or a terminal that cannot draw gets lines; with `as_json` they are what the
+    page of `watch --web` is sent.
+    """
+    from rich.console import Console  # `pamctl status` does not wait for it
+    from rich.live import Live
+    from rich.text import Text
+
+    console = Console(file=getattr(sys.stdout, "unfiltered", sys.stdout))
+    draws = not as_json and console.is_terminal and not console.is_dumb_terminal
+    per_s = LOOKS_PER_S if draws or as_json else _LINES_PER_S
+    seen = False
+    with (
+        suppress(KeyboardInterrupt),
+        closing(DaemonFeed(socket, EVERY, COLUMNS)) as feed,
+        Live(console=console, auto_refresh=False) if draws else nullcontext() as picture,
+    ):
+        for number in itertools.count() if count is None else range(count):
+            if number:
+                time.sleep(1.0 / per_s)
+            glimpse = feed.look()
+            seen = seen or glimpse.status is not None
+            if picture is None:
+                print((encode_glimpse if as_json else format_glimpse)(glimpse), flush=True)
+                continue
+            shown = format_glimpse(glimpse) if not glimpse.status else format_status(glimpse.status)
+            picture.update(Text(shown, no_wrap=True, overflow="ellipsis"), refresh=True)
+    return seen

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import errno
+import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 from hal.rig import RigError
@@ -68,5 +71,27 @@ def require_package(name: str) -> Any:
     try:
         return import_module(name)
     except ImportError:
+<<<<<<< HEAD
         reason = f"this needs the package {name}; install it with pip install {name}"
         raise PamctlError(reason, ExitCode.USAGE) from None
+=======
+        fix = f"install it with pip install 'pamctl[{extra or name}]'"
+        raise PamctlError(f"this needs the package {name}; {fix}", ExitCode.USAGE) from None
+
+
+@contextmanager
+def hold_back_ctrl_c() -> Iterator[None]:
+    """Obey Ctrl-C after the block, not within it. Only the main thread gets it, and so waits."""
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(before):
+        yield
+        return
+    came: list[tuple[int, FrameType | None]] = []
+    signal.signal(signal.SIGINT, lambda number, frame: came.append((number, frame)))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        if came:
+            before(*came[0])
+>>>>>>> main

@@ -4,45 +4,42 @@ from __future__ import annotations
 
 import atexit
 import math
-from collections.abc import Iterator, Mapping, Sequence
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
-from pamctl.control.experiment import HoldSettings
-from pamctl.daemon.protocol import RequestRefusedError
-from pamctl.daemon.requested_settings import (
-    change_gains,
-    load_controller,
-    load_experiment,
-    plan_hold,
-    require_feasible,
-    require_tunable,
+from pamctl.daemon.protocol import (
+    NoParams,
+    RequestError,
+    RequestRefusedError,
+    check_params,
+    methods_of,
 )
-from pamctl.daemon.service import DaemonState
-from pamctl.exit_codes import EMERGENCY_STOP, ExitCode
+from pamctl.daemon.rig_session import RigSession
+from pamctl.daemon.shelf import Latch, Shelf
+from pamctl.exit_codes import ExitCode
 from pamctl.log.run_meta import file_safe_name
 from pamctl.new_file import require_folder
+from pamctl.session.in_process import InProcessLoop, InProcessMaker
 from pamctl.session.pamctl_error import PamctlError, translate_errors
-from pamctl.session.simulated_loop import SimulatedLoop, is_at_rest_at, is_resting
-from pamctl.session.steered_rig import InterruptedWaitError, SteeredRig
+from pamctl.session.steered_rig import Goal, InterruptedWaitError, SteeredRig, require_well
 from pamctl.settings.resolve import (
     SECTIONS,
     RawSettings,
     RunSettings,
     resolve,
-    settings_to_data,
     validate_settings,
 )
 from pamctl.settings.table_file import read_tables
-from pamctl.signals import Phase
 
 if TYPE_CHECKING:
     from pamctl.plant.model import PlantSettings
 
 AskedSection = str | Path | Mapping[str, Any]
 """A shipped name, a file, or the keys of one."""
-_RESOLVING = Lock()
+_RESOLVING = threading.Lock()
 """One thread at a time loads the laws, builds the models, and tries the folder of the logs."""
 
 
@@ -68,7 +65,7 @@ def simulate(
 
 
 class SimulatedRig(SteeredRig):
-    """The loop of the daemon on the simulated rig, within this process.
+    """A session on the simulated rig, within this process.
 
     Time passes only while a method waits for it. When it is closed, the current run stops
     smoothly and its log is whole.
@@ -77,263 +74,108 @@ class SimulatedRig(SteeredRig):
     def __init__(self, settings: RunSettings, names: Mapping[str, str], logs: Path) -> None:
         """Begin idle; raise `NewFileError` where the logs cannot be written."""
         require_folder(logs)
-        logs.mkdir(parents=True, exist_ok=True)
-        self._settings, self._names, self._logs = settings, dict(names), logs
-        self._loop: SimulatedLoop | None = None
-        self._fault = ""
-        self._name = ""
-        self._holds = self._is_interrupted = False
-        self._own_log: Path | None = None
-        self._is_open = True
+        session = RigSession(
+            settings, names, InProcessMaker(), Shelf(logs, prefix=""), Latch(None),
+            idle_after_s=math.inf,
+        )  # fmt: skip
+        super().__init__(_OwnLink(session))
         atexit.register(self.close)
-
-    # --- states ---------------------------------------------------------------------------------
-
-    def status(self) -> dict[str, Any]:
-        """Return state, run, log, newest tick and gains."""
-        loop = self._loop
-        log = None if loop is None else loop.run_path
-        return {
-            "state": str(self._find_state()),
-            "fault": self._fault,
-            "run": None if log is None else self._name,
-            "log": None if log is None else str(log),
-            "tick": None if loop is None else loop.last,
-            "controller": settings_to_data(self._settings.controller),
-            "names": dict(self._names),
-            "backend": self._settings.rig.backend,
-            "rate_hz": self._settings.rig.loop.rate_hz,
-        }
-
-    def settings(self) -> dict[str, Any]:
-        """Return the settings of the session."""
-        return settings_to_data(self._settings)
-
-    def _find_state(self) -> DaemonState:
-        loop = self._loop
-        if self._fault:
-            return DaemonState.FAULT
-        if loop is None:
-            return DaemonState.IDLE
-        if loop.run_path is None or loop.last is None:
-            return DaemonState.READY
-        if self._holds and is_resting(loop.last):
-            return DaemonState.READY
-        homing = loop.last["phase"] == Phase.HOMING
-        return DaemonState.HOMING if homing else DaemonState.RUNNING
-
-    def mark(self, text: str) -> None:
-        """Put a remark into the log of the current run."""
-        with translate_errors():
-            self._require_run("nothing is being logged; start a run, or go to a position").advance(
-                lambda loop: True, {"do": "mark", "text": str(text)}
-            )
-
-    def stop(self) -> None:
-        """End the current run smoothly; its log is whole then."""
-        with translate_errors():
-            loop = self._require_run(f"nothing is running: the state is {self.state}")
-            loop.advance(_is_over, {"do": "stop", "reason": "stopped by request"})
-            self._conclude()
-
-    def disarm(self) -> None:
-        """End the session smoothly; the next run homes again, from the vented muscle."""
-        with translate_errors():
-            self._end_loop(at_once=False)
-
-    def estop(self) -> None:
-        """End at the safe voltage at once, and latch the fault."""
-        with translate_errors():
-            self._fault = self._fault or EMERGENCY_STOP
-            self._end_loop(at_once=True)
-
-    def ack(self) -> str:
-        """Acknowledge a fault; return what it was."""
-        with translate_errors():
-            if not self._fault:
-                raise RequestRefusedError("there is no fault to acknowledge")
-            fault, self._fault = self._fault, ""
-            return fault
-
-    def sleep(self, duration_s: float) -> None:
-        """Let simulated time pass (s); none passes while the rig is idle."""
-        with translate_errors():
-            if self._loop is not None:
-                ticks = max(1, round(duration_s * self._settings.rig.loop.rate_hz))
-                self._let_pass_until(self._tick_now() + ticks)
-                self._conclude()
-
-    def live(
-        self, rate_hz: float = 50.0, *, duration_s: float | None = None
-    ) -> Iterator[Mapping[str, float]]:
-        """Yield a tick, let time pass to the next one, and so on until the run ends."""
-        ticks_per_s = self._settings.rig.loop.rate_hz
-        every = max(1, round(ticks_per_s / rate_hz))
-        left = math.inf if duration_s is None else round(duration_s * ticks_per_s / every)
-        at = self._tick_now()
-        while left > 0 and self._loop is not None and self._loop.is_running:
-            with translate_errors():
-                # Marks and gains take a tick each: they do not shift the ticks that follow.
-                at += every * max(1, -(-(self._tick_now() + 1 - at) // every))
-                self._let_pass_until(at)
-                tick = self._loop.last
-                goes_on = self._loop.is_running
-                self._conclude()
-            if not goes_on or tick is None:
-                return
-            yield tick
-            left -= 1
-
-    def interrupt(self) -> None:
-        """End what waits in another thread."""
-        self._is_interrupted = True
 
     def close(self) -> None:
         """Stop smoothly; the log of the current run is whole then."""
-        if not self._is_open:
-            return
-        self._is_open = False
         atexit.unregister(self.close)
-        self._is_interrupted = False
-        with translate_errors():
-            self._end_loop(at_once=False)
+        super().close()
 
-    # --- what the rig does ----------------------------------------------------------------------
 
-    def _start(self, data: dict[str, Any], name: str, duration_s: float | None) -> Path:
-        self._require_state(DaemonState.IDLE, DaemonState.READY)
-        settings = load_experiment(self._settings, data, name, duration_s)
-        require_feasible(settings)
-        experiment = settings_to_data(settings.experiment)
-        order = {"do": "run", "experiment": experiment, "duration_s": duration_s}
-        loop = self._loop = self._loop or self._make_loop()
-        self._name, self._holds = name, isinstance(settings.experiment, HoldSettings)
-        self._own_log = loop.begin_run(order, settings, name)
-        return self._own_log
+class _OwnLink:
+    """A session that nobody else steers: time passes while a method waits."""
 
-    def _goto(self, position_m: float, within_s: float | None) -> None:
-        self._require_state(DaemonState.IDLE, DaemonState.READY, DaemonState.RUNNING)
-        last = None if self._loop is None else self._loop.last
-        here_m = 0.0 if last is None else last["position_m"]
-        hold = plan_hold(self._settings, position_m, within_s, here_m)
-        loop = self._loop
-        if loop is None or loop.run_path is None:
-            self._start(hold, "goto", None)
-            order = None
-        elif self._holds:
-            order = {"do": "run", "ring": None, "experiment": hold, "duration_s": None}
-        else:
-            raise RequestRefusedError(f"{self._name} is running; stop it first")
-        loop = self._loop
-        assert loop is not None
-        self._advance(loop, is_at_rest_at(hold["position_mm"] * 1e-3), order)
-        self._conclude()
+    is_own = True
 
-    def _wait_for_end(self) -> Path:
-        if self._own_log is None:
-            raise PamctlError("no run was begun here; begin one with start()", ExitCode.USAGE)
-        if self._loop is not None and self._loop.run_path == self._own_log:
-            if self._holds:
-                self._require_hold_to_end()
-            self._advance(self._loop, _is_over, None)
-            self._conclude()
-        return self._own_log
+    def __init__(self, session: RigSession) -> None:
+        self._session = session
+        self._methods = methods_of(session)
+        self.interrupted = threading.Event()
+        self._is_open = True
 
-    def _require_hold_to_end(self) -> None:
-        assert self._loop is not None
-        last = self._loop.last
-        if last is not None and is_resting(last):
-            raise PamctlError("a held position has no end; stop() ends it", ExitCode.USAGE)
+    @property
+    def has_end(self) -> bool:
+        return self._session.run_has_end
 
-    def _change_gains(self, changes: list[str], ramp_s: float) -> dict[str, Any]:
-        return self._tune(change_gains(self._settings, changes), ramp_s)
+    def ask(self, name: str, params: Mapping[str, object]) -> Any:
+        method = self._methods[name]
+        if method.changes and not self._is_open:
+            raise PamctlError("this simulation is closed; begin another", ExitCode.USAGE)
+        try:
+            checked = check_params(method.params, dict(params))
+        except RequestError as error:
+            raise RequestRefusedError(str(error)) from error
+        with self._raise_new_fault():
+            return method.call(checked)
 
-    def _load_gains(self, data: dict[str, Any], name: str, ramp_s: float) -> dict[str, Any]:
-        gains = self._tune(load_controller(self._settings, data, name), ramp_s)
-        self._names["controller"] = name
-        return gains
+    def ask_at_once(self, name: str) -> Any:
+        answer = self._methods[name].call(NoParams())
+        self._session.look()
+        return answer
 
-    def _tune(self, changed: RunSettings, ramp_s: float) -> dict[str, Any]:
-        if not 0.0 <= ramp_s <= 60.0:
-            raise RequestRefusedError(f"ramp_s {ramp_s:g} must lie between 0 and 60 s")
-        controller = settings_to_data(changed.controller)
+    def wait_until(self, goal: Goal, patience_s: float = math.inf) -> None:
         loop = self._loop
         if loop is not None:
-            if loop.is_running:
-                require_tunable(self._settings, changed)
-            order = {"do": "gains", "controller": controller, "ramp_s": ramp_s}
-            self._advance(loop, lambda _: True, order)
-        self._settings = changed
+            self._let_pass(loop, lambda: goal(loop))
+
+    def sleep(self, duration_s: float) -> None:
+        loop = self._loop
         if loop is not None:
-            self._conclude()
-        return controller
+            ticks = max(1, round(duration_s * self._session.rate_hz))
+            self._let_pass_until(loop, _number(loop) + ticks)
 
-    # --- the life of the loop -------------------------------------------------------------------
+    def follow(self, every: int) -> Iterator[Mapping[str, float]]:
+        loop = self._loop
+        at = -1 if loop is None else _number(loop)
+        while loop is not None and loop.log is not None:
+            # Marks and gains take a tick each: they do not shift the ticks that follow.
+            at += every * max(1, -(-(_number(loop) + 1 - at) // every))
+            self._let_pass_until(loop, at)
+            tick = loop.tick
+            if loop.log is None or tick is None:
+                return
+            yield tick
 
-    def _make_loop(self) -> SimulatedLoop:
-        return SimulatedLoop(self._settings, self._names, self._logs)
+    def close(self) -> None:
+        self._is_open = False
+        self._session.close()
 
-    def _tick_now(self) -> int:
-        last = None if self._loop is None else self._loop.last
-        return -1 if last is None else int(last["tick"])
+    @property
+    def _loop(self) -> InProcessLoop | None:
+        return cast("InProcessLoop | None", self._session.carrier)
 
-    def _let_pass_until(self, tick: int) -> None:
-        assert self._loop is not None
-        was_running = self._loop.is_running
+    def _let_pass_until(self, loop: InProcessLoop, tick: int) -> None:
+        log = loop.log
+        self._let_pass(loop, lambda: loop.log != log or _number(loop) >= tick)
 
-        def is_reached(loop: SimulatedLoop) -> bool:
-            return (was_running and not loop.is_running) or self._tick_now() >= tick
-
-        self._advance(self._loop, is_reached, None)
-
-    def _advance(self, loop: SimulatedLoop, goal: Any, order: Mapping[str, Any] | None) -> None:
-        loop.advance(lambda at: self._is_interrupted or goal(at), order)
-        if self._is_interrupted:
-            self._is_interrupted = False
+    def _let_pass(self, loop: InProcessLoop, goal: Callable[[], bool]) -> None:
+        with self._raise_new_fault():
+            loop.advance(lambda: self.interrupted.is_set() or goal())
+        if self.interrupted.is_set():
+            self.interrupted.clear()
             raise InterruptedWaitError
 
-    def _conclude(self) -> None:
-        """Finish the log of a run that is over; raise the fault that has ended the loop."""
-        loop = self._loop
-        if loop is None or loop.is_running:
-            return
-        loop.finish_run()
-        self._holds = False
-        if loop.ending is not None:
-            ending = loop.close()
-            self._loop, self._fault = None, ending.reason
-            reason = f"{ending.reason}; acknowledge it with ack()"
-            raise PamctlError(reason, ending.code, self._own_log)
-
-    def _end_loop(self, *, at_once: bool) -> None:
-        loop, self._loop = self._loop, None
-        self._holds = False
-        if loop is not None:
-            loop.close(at_once=at_once)
-
-    def _stop_own_run(self) -> None:
-        loop = self._loop
-        if loop is not None and loop.is_running:
-            loop.advance(_is_over, {"do": "stop", "reason": "interrupted"})
-            self._conclude()
-
-    def _require_run(self, otherwise: str) -> SimulatedLoop:
-        if self._loop is None or not self._loop.is_running:
-            raise RequestRefusedError(otherwise)
-        return self._loop
-
-    def _require_state(self, *allowed: DaemonState) -> None:
-        if not self._is_open:
-            raise PamctlError("this simulation is closed; begin another", ExitCode.USAGE)
-        state = self._find_state()
-        if state == DaemonState.FAULT:
-            raise RequestRefusedError(f"fault: {self._fault}; acknowledge it first with ack()")
-        if state not in allowed:
-            raise RequestRefusedError(f"not now: the state is {state}")
+    @contextmanager
+    def _raise_new_fault(self) -> Iterator[None]:
+        """Conclude what has ended within the block; raise the fault that has ended it."""
+        before, loop = self._session.fault, self._loop
+        log = None if loop is None or loop.run is None else loop.run.log
+        try:
+            yield
+        finally:
+            self._session.look()
+            if self._session.fault and not before:
+                require_well(self._session.status(), log)
 
 
-def _is_over(loop: SimulatedLoop) -> bool:
-    return not loop.is_running
+def _number(loop: InProcessLoop) -> int:
+    tick = loop.tick
+    return -1 if tick is None else int(tick["tick"])
 
 
 def resolve_session(

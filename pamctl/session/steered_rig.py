@@ -12,28 +12,92 @@ raises `PamctlError` with the shell's line and exit code. Positions are in m, ti
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from itertools import islice
 from pathlib import Path
 from types import TracebackType
-from typing import Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar
 
+from pamctl.daemon.client import DaemonDeclinedError
+from pamctl.daemon.protocol import RequestRefusedError, list_orders
+from pamctl.daemon.rig_session import DEFAULT_RAMP_S, RigSession
 from pamctl.exit_codes import ExitCode
+from pamctl.log.run_meta import file_safe_name
 from pamctl.session.experiment_form import ExperimentForm, read_experiment
 from pamctl.session.pamctl_error import PamctlError, translate_errors
 from pamctl.session.run import Run
+from pamctl.signals import Phase
 
 AskedExperiment: TypeAlias = ExperimentForm | Mapping[str, Any] | str | Path
 """A form such as `Sine`, the keys of an experiment file, a shipped experiment's name, or a file."""
 Gain: TypeAlias = float | int | bool | str
 
-DEFAULT_RAMP_S = 0.5
-
 _Self = TypeVar("_Self", bound="SteeredRig")
+_STOP_PATIENCE_S = 30.0
+_SAME_M = 1e-9
 
 
-class SteeredRig(ABC):
+class Sight(Protocol):
+    """What a wait looks at."""
+
+    @property
+    def log(self) -> str | None:
+        """The log of the current run."""
+
+    @property
+    def tick(self) -> Mapping[str, float] | None:
+        """The newest tick's columns by name."""
+
+    @property
+    def has_loop(self) -> bool:
+        """The loop lives."""
+
+
+Goal: TypeAlias = Callable[[Sight], bool]
+
+
+class Link(Protocol):
+    """How a program reaches a rig's session: through the daemon's socket, or in this process."""
+
+    is_own: bool
+    """The session ends with its program."""
+
+    @property
+    def has_end(self) -> bool:
+        """The current run ends by itself, or others may end it."""
+
+    interrupted: threading.Event
+    """What waits in another thread ends when it is set."""
+
+    def ask(self, name: str, params: Mapping[str, object]) -> Any:
+        """Give an order, as the protocol has it; return the answer."""
+
+    def ask_at_once(self, name: str) -> Any:
+        """Give an order that waits for no other one, from any thread."""
+
+    def wait_until(self, goal: Goal, patience_s: float = math.inf) -> None:
+        """Let time pass on the rig until a goal is reached."""
+
+    def sleep(self, duration_s: float) -> None:
+        """Let time pass on the rig (s)."""
+
+    def follow(self, every: int) -> Iterator[Mapping[str, float]]:
+        """Yield every so manieth tick until the run ends."""
+
+    def close(self) -> None:
+        """Leave the session."""
+
+
+class SteeredRig:
     """A rig under a program's control; leave its `with` block to leave the rig safe."""
+
+    def __init__(self, link: Link) -> None:
+        """Steer the rig behind `link`."""
+        self._link = link
+        self._own_log: Path | None = None
+        self._is_beginning = False
+        self._is_open = True
 
     # --- motions ------------------------------------------------------------------------------
 
@@ -58,7 +122,7 @@ class SteeredRig(ABC):
         except PamctlError:
             raise
         except BaseException:
-            self._stop_own_run()
+            self._stop_own_run("interrupted")
             raise
 
     def start(
@@ -70,13 +134,19 @@ class SteeredRig(ABC):
     ) -> Path:
         """Begin a run and return the path of its log; `live` and `wait` go on from there."""
         data, name = self._read(experiment, name)
-        with translate_errors():
-            return self._start(data, name, duration_s)
+        return self._begin("start", experiment=data, name=name, duration_s=duration_s)
 
     def wait(self) -> Run:
         """Wait for the end of the run that was begun here; return its record."""
+        log = self._own_log
+        if log is None:
+            raise PamctlError("no run was begun here; begin one with start()", ExitCode.USAGE)
+        if not self._link.has_end and self.status()["log"] == str(log):
+            raise PamctlError("a held position has no end; stop() ends it", ExitCode.USAGE)
+        self._await_over(str(log))
+        require_well(self.status(), log)
         with translate_errors():
-            return Run.open(self._wait_for_end())
+            return Run.open(log)
 
     def goto(self, position_m: float, *, within_s: float | None = None) -> None:
         """Go to a position (m) and hold it; return on arrival. Home first where needed.
@@ -84,19 +154,21 @@ class SteeredRig(ABC):
         The motion takes `within_s` [default: as long as 4 mm/s takes].
         """
         try:
-            with translate_errors():
-                self._goto(float(position_m), within_s)
+            log = str(self._begin("goto", position_m=float(position_m), within_s=within_s))
+            self._wait_until(lambda seen: seen.log != log or _is_held_at(position_m, seen.tick))
+            if require_well(self.status())["log"] != log:
+                raise PamctlError("the motion was stopped", ExitCode.CHECK_FAILED, Path(log))
         except PamctlError:
             raise
         except BaseException:
-            self._stop_own_run()
+            self._stop_own_run("interrupted")
             raise
 
-    @abstractmethod
     def sleep(self, duration_s: float) -> None:
         """Let time pass on the rig (s): of the clock, or simulated time."""
+        with translate_errors():
+            self._link.sleep(duration_s)
 
-    @abstractmethod
     def live(
         self, rate_hz: float = 50.0, *, duration_s: float | None = None
     ) -> Iterator[Mapping[str, float]]:
@@ -106,14 +178,19 @@ class SteeredRig(ABC):
         come as they are measured, and a reader slower than some 2 s misses some. A simulated rig
         goes on only as far as its reader asks.
         """
+        ticks_per_s = require_well(self.status())["rate_hz"]
+        every = max(1, round(ticks_per_s / rate_hz))
+        most = None if duration_s is None else round(duration_s * ticks_per_s / every)
+        with translate_errors():
+            yield from islice(self._link.follow(every), most)
 
     # --- gains and remarks ----------------------------------------------------------------------
 
     def set(self, /, *, ramp_s: float = DEFAULT_RAMP_S, **gains: Gain) -> dict[str, Any]:
         """Change gains by their keys, `rig.set(lambda_per_s=90)`, on a ramp; return all gains."""
         changes = [f"controller.{key}={_write_value(value)}" for key, value in gains.items()]
-        with translate_errors():
-            return self._change_gains(changes, ramp_s)
+        changed: dict[str, Any] = self._ask("set", changes=changes, ramp_s=float(ramp_s))
+        return changed
 
     def load(
         self,
@@ -125,13 +202,14 @@ class SteeredRig(ABC):
 
         Another law can be loaded only between runs.
         """
-        from pamctl.log.run_meta import file_safe_name
-
-        with translate_errors():
-            if isinstance(controller, Mapping):
-                return self._load_gains(dict(controller), "session", ramp_s)
-            data = _read_section("controller", str(controller))
-            return self._load_gains(data, file_safe_name(str(controller)), ramp_s)
+        if isinstance(controller, Mapping):
+            data, name = dict(controller), "session"
+        else:
+            with translate_errors():
+                data = _read_section("controller", str(controller))
+            name = file_safe_name(str(controller))
+        gains: dict[str, Any] = self._ask("load", controller=data, name=name, ramp_s=float(ramp_s))
+        return gains
 
     @property
     def gains(self) -> dict[str, Any]:
@@ -139,46 +217,68 @@ class SteeredRig(ABC):
         controller: dict[str, Any] = self.status()["controller"]
         return controller
 
-    @abstractmethod
     def mark(self, text: str) -> None:
         """Put a remark into the log of the current run."""
+        self._ask("mark", text=str(text))
 
     # --- states ---------------------------------------------------------------------------------
 
-    @abstractmethod
     def status(self) -> dict[str, Any]:
         """Return state, run, log, newest tick and gains, as `pamctl status --json` prints them."""
+        answer: dict[str, Any] = self._ask("status")
+        return answer
 
-    @abstractmethod
     def settings(self) -> dict[str, Any]:
         """Return what the rig is set to, as its logs hold it: rig, limits, plant, gains."""
+        answer: dict[str, Any] = self._ask("settings")
+        return answer
 
     @property
     def state(self) -> str:
         """One of idle, homing, ready, running, stopping, fault."""
         return str(self.status()["state"])
 
-    @abstractmethod
     def stop(self) -> None:
         """End the current run smoothly; return when its log is whole. The muscle stays homed."""
+        self._ask("stop")
+        self._await_over(self.status()["log"])
 
-    @abstractmethod
     def disarm(self) -> None:
         """End the session smoothly; the next run homes again."""
+        self._ask("disarm")
 
-    @abstractmethod
     def estop(self) -> None:
         """Drive the safe voltage at once, and latch the fault; callable from any thread."""
+        with translate_errors():
+            self._link.ask_at_once("estop")
 
-    @abstractmethod
     def ack(self) -> str:
         """Acknowledge a fault, so that the rig runs again; return what it was."""
+        if self.status()["fault"]:  # the loop may still be ending
+            self._wait_until(lambda seen: not seen.has_loop, _STOP_PATIENCE_S)
+        return str(self._ask("ack")["fault"])
 
     # --- the end --------------------------------------------------------------------------------
 
-    @abstractmethod
+    def interrupt(self) -> None:
+        """End `run`, `wait`, `goto` and `sleep` in the thread that waits; from any thread."""
+        self._link.interrupted.set()
+
     def close(self) -> None:
-        """Stop what was begun here and leave the rig safe; does nothing the second time."""
+        """Stop what was begun here and leave the rig safe; does nothing the second time.
+
+        Runs of other clients of a daemon go on.
+        """
+        if not self._is_open:
+            return
+        self._link.interrupted.clear()
+        try:
+            if not self._link.is_own:
+                self._stop_own_run()
+        finally:
+            self._is_open = False
+            with translate_errors():
+                self._link.close()
 
     def __enter__(self: _Self) -> _Self:
         """Return itself."""
@@ -198,35 +298,61 @@ class SteeredRig(ABC):
                 raise
             error.add_note(f"leaving the rig: {failure}")
 
-    # --- what the two kinds of rigs do ----------------------------------------------------------
+    # --- orders ---------------------------------------------------------------------------------
 
-    @abstractmethod
-    def interrupt(self) -> None:
-        """End `run`, `wait`, `goto` and `sleep` in the thread that waits; from any thread."""
+    if not TYPE_CHECKING:
 
-    @abstractmethod
-    def _start(self, data: dict[str, Any], name: str, duration_s: float | None) -> Path: ...
+        def __getattr__(self, name: str) -> Callable[..., Any]:
+            """Give any order of the session by its name, with the parameters of its signature."""
+            told = None if name.startswith("_") else list_orders(RigSession).get(name)
+            if told is None:
+                raise AttributeError(f"a rig has no {name!r}")
+            return lambda *args, **options: self._ask(
+                name, **told.signature.bind(*args, **options).arguments
+            )
 
-    @abstractmethod
-    def _wait_for_end(self) -> Path: ...
+    def _ask(self, order: str, /, **params: object) -> Any:
+        with translate_errors():
+            return self._link.ask(order, params)
 
-    @abstractmethod
-    def _goto(self, position_m: float, within_s: float | None) -> None: ...
+    def _begin(self, order: str, /, **params: object) -> Path:
+        """Ask for a motion, and return its log. Ctrl-C may come before the answer does."""
+        self._is_beginning = True
+        try:
+            log = Path(self._ask(order, **params)["log"])
+        except PamctlError:
+            self._is_beginning = False
+            raise
+        self._own_log, self._is_beginning = log, False
+        return log
 
-    @abstractmethod
-    def _change_gains(self, changes: list[str], ramp_s: float) -> dict[str, Any]: ...
+    def _wait_until(self, goal: Goal, patience_s: float = math.inf) -> None:
+        with translate_errors():
+            self._link.wait_until(goal, patience_s)
 
-    @abstractmethod
-    def _load_gains(self, data: dict[str, Any], name: str, ramp_s: float) -> dict[str, Any]: ...
+    def _await_over(self, log: str | None, patience_s: float = math.inf) -> None:
+        """Return once this log is whole."""
+        if log is not None:
+            self._wait_until(lambda seen: seen.log != log, patience_s)
 
-    @abstractmethod
-    def _stop_own_run(self) -> None:
+    def _stop_own_run(self, reason: str = "stopped by request") -> None:
         """Stop what this object began, if it still runs."""
+        log = None if self._own_log is None else str(self._own_log)
+        if not self._is_beginning and (log is None or self.status()["log"] != log):
+            return
+        # Orders are carried out one after the other: a motion that was just asked for has begun
+        # when the session comes to this one.
+        self._is_beginning = False
+        try:
+            self._ask("stop", reason=reason)
+        except PamctlError as error:
+            if not isinstance(error.__cause__, DaemonDeclinedError | RequestRefusedError):
+                raise
+            return  # it has just ended by itself
+        self._await_over(self.status()["log"], _STOP_PATIENCE_S)
 
     def _read(self, experiment: AskedExperiment, name: str | None) -> tuple[dict[str, Any], str]:
         """Return the checked keys of an experiment, and its name."""
-        from pamctl.log.run_meta import file_safe_name
-
         if isinstance(experiment, str | Path):
             with translate_errors():
                 data = _read_section("experiment", str(experiment))
@@ -239,6 +365,26 @@ class SteeredRig(ABC):
 
 class InterruptedWaitError(BaseException):
     """`interrupt` was called while this thread waited."""
+
+
+def require_well(status: Mapping[str, Any], log: Path | None = None) -> Mapping[str, Any]:
+    """Return a status; raise the fault that it has, of the run with this log."""
+    if not status["fault"]:
+        return status
+    code = ExitCode.SAFETY_TRIP
+    for event in status["events"]:
+        if event["event"] == "fault":
+            code = ExitCode(event["code"])
+        elif event["event"] == "acknowledged":
+            code = ExitCode.SAFETY_TRIP
+    raise PamctlError(f"{status['fault']}; acknowledge it with ack()", code, log)
+
+
+def _is_held_at(position_m: float, tick: Mapping[str, float] | None) -> bool:
+    """Tell whether the motion has ended: until its first tick, the newest one is before it."""
+    if tick is None or tick["phase"] != Phase.REST:
+        return False
+    return abs(tick["reference_m"] - position_m) < _SAME_M
 
 
 def _read_section(section: str, name: str) -> dict[str, Any]:

@@ -1,21 +1,34 @@
 """Make the runs of a sweep that are not there yet, and read what is there from their logs.
 
 The logs are the only memory of a sweep: each carries its name as a tag, and its place in it. A
-sweep that was interrupted goes on from there.
+sweep that was interrupted goes on from there. Runs are made by `pamctl run`'s own means, or
+through the daemon.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from types import TracebackType
+from typing import Any, NamedTuple, Protocol
 
+from pamctl.daemon.client import Client, DaemonDeclinedError
+from pamctl.daemon.protocol import RequestRefusedError
+from pamctl.daemon.requested_settings import change_gains, load_controller
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.json_text import to_json
-from pamctl.log.annotation import Annotation
+from pamctl.log.annotation import SWEEP, Annotation
+from pamctl.log.run_meta import bare_name, make_dated_path
+from pamctl.processes.interrupts import restore_signals
+from pamctl.processes.run_once import run_once
+from pamctl.report.progress_line import ProgressLine
 from pamctl.runs.run_index import RunIndex
-from pamctl.runs.run_row import RunRow
-from pamctl.sweep.sweep_plan import SweepError, SweepRun
+from pamctl.runs.run_row import RunRow, read_row
+from pamctl.settings.resolve import RunSettings, settings_to_data
+from pamctl.sweep.sweep_plan import SweepError, SweepRequest, SweepRun, list_runs
 
 _INTERRUPTED = (ExitCode.SIGINT, ExitCode.SIGTERM, ExitCode.SIGHUP)
 
@@ -113,3 +126,154 @@ def find_runs(sweep: SweepPlan, *, whatever_ending: bool = False) -> dict[str, R
 def _make_record(sweep: SweepPlan, run: SweepRun) -> dict[str, str]:
     point = to_json(run.point).decode()
     return {"name": sweep.name, "base": sweep.base, "point": point, "repeat": str(run.repeat)}
+
+
+class OwnRunner:
+    """Makes each run with its own processes. The muscle is homed again before each."""
+
+    def __init__(
+        self,
+        points: Sequence[RunSettings],
+        names: Mapping[str, str],
+        folder: Path,
+        progress: Callable[[], ProgressLine],
+    ) -> None:
+        """`points` are the settings of each point, by its number."""
+        self._points = points
+        self._names = dict(names)
+        self._folder = folder
+        self._progress = progress
+
+    def plan_sweep(
+        self,
+        base: RunSettings,
+        request: SweepRequest,
+        repeats: int,
+        name: str,
+        said: Annotation,
+    ) -> SweepPlan:
+        """Return what is to be run; `base` are the settings without the swept ones."""
+        points = [request.read_point(settings_to_data(settings)) for settings in self._points]
+        mark = request.mark_base({**settings_to_data(base), "names": self._names})
+        return SweepPlan(name, mark, list_runs(points, repeats), self._folder, said)
+
+    @property
+    def goes_on(self) -> bool:
+        """A simulated muscle cannot be hurt."""
+        return self._points[0].rig.record.is_simulated
+
+    def __call__(self, run: SweepRun, said: Annotation, record: Mapping[str, str]) -> Ending:
+        """Run once, with a seed of its own: repeats under one seed would be copies."""
+        settings = self._points[run.number]
+        settings = settings.model_copy(update={"seed": settings.seed + run.repeat})
+        what = f"{bare_name(self._names['controller'])}-{bare_name(self._names['experiment'])}"
+        with restore_signals():
+            done = run_once(
+                settings,
+                self._names,
+                make_dated_path(self._folder, what),
+                self._progress(),
+                quiet=True,
+                said=said,
+                records={SWEEP: record},
+            )
+        return Ending(ExitCode(done.code), done.reason or done.note)
+
+
+_LOOK_EVERY_S = 0.1
+
+
+class DaemonRunner:
+    """Asks a daemon for each run; a context manager that puts the gains back at its end."""
+
+    def __init__(self, client: Client, settings: RunSettings, name: str) -> None:
+        """Of `settings` only experiment and duration count; `name` is that of the experiment.
+
+        Raise SweepError where the daemon is not free.
+        """
+        self._client, self._settings, self._name = client, settings, name
+        self._experiment = settings_to_data(settings.experiment)
+        status = client.call("status")
+        if status["state"] not in ("idle", "ready") or status["run"] is not None:
+            raise SweepError(f"the daemon is not free: its state is {status['state']}")
+        self._gains: dict[str, Any] = status["controller"]
+        self._folder = Path(status["logs"])
+        self._device = status["device"]
+        self._names = status["names"]
+
+    def plan_sweep(
+        self, request: SweepRequest, repeats: int, name: str, said: Annotation
+    ) -> SweepPlan:
+        """Return what is to be run; raise SweepError where the daemon could not run it."""
+        others = [one.key for one in request.swept if not one.key.startswith("controller.")]
+        if wrong := [*others, *request.fixed]:
+            why = "on the daemon only keys of the controller are swept, and nothing else is set"
+            raise SweepError(f"--set {wrong[0]}: {why}")
+        known = {
+            "controller": self._gains,
+            "experiment": self._experiment,
+            "duration_s": self._settings.duration_s,
+            "device": self._device,
+        }
+        try:
+            now = load_controller(self._settings, self._gains, "the gains of the daemon")
+            changed = [change_gains(now, point) for point in request.list_points()]
+        except RequestRefusedError as error:
+            raise SweepError(str(error)) from error
+        points = [request.read_point(settings_to_data(settings)) for settings in changed]
+        mark = request.mark_base(known)
+        return SweepPlan(name, mark, list_runs(points, repeats), self._folder, said)
+
+    @property
+    def goes_on(self) -> bool:
+        """A fault of the daemon waits for a person, who acknowledges it."""
+        return False
+
+    def __enter__(self) -> DaemonRunner:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Put the gains back."""
+        with suppress(DaemonDeclinedError):
+            params = {"controller": self._gains, "name": self._names["controller"], "ramp_s": 0.0}
+            self._client.call("load", params)
+
+    def __call__(self, run: SweepRun, said: Annotation, record: Mapping[str, str]) -> Ending:
+        """Set the gains, start, and wait for the log; an interrupt stops the run smoothly."""
+        changes = [f"{key}={value}" for key, value in run.point.items()]
+        self._client.call("set", {"changes": changes, "ramp_s": 0.0})
+        log = Path(
+            self._client.call(
+                "start",
+                {
+                    "experiment": self._experiment,
+                    "name": self._name,
+                    "duration_s": self._settings.duration_s,
+                    **asdict(said),
+                    "sweep": record,
+                },
+            )["log"]
+        )
+        try:
+            status = self._await_end(log)
+        except KeyboardInterrupt:
+            with suppress(DaemonDeclinedError):
+                self._client.call("stop")
+            self._await_end(log)
+            raise
+        row = read_row(log)
+        code = ExitCode.UNEXPECTED if row.exit_code is None else ExitCode(row.exit_code)
+        return Ending(code, status["fault"] or row.reason)
+
+    def _await_end(self, log: Path) -> dict[str, Any]:
+        while True:
+            status: dict[str, Any] = self._client.call("status")
+            if status["log"] != str(log):
+                return status
+            time.sleep(_LOOK_EVERY_S)

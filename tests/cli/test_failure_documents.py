@@ -15,7 +15,7 @@ from typer.main import get_command
 
 from pamctl.__main__ import main
 from pamctl.cli.app import app
-from pamctl.cli.daemon import status
+from pamctl.cli.daemon import orders
 
 
 def verbs(command: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
@@ -211,7 +211,7 @@ def test_ctrl_c_is_a_document(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(status, "ask", interrupted)
+    monkeypatch.setattr(orders, "ask", interrupted)
     ended = Ended(capsys, "status", "--json")
     assert ended.document == {"exit_code": 130, "reason": "interrupted"}
 
@@ -245,7 +245,7 @@ def test_an_unexpected_error_is_a_document_and_a_traceback(
     def broken(*_: object) -> None:
         raise RuntimeError("ours")
 
-    monkeypatch.setattr(status, "ask", broken)
+    monkeypatch.setattr(orders, "ask", broken)
     monkeypatch.setattr(sys, "argv", ["pamctl", "status", "--json"])
     with pytest.raises(RuntimeError):
         main()

@@ -200,7 +200,10 @@ def test_a_client_that_floods_is_answered_and_delays_nobody(held: Daemon) -> Non
 
 def test_a_client_that_floods_is_refused_but_may_always_stop(tmp_path: Path) -> None:
     stops: list[object] = []
-    methods = {"status": METHODS["status"], "estop": Method(NoParams, stops.append, changes=False)}
+    methods = {
+        "status": METHODS["status"],
+        "estop": Method(NoParams, stops.append, changes=False, at_once=True),
+    }
 
     async def flooded() -> list[dict[str, Any]]:
         server = Server(methods, now_s=lambda: 0.0)  # no allowance comes back
@@ -256,7 +259,7 @@ def test_the_emergency_stop_does_not_wait_for_other_clients(tmp_path: Path) -> N
 
     methods = {
         "status": Method(NoParams, look_up, changes=False),
-        "estop": Method(NoParams, estop, changes=False),
+        "estop": Method(NoParams, estop, changes=False, at_once=True),
     }
 
     async def crowded() -> int:

@@ -28,11 +28,10 @@ from support.processes.killing import kill_as_one
 
 from pamctl.daemon.announcements import Announcements
 from pamctl.daemon.client import DaemonDeclinedError, DaemonUnreachableError
-from pamctl.daemon.latch import Latch
 from pamctl.daemon.protocol import RequestRefusedError
-from pamctl.daemon.service import Service
+from pamctl.daemon.rig_session import RigSession
 from pamctl.daemon.session import Workshop
-from pamctl.daemon.shelf import Shelf
+from pamctl.daemon.shelf import Latch, Shelf
 from pamctl.log import LogError, read
 from pamctl.processes.backends import SHARED_MEMORY, ao_path, build_rig
 from pamctl.processes.run_once import make_run_meta, new_ring_path
@@ -253,7 +252,7 @@ def test_a_daemon_that_is_ending_starts_nothing(tmp_path: Path) -> None:
         [], [], build_rig(settings, VirtualClock(1)).rig, make_run_meta, "none", new_ring_path
     )
     latch = Latch(tmp_path / "fault")
-    service = Service(settings, {"controller": "qsmc"}, workshop, Shelf(tmp_path), latch)
+    service = RigSession(settings, {"controller": "qsmc"}, workshop, Shelf(tmp_path), latch)
     service.close()
     for ask in (partial(service.start, SQUARE, "late", None), partial(service.goto, 8e-3, None)):
         with pytest.raises(RequestRefusedError, match="is being ended"):

@@ -148,7 +148,7 @@ def serve(tmp_path: Path, work: Callable[[Path], object]) -> list[object]:
     methods = {
         "status": Method(NoParams, lambda _: "here", changes=False),
         "wait": Method(NoParams, lambda _: is_over.wait(PATIENCE_S)),
-        "estop": Method(NoParams, stops.append, changes=False),
+        "estop": Method(NoParams, stops.append, changes=False, at_once=True),
     }
     path = tmp_path / "socket"
 

@@ -17,7 +17,7 @@ from support.processes.daemons import Daemon, as_root, nobody, parked
 from support.processes.watch_pages import Served, set_input, shown, tab, up
 
 from pamctl.daemon.client import DaemonDeclinedError
-from pamctl.live.scope.tick_memory import TickMemory
+from pamctl.live.tick_memory import TickMemory
 from pamctl.log.reader import Log, read
 from pamctl.recording.ring import Ring, RingError
 from pamctl.signals import Phase

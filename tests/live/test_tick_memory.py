@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 from support.made_up import columns, meta, put, tick
 
-from pamctl.live.scope.questions import ScopeQuestions
-from pamctl.live.scope.tick_memory import TickMemory
-from pamctl.live.scope.tick_shelf import TickShelf
-from pamctl.live.scope.tick_source import ScopeRefusal, TickSource
+from pamctl.live.scope import ScopeQuestions, ScopeRefusal, TickSource
+from pamctl.live.tick_memory import TickMemory, TickShelf
 from pamctl.recording.ring import Ring
 
 ROWS = 256

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pamctl.live.scope.trigger import find_crossing
+from pamctl.live.scope import find_crossing
 
 
 @pytest.mark.parametrize("slope", ["rising", "falling", "either"])

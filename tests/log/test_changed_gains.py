@@ -9,7 +9,7 @@ import pytest
 from support.command_line import run_pamctl
 from support.processes.daemons import daemon
 
-from pamctl.live.status_text import format_status
+from pamctl.live.feed import format_status
 from pamctl.log import read
 from pamctl.log.run_meta import describe_changes, describe_running_changes
 

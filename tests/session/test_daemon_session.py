@@ -82,7 +82,7 @@ def test_ctrl_c_stops_the_run_and_leaves_the_valve_safe(up: Daemon) -> None:
     assert b"KeyboardInterrupt" in said
     assert up.ask("status")["run"] is None
     assert up.is_safe()
-    assert pamctl.Run.open(status["log"]).ending.reason == "stopped by request"
+    assert pamctl.Run.open(status["log"]).ending.reason == "interrupted"
 
 
 def test_a_fault_is_raised_with_its_code_and_its_log_and_acknowledged(up: Daemon) -> None:

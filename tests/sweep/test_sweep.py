@@ -23,7 +23,7 @@ from pamctl.runs.run_row import RunRow, read_row
 from pamctl.settings.resolve import resolve
 from pamctl.sweep.run_sweep import SweepPlan, run_sweep
 from pamctl.sweep.sweep_plan import SweepError, SweepRun, list_runs, parse_sweep, require_end
-from pamctl.sweep.sweep_table import format_points, format_points_csv, summarise_points
+from pamctl.sweep.sweep_result import format_points, format_points_csv, summarise_points
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "qsmc.mcap"
 KEY = "controller.lambda_per_s"

@@ -111,8 +111,7 @@ def sweep(
         require_end(settings)
         require_linux()
         from pamctl.daemon.client import Client, default_socket
-        from pamctl.sweep.daemon_runs import DaemonRunner
-        from pamctl.sweep.run_sweep import run_sweep
+        from pamctl.sweep.run_sweep import DaemonRunner, run_sweep
 
         with (
             Client(socket or default_socket()) as client,
@@ -143,8 +142,7 @@ def sweep(
         require_folder(logs)
         logs.mkdir(parents=True, exist_ok=True)
         from pamctl.report.progress_line import ProgressLine
-        from pamctl.sweep.own_runs import OwnRunner
-        from pamctl.sweep.run_sweep import run_sweep
+        from pamctl.sweep.run_sweep import OwnRunner, run_sweep
 
         silent = quiet or as_json
         own_runner = OwnRunner(points, names, logs, lambda: ProgressLine(quiet=silent))
@@ -159,7 +157,7 @@ def _tell(line: str, *, quiet: bool) -> None:
 
 
 def _conclude(plan: SweepPlan, end: SweepEnd, *, as_json: bool) -> None:
-    from pamctl.sweep.sweep_table import (
+    from pamctl.sweep.sweep_result import (
         format_points,
         format_points_csv,
         list_point_documents,
@@ -170,7 +168,7 @@ def _conclude(plan: SweepPlan, end: SweepEnd, *, as_json: bool) -> None:
     saved: dict[str, str | None] = {"page": None, "csv": None}
     if points:
         from pamctl.runs.run_row import find_varying_keys
-        from pamctl.sweep.sweep_page import write_sweep_page
+        from pamctl.sweep.sweep_result import write_sweep_page
 
         keys = [key for key in points[0].point if key in find_varying_keys(end.rows)]
         page = write_sweep_page(plan.name, plan.folder, end.rows, keys).html()

@@ -1,0 +1,329 @@
+"""The verbs of the daemon's clients: each gives an order of `daemon/rig_session.py`.
+
+A verb is made of its order: the signature says arguments, options, ranges and help. Written here
+are those that read a file, or that print more than the answer. Verbs without arguments are made of
+the table in `cli/verbs.py` alone: an emergency stop waits for no import.
+"""
+
+from __future__ import annotations
+
+import getpass
+import inspect
+import math
+import re
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pamctl.cli.failure import Failed
+from pamctl.cli.options import (
+    NO_CHANGES,
+    JsonOption,
+    NoteOption,
+    OperatorOption,
+    SampleOption,
+    SocketOption,
+    TagOption,
+    require_linux,
+    seconds_option,
+)
+from pamctl.cli.output import print_json
+from pamctl.cli.verbs import VERBS
+from pamctl.exit_codes import ExitCode
+from pamctl.plain_text import LONGEST_REMARK, clean_text
+
+if TYPE_CHECKING:
+    from pamctl.daemon.protocol import Order
+
+_PLAIN = {
+    "stop": "stopping",
+    "estop": "emergency stop",
+    "ack": "acknowledged: {fault}",
+    "disarm": "idle",
+}
+"""Orders without arguments, each with what its verb prints."""
+_METRES = {"": 1e-3, "mm": 1e-3, "m": 1.0, "um": 1e-6, "in": 25.4e-3}
+
+
+# --- verbs that are made of their orders -----------------------------------------------------
+
+
+def __getattr__(name: str) -> Callable[..., None]:
+    """Make the verb of an order."""
+    if name in _PLAIN:
+        return _make_verb(name, VERBS[name].told, _PLAIN[name], [])
+    if name.startswith("_"):
+        raise AttributeError(name)
+    from pamctl.daemon.protocol import list_orders
+    from pamctl.daemon.rig_session import RigSession
+
+    return make_verb(list_orders(RigSession)[name])
+
+
+def make_verb(order: Order) -> Callable[..., None]:
+    """Make the verb of an order from its signature.
+
+    A parameter without default is an argument. The ending of a name is its unit: `_s` takes
+    seconds, `_m` a length with a unit. `operator` is the user.
+    """
+    names = order.signature.parameters
+    given = [_make_parameter(order, name) for name in names if name != "operator"]
+    told = inspect.getdoc(order.body) or ""
+    return _make_verb(order.name, told, order.said, given, "operator" in names)
+
+
+def _make_verb(
+    name: str, told: str, said: str, given: Sequence[inspect.Parameter], names_user: bool = False
+) -> Callable[..., None]:
+    def verb(socket: SocketOption = None, as_json: JsonOption = False, **params: Any) -> None:
+        user = {"operator": _find_user()} if names_user else {}
+        answer = ask(socket, name, {**params, **user})
+        if as_json or said or not answer:
+            print_answer(answer, said, as_json=as_json)
+        else:
+            print_settings(answer, as_json=False)
+
+    shared = list(inspect.signature(verb, eval_str=True).parameters.values())[:2]
+    options = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in (*given, *shared)]
+    verb.__signature__ = inspect.Signature(options)  # type: ignore[attr-defined]
+    verb.__annotations__ = {one.name: one.annotation for one in options}
+    verb.__name__, verb.__doc__ = name, told
+    return verb
+
+
+def _make_parameter(order: Order, name: str) -> inspect.Parameter:
+    field = order.params.model_fields[name]
+    extra: Any = field.json_schema_extra or {}
+    limits = {type(each).__name__: each for each in field.metadata}
+    bare, _, unit = name.rpartition("_")
+    option = extra.get("option", f"--{bare if unit == 's' else name}".replace("_", "-"))
+    shown: Any = {"help": field.description, "metavar": field.title}
+    kind: Any = field.annotation
+    made: Any
+    if unit == "s":
+        made = seconds_option(
+            option,
+            field.description or "",
+            at_least=getattr(limits.get("Ge"), "ge", None),
+            more_than=getattr(limits.get("Gt"), "gt", None),
+            at_most=getattr(limits.get("Le"), "le", math.inf),
+            show_default=extra.get("default", True),
+        )
+    elif unit == "m":
+        kind, made = str, typer.Argument(callback=parse_position_m, **shown)
+    else:
+        made = typer.Argument(**shown) if field.is_required() else typer.Option(option, **shown)
+    default = inspect.Parameter.empty if field.is_required() else field.default
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    return inspect.Parameter(name, keyword, default=default, annotation=Annotated[kind, made])
+
+
+def parse_position_m(text: str) -> float:
+    """Read a length in m; a bare number is in mm."""
+    found = re.fullmatch(r"\s*([+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*([a-z]*)\s*", text)
+    try:
+        assert found is not None
+        length_m = float(found[1]) * _METRES[found[2]]
+        assert math.isfinite(length_m)
+        return length_m
+    except (AssertionError, KeyError, ValueError):
+        raise typer.BadParameter(f"'{text}' is no position; write 12mm or 0.012m") from None
+
+
+def _find_user() -> str:
+    """Return the user's name, for the log; empty where this PC does not know one."""
+    with suppress(KeyError, OSError):
+        return getpass.getuser()
+    return ""
+
+
+# --- how they ask, and print the answer ------------------------------------------------------
+
+
+def ask(socket: Path | None, method: str, params: Mapping[str, object] | None = None) -> Any:
+    """Ask the daemon. Raises `DaemonUnreachableError` and `DaemonDeclinedError`."""
+    require_linux()
+    from pamctl.daemon.client import Client, default_socket
+
+    try:
+        with Client(socket or default_socket()) as client:
+            return client.call(method, params)
+    except KeyboardInterrupt:
+        print("the request was sent; see `pamctl status` for what it did", file=sys.stderr)
+        raise
+
+
+def print_answer(answer: Any, text: str, *, as_json: bool) -> None:
+    """Print the answer, or `text` filled with its fields for people."""
+    if as_json:
+        print_json(answer)
+    else:
+        typer.echo(text.format(**(answer or {})))
+
+
+def print_settings(settings: Mapping[str, Any], *, as_json: bool) -> None:
+    """Print settings, for people as a file."""
+    if as_json:
+        print_json(settings)
+    else:
+        from pamctl.settings.yaml12 import dump_yaml
+
+        typer.echo(dump_yaml(settings).rstrip())
+
+
+def _read_section(section: str, name: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
+    """Read and check a file here, where its lines can be named; raise `ConfigError`."""
+    from pamctl.cli.settings_from_options import find_argument_file
+    from pamctl.settings.resolve import read_section_file, settings_to_data
+    from pamctl.settings.table_file import read_tables
+
+    path = find_argument_file(section, name)
+    return settings_to_data(read_section_file(section, path, overrides, read_tables))
+
+
+# --- verbs that do more ----------------------------------------------------------------------
+
+
+def status(socket: SocketOption = None, as_json: JsonOption = False) -> None:
+    """Show what the daemon is doing."""
+    answer = ask(socket, "status")
+    if as_json:
+        print_json(answer)
+        return
+    from pamctl.live.feed import format_status
+
+    typer.echo(format_status(answer))
+
+
+def start(
+    experiment: Annotated[
+        str, typer.Argument(metavar="NAME|FILE", help="Experiment to run, as for pamctl run")
+    ],
+    duration_s: Annotated[
+        float | None,
+        seconds_option(
+            "--duration",
+            "End the run this long after homing",
+            more_than=0.0,
+            show_default="length of the experiment",
+        ),
+    ] = None,
+    overrides: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Key of the experiment to change, such as amplitude_mm=2; can be repeated",
+            show_default=NO_CHANGES,
+        ),
+    ] = None,
+    note: NoteOption = None,
+    operator: OperatorOption = None,
+    sample: SampleOption = None,
+    tags: TagOption = None,
+    socket: SocketOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run an experiment; home first if the muscle is not homed."""
+    from pamctl.log.annotation import make_annotation
+    from pamctl.log.run_meta import file_safe_name
+
+    said = make_annotation(tags or (), note, operator, sample)
+    data = _read_section("experiment", experiment, overrides or ())
+    asked = {"experiment": data, "name": file_safe_name(experiment), "duration_s": duration_s}
+    answer = ask(socket, "start", {**asked, **asdict(said), "tags": list(said.tags)})
+    print_answer(answer, "log: {log}", as_json=as_json)
+
+
+gains_app = typer.Typer(no_args_is_help=True, help="Load and show the daemon's gains.")
+
+
+@gains_app.command("load")
+def load_gains(
+    file: Annotated[
+        str, typer.Argument(metavar="NAME|FILE", help="Controller file with the new gains")
+    ],
+    ramp_s: Annotated[
+        float,
+        seconds_option("--ramp", "Time over which the gains change", at_least=0.0, at_most=60.0),
+    ] = 0.5,
+    socket: SocketOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Take the gains of a controller file, on a ramp; another law only between runs."""
+    from pamctl.log.run_meta import file_safe_name
+
+    data = _read_section("controller", file)
+    params = {"controller": data, "name": file_safe_name(file), "ramp_s": ramp_s}
+    print_settings(ask(socket, "load", params), as_json=as_json)
+
+
+@gains_app.command("show")
+def show_gains(socket: SocketOption = None, as_json: JsonOption = False) -> None:
+    """Print the gains in use, as a controller file."""
+    print_settings(ask(socket, "status")["controller"], as_json=as_json)
+
+
+def check_remark(text: str) -> str:
+    """Return the remark without control characters; leave with 2 where it is empty or too long."""
+    text = clean_text(text)
+    if not 1 <= len(text) <= LONGEST_REMARK:
+        message = f"must have 1 to {LONGEST_REMARK} characters (got {len(text)})"
+        raise typer.BadParameter(message)
+    return text
+
+
+def mark(
+    text: Annotated[
+        str,
+        typer.Argument(callback=check_remark, help="Remark of 1 to 2000 characters"),
+    ],
+    log: Annotated[
+        Path | None,
+        typer.Option(
+            "--log",
+            metavar="FILE",
+            help="Log of the run to mark, where several go on",
+            show_default="the only one",
+        ),
+    ] = None,
+    socket: SocketOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Put a remark into the log of the run that goes on, of the daemon or of pamctl run."""
+    require_linux()
+    from pamctl.processes.mark_desk import list_running_runs, mark_run
+
+    runs = [] if socket is not None else list_running_runs()
+    if log is not None:
+        runs = [run for run in runs if run.log == log.absolute()]
+    elif runs:
+        choices = [str(run.log) for run in runs] + _find_daemon_log()
+        if len(choices) > 1:
+            raise typer.BadParameter(
+                f"several runs go on; choose one with --log: {', '.join(choices)}",
+                param_hint="--log",
+            )
+    if runs:
+        mark_run(runs[0], text)
+        print_answer({"log": str(runs[0].log)}, "marked", as_json=as_json)
+        return
+    if log is not None and _find_daemon_log(socket) != [str(log.absolute())]:
+        raise Failed(ExitCode.CHECK_FAILED, f"no run that takes marks writes {log}")
+    print_answer(ask(socket, "mark", {"text": text}), "marked", as_json=as_json)
+
+
+def _find_daemon_log(socket: Path | None = None) -> list[str]:
+    """Return the log that a daemon writes now; empty where there is none."""
+    from pamctl.daemon.client import DaemonDeclinedError, DaemonUnreachableError
+
+    try:
+        log = ask(socket, "status")["log"]
+    except (DaemonUnreachableError, DaemonDeclinedError):
+        return []
+    return [] if log is None else [log]

@@ -32,9 +32,6 @@ MISFIT_SCATTER = 0.15
 PRESSURE_SCATTER = 0.05
 """Half width of the pressure's misfit where the model explains it: runs of an unchanged rig differ
 by 0.06 of the noise at most (140 runs of 35 hidden rigs); those of the position by 0.4."""
-ENCODER_SPREAD = 2.3
-"""Runs of an unchanged rig scatter by this multiple of their intervals: an encoder's steps are no
-independent noise (120 numbers of 17 rigs; with white noise in its place the factor is 1)."""
 SHORTEST_S = 3.0
 
 
@@ -107,7 +104,7 @@ def fit_record(record: Record, plant: PlantSettings, stated: Stated = Stated()) 
 
 def _widen_by_misfit(number: FittedNumber, ratio: float) -> FittedNumber:
     """Widen an interval by what is left beyond a misfit's scatter: what is left moves numbers."""
-    factor = ENCODER_SPREAD * max(ratio / (1.0 + MISFIT_SCATTER), 1.0)
+    factor = max(ratio / (1.0 + MISFIT_SCATTER), 1.0)
     low, high = (number.value + factor * (end - number.value) for end in (number.low, number.high))
     return replace(number, low=low, high=high)
 

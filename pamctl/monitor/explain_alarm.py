@@ -113,8 +113,10 @@ def hold_constants(before: Record, plant: PlantSettings) -> PlantSettings:
     pressure. They did not move when the block left the model, unless they are what moved.
     """
     from pamctl.diagnose.evidence.weigh import CALIBRATED, prepare_weigher
+    from pamctl.diagnose.mend import mend_records
     from pamctl.diagnose.plant_numbers import with_values
 
+    (before,), _ = mend_records([before])
     weigher, start = prepare_weigher([before], (), plant)
     fitted = weigher.settle(start).values
     names = {*CALIBRATED[plant.actuator]} & {*fitted}

@@ -85,6 +85,12 @@ def test_a_hysteretic_spring_is_named() -> None:
     assert names_of(found) == ["spring_hysteresis"]
 
 
+def test_a_slowly_rippling_supply_is_named_with_its_frequency() -> None:
+    found = of_uncatalogued("supply_ripple")
+    assert names_of(found) == ["supply_ripple"]
+    assert numbers_of(found)["supply_ripple.frequency_hz"] == pytest.approx(0.7, rel=1e-3)
+
+
 def test_friction_that_grows_with_position_is_named() -> None:
     found = diagnose(*measure("position_dependent_friction"), PlantSettings())
     assert names_of(found)[0] == "position_friction"

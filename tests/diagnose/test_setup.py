@@ -87,6 +87,32 @@ def test_a_clock_that_runs_fast_is_told_from_the_physics() -> None:
     assert abs(fault.value) == pytest.approx(2e-3, rel=0.1)
 
 
+@pytest.mark.long
+def test_times_that_are_all_too_long_are_said() -> None:
+    found = diagnose_spoiled(hidden_rig(seed=4), lambda r: replace(r, t_s=1.03 * r.t_s))
+    (fault,) = list_faults(found)
+    assert (fault.kind, fault.number) == ("clock_rate", "t_s")
+    assert fault.value == pytest.approx(0.03, rel=0.15)
+
+
+@pytest.mark.long
+def test_a_command_of_the_wrong_sign_is_said() -> None:
+    found = diagnose_spoiled(hidden_rig(seed=6), lambda r: replace(r, valve_v=-r["valve_v"]))
+    assert [(f.kind, f.number) for f in list_faults(found)] == [("sign", "valve_v")]
+    assert "the command has the wrong sign" in sentence(found)
+
+
+@pytest.mark.long
+def test_an_atmosphere_that_was_added_twice_is_said() -> None:
+    found = diagnose_spoiled(
+        hidden_rig(seed=4), lambda r: replace(r, pressure_pa=r["pressure_pa"] + 101.3e3)
+    )
+    (fault,) = list_faults(found)
+    assert (fault.kind, fault.number) == ("added", "pressure_pa")
+    assert fault.value == pytest.approx(101.3e3, rel=0.005)
+    assert "the atmosphere was added twice" in sentence(found)
+
+
 @pytest.mark.parametrize("effects", [{}, {"valve_deadband": 3}])
 def test_a_right_set_up_is_not_blamed(effects: dict[str, float]) -> None:
     assert list_faults(diagnose_spoiled(hidden_rig(effects, seed=9))) == []

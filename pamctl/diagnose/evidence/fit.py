@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from pamctl.diagnose.evidence.constants import (
     COARSE_STEP_S,
@@ -39,6 +40,8 @@ MOST_STEP = 3.0
 """Scales that a number may move at once."""
 NEAR = 0.5
 """Scales within which a tangent is that of the place."""
+LEAST_LEFT = 1e-3
+"""Of a stretch that is left out: what it alone shows stays finite."""
 KEPT_PROMISE = 0.3
 """A tangent is used again while a step gains this share of what it promised."""
 
@@ -265,27 +268,32 @@ class Weigher:
         self.leave_out(better)
 
     def find_intervals(self, m: WeighedModel) -> dict[str, tuple[float, float]]:
-        """Return a 90 % interval of each number, by the scores of the blocks (a sandwich).
+        """Return a 90 % interval of each number: each stretch of blocks left out (a jackknife).
 
-        Neighbouring blocks are summed, STRETCH at a time: their scores are not independent. The
-        error of a sensor's step stays the same while a signal rests: each block may be off by it.
+        What a stretch moves is known to first order by its score, under the model's own floor. A
+        number is somewhere in its range: that bounds what no sample shows. The error of a sensor's
+        step stays the same while a signal rests: each block may be off by it.
         """
-        assert m.tangent is not None
-        count, (_, n_blocks, _) = len(m.x), m.d.shape
-        flat = m.tangent.reshape(count, -1)
-        weighed = flat * m.cost.weights.ravel()
-        hessian = weighed @ flat.T
-        inverse = np.linalg.pinv(hessian, hermitian=True)
-        by_block = (weighed * m.d.ravel()).reshape(count, len(m.d), n_blocks, -1).sum(axis=(1, 3))
-        pieces = np.add.reduceat(by_block, np.arange(0, n_blocks, STRETCH), axis=1)
-        by_mean = (
-            weighed.reshape(count, *m.d.shape)[..., -1]
-            * np.sqrt(m.d.shape[-1] * self.like.least2)[:, None]
-        )
-        by_mean = by_mean.reshape(count, -1)
-        middle = pieces @ pieces.T + by_mean @ by_mean.T
-        variance = np.maximum(np.diag(inverse @ middle @ inverse), np.diag(inverse) * 0.1)
-        off = 1.645 * np.sqrt(np.maximum(variance, 0.0)) * [n.scale for n in m.numbers]
+        if not np.array_equal(m.tangent_at, m.x):
+            m.tangent = None
+        tangent, (channels, n_blocks, block) = self._find_tangent(m), m.d.shape
+        count, least2 = len(m.x), self.like.least2
+        own2 = np.maximum(least2, NUGGET**2 * self.like.mean_squares(m.d))
+        split = tangent.reshape(count, channels, n_blocks, block)
+        weighed = split * self.like(m.d, own2).weights
+        by_block = np.einsum("icbk,jcbk->bij", weighed, split)
+        wide = np.array([(n.high - n.low) / n.scale for n in m.numbers])
+        hessian = by_block.sum(axis=0) + np.diag(12.0 / wide**2)
+        inverse = np.linalg.inv(hessian)
+        begins = np.arange(0, n_blocks, max(1, min(STRETCH, n_blocks // 4)))
+        pieces = np.add.reduceat(by_block, begins, axis=0)
+        scores = np.add.reduceat(np.einsum("icbk,cbk->bi", weighed, m.d), begins, axis=0)
+        moves = np.linalg.solve(hessian - (1.0 - LEAST_LEFT) * pieces, scores[..., None])[..., 0]
+        steps = (weighed[..., -1] * np.sqrt(block * least2)[:, None]).reshape(count, -1)
+        variance = (moves**2).sum(axis=0) + ((inverse @ steps) ** 2).sum(axis=1)
+        variance = np.maximum(variance, np.diag(inverse))
+        times = float(stdtrit(max(len(begins) - 1, 1), 0.95))
+        off = times * np.sqrt(variance) * [n.scale for n in m.numbers]
         return {
             n.name: (float(v - w), float(v + w))
             for n, v, w in zip(m.numbers, m.x, off, strict=True)

@@ -7,6 +7,7 @@ speaks against it only where it clearly does better.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,13 +20,14 @@ from pamctl.diagnose.evidence.constants import (
     RIVAL_SHARE,
     SURE,
 )
-from pamctl.diagnose.evidence.fit import KEPT_PROMISE, Array, WeighedModel, Weigher, bound_gain
+from pamctl.diagnose.evidence.fit import KEPT_PROMISE, Array, WeighedModel, bound_gain
 from pamctl.diagnose.evidence.measuring_chain import HOME
 from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.pool import CHAIN, Hypothesis
 from pamctl.diagnose.evidence.scores import EvidenceScore
 from pamctl.diagnose.plant_numbers import FittedNumber, unit_of
 
+Intervals = Mapping[str, tuple[float, float]]
 RIVALS = 4
 """Names that are fitted in its stead, and half as many free terms, beside the best of another kind
 and of another place."""
@@ -87,11 +89,14 @@ class Finding:
 
 def climb_ladder(search: NameSearch, base: WeighedModel, m: WeighedModel) -> list[Finding]:
     """Return what may be said of each name of a model, in the order in which they were found."""
+    intervals = search.weigher.find_intervals(m)
     search.weigher.meet(base, m)
-    return [_find_level(search, base, m, name) for name in m.names]
+    return [_find_level(search, base, m, name, intervals) for name in m.names]
 
 
-def _find_level(search: NameSearch, base: WeighedModel, m: WeighedModel, name: str) -> Finding:
+def _find_level(
+    search: NameSearch, base: WeighedModel, m: WeighedModel, name: str, intervals: Intervals
+) -> Finding:
     weigher, pool, mine = search.weigher, search.pool, search.pool[name]
     without = search.drop(m, name)
     own = without.left_out - m.left_out
@@ -133,6 +138,11 @@ def _find_level(search: NameSearch, base: WeighedModel, m: WeighedModel, name: s
         if its.place != mine.place or its.kind != mine.kind:
             says_kind &= bool(beaten)
         says_name &= bool(beaten)
+    # Nor is a size a cause that may as well be none.
+    says_name &= not all(
+        intervals[u.name][0] <= (u.neutral or 0.0) <= intervals[u.name][1]
+        for u in m.picked[name].sizes
+    )
     at_range = tuple(
         u.name
         for u in m.picked[name].free
@@ -152,7 +162,7 @@ def _find_level(search: NameSearch, base: WeighedModel, m: WeighedModel, name: s
     return Finding(
         mine, says_place, says_kind,
         says_name and not at_range and enough, float(own.sum()), (float(low), float(high)),
-        float(own.sum()) / whole, _list_numbers(weigher, m, name),
+        float(own.sum()) / whole, _list_numbers(m, name, intervals),
         at_range, bool(is_rest), tuple(sorted(judged, key=lambda j: j.behind_nats)),
     )  # fmt: skip
 
@@ -166,8 +176,7 @@ def _judge_rival(
     return JudgedRival(hypothesis, float(lead.sum()), interval, loses, beaten, is_freer)
 
 
-def _list_numbers(weigher: Weigher, m: WeighedModel, name: str) -> tuple[FittedNumber, ...]:
-    intervals = weigher.find_intervals(m)
+def _list_numbers(m: WeighedModel, name: str, intervals: Intervals) -> tuple[FittedNumber, ...]:
     return tuple(
         fit_number(u.name, m.values[u.name], intervals[u.name])
         for u in m.picked[name].free

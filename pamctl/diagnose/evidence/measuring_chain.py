@@ -15,6 +15,10 @@ from pamctl.plant.effects.description import Actuator
 ATMOSPHERE = "atmospheric_pressure_pa"
 TURNED = "turned"
 """The kind of a column of the wrong sign."""
+ADDED = "added"
+"""The kind of a pressure to which the atmosphere was added twice."""
+SWITCHED = (TURNED, ADDED)
+"""Kinds that are so or not: there is nothing between."""
 
 
 HOME = f"{CHAIN}home."
@@ -69,6 +73,12 @@ def list_of_chain(
         yield _make_clock("valve", "valve", "valve_v")
     if "pressure_pa" in channels:
         air = plant["atmospheric_pressure_pa"]
+        name = f"{CHAIN}added.pressure_pa"
+        added = Unknown(name, air, 0.9 * air, 1.1 * air, 0.01 * air, 0.0, air)
+        yield Hypothesis(
+            "atmosphere_added", "pressure_sensor", ADDED, (Variant({}, (added,)),),
+            "atmosphere_added", setup=(ADDED, "pressure_pa"),
+        )  # fmt: skip
         yield _make_number("atmosphere", "pressure_sensor", f"{CHAIN}atmosphere", air, 0.02, 0.16)
     if actuator == "muscle":
         for name, share in (("rest_length_m", 0.01), ("temperature_k", 0.02)):
@@ -85,7 +95,9 @@ def _make_turn(short: str, place: str, channel: str) -> Hypothesis:
 
 
 def _make_clock(short: str, place: str, channel: str) -> Hypothesis:
-    rate = Unknown(f"{CHAIN}clock.{channel}", 1e-4, -0.02, 0.02, 1e-4, 0.0, 1e-4)
+    """Return a clock that parts from the others, or that of all columns: it may run much faster."""
+    most, visible = (0.1, 1e-3) if channel == "t_s" else (0.02, 1e-4)
+    rate = Unknown(f"{CHAIN}clock.{channel}", visible, -most, most, visible, 0.0, 1e-4)
     name = f"{short}_clock"
     variants = (Variant({}, (rate,)),)
     return Hypothesis(name, place, "clock", variants, name, setup=("clock_rate", channel))

@@ -16,7 +16,7 @@ from pamctl.diagnose.evidence.constants import (
     SHORTLIST,
 )
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
-from pamctl.diagnose.evidence.measuring_chain import TURNED
+from pamctl.diagnose.evidence.measuring_chain import SWITCHED
 from pamctl.diagnose.evidence.pool import Hypothesis, Variant
 from pamctl.diagnose.evidence.scores import EvidenceScore, drop_name, extend_model, score_all
 
@@ -72,14 +72,14 @@ class NameSearch:
         return self.prune(m)
 
     def turn_columns(self, base: WeighedModel) -> WeighedModel:
-        """Return the model with the column turned round that explains most, if one does.
+        """Return the model with the turned or shifted column that explains most, if one does.
 
         It is asked first, from the plant file's numbers: no tangent leads from one sign to another.
         """
         weigher, best = self.weigher, base
         start = np.array([n.value for n in base.numbers])
         for its in self.pool.values():
-            if its.kind != TURNED:
+            if its.kind not in SWITCHED:
                 continue
             (variant,) = its.variants
             (factor,) = variant.sizes

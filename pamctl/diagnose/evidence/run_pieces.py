@@ -31,14 +31,8 @@ from pamctl.diagnose.evidence.measured_motion import (
     has_no_speed,
     judge_motion,
 )
-from pamctl.diagnose.evidence.measuring_chain import HOME
 from pamctl.diagnose.evidence.pool import CHAIN
-from pamctl.diagnose.evidence.sample_masks import (
-    fill_gone,
-    find_frozen,
-    find_neighbours,
-    find_spikes,
-)
+from pamctl.diagnose.evidence.sample_masks import fill_gone, find_frozen, find_neighbours
 from pamctl.plant.drive import (
     NO_RESTARTS,
     Restarts,
@@ -67,6 +61,8 @@ BLOCK_S = 0.512
 TWELFTHS = 12
 HELD_OUT = (5, 11)
 """Of twelve stretches of each record, those that are held out where no record is."""
+ADDED_PA = f"{CHAIN}added.pressure_pa"
+"""What a file's pressure is too high by: a record begins by so much lower."""
 FAR = 1e4
 """What a simulation shows where the plant leaves the range of its model."""
 
@@ -201,7 +197,7 @@ class Runs:
         masked = ~np.isfinite(shown)
         shown = np.stack([fill_gone(row, gone) for row, gone in zip(shown, masked, strict=True)])
         for row, gone in zip(shown, masked, strict=True):
-            gone |= find_spikes(row) | find_frozen(row)
+            gone |= find_frozen(row)
         if counts is not None:
             masked |= ~np.asarray(counts, dtype=bool)
         pressures = columns.get("pressure_pa")
@@ -275,7 +271,8 @@ class Runs:
         air_pa = chain.get(f"{CHAIN}atmosphere")
         if air_pa is not None:
             plain["atmospheric_pressure_pa"] = air_pa
-        command = {k: v for k, v in chain.items() if k.endswith(("valve_v", "t_s"))}
+        early = ("valve_v", "t_s", ADDED_PA)
+        command = {k: v for k, v in chain.items() if k.endswith(early)}
         key = (step_s, *sorted((plain | command).items()))
         last = self._whole._last
         if last is not None and last[0] == key:
@@ -311,7 +308,7 @@ class Runs:
         if self.actuator == "direct":
             return self._drive_mechanism(p, stretch, grid)
         if "valve_v" not in inputs:
-            start = self._start(p, stretch)
+            start = self._start(p, stretch, 0.0)
             response = drive_mechanics(p, inputs["pressure_pa"], grid, start=start)
             return response.position_m[None]
         commands = inputs["valve_v"]
@@ -320,15 +317,17 @@ class Runs:
             when_s = grid.samples_s * (1.0 + command.get(f"{CHAIN}clock.valve_v", 0.0))
             when_s = when_s + command.get(f"{CHAIN}late.valve_v", 0.0)
             commands = np.interp(when_s, grid.samples_s, commands)
-        coupled = drive_coupled(p, commands, grid, start=self._start(p, stretch))
+        start = self._start(p, stretch, command.get(ADDED_PA, 0.0))
+        coupled = drive_coupled(p, commands, grid, start=start)
         return np.stack([getattr(coupled, channel) for channel in self.channels])
 
-    def _start(self, p: PlantParameters, stretch: RunPiece) -> Any:
+    def _start(self, p: PlantParameters, stretch: RunPiece, added_pa: float) -> Any:
         if stretch.starts_at_rest:
             return None
         first = {name: float(np.median(c[:5])) for name, c in stretch.inputs.items()}
         position_m = first.get("position_m", 0.0)
-        return rest_state(p, position_m, first.get("pressure_pa", self._atmosphere_pa))
+        pressure_pa = first.get("pressure_pa", self._atmosphere_pa + added_pa) - added_pa
+        return rest_state(p, position_m, pressure_pa)
 
     def _drive_mechanism(self, p: PlantParameters, stretch: RunPiece, grid: SampleGrid) -> Array:
         inputs, rates, n = stretch.inputs, stretch.rates, len(grid.samples_s)
@@ -362,7 +361,8 @@ class Runs:
                     part[:] = gaussian_filter1d(part, max(width_s / self.period_s, 0.05))
                 at += size
             row *= chain.get(f"{CHAIN}factor.{channel}", 1.0)
-            row += chain.get(f"{CHAIN}zero.{channel}", 0.0) + chain.get(f"{HOME}{channel}", 0.0)
+            for name in ("zero", "home", "added"):
+                row += chain.get(f"{CHAIN}{name}.{channel}", 0.0)
             if channel == "pressure_pa" and f"{CHAIN}atmosphere" in chain:
                 row += self._atmosphere_pa - chain[f"{CHAIN}atmosphere"]
         return rows

@@ -1,4 +1,7 @@
-"""Samples at which a record says nothing: spikes, frozen stretches; and what fills them."""
+"""Samples at which a record says nothing: frozen stretches; and what fills them.
+
+Spikes and dropouts are found before (`diagnose.mend`), and come in a record's `counts`.
+"""
 
 from __future__ import annotations
 
@@ -20,15 +23,6 @@ FROZEN = 20
 def find_resolution(row: Array) -> float:
     """Return the step with which a channel was digitised; a millionth of its span if none shows."""
     return find_sensor_step(row) or max(1e-6 * float(np.ptp(row)), 1e-12)
-
-
-def find_spikes(row: Array) -> Mask:
-    """Return the samples that stand out of their four neighbours, one or two together."""
-    padded = np.pad(row, 2, mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 5)
-    off = np.abs(row - np.median(windows, axis=1))
-    usual = float(np.quantile(off, 0.99))
-    return np.asarray(off > max(20.0 * usual, 10.0 * find_resolution(row)))
 
 
 def find_frozen(row: Array) -> Mask:

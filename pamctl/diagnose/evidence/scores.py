@@ -111,7 +111,7 @@ class _Beside:
             for u, n, w in zip(variant.sizes, neutral, usual, strict=True)
         )
         dose = min(dose, 0.9 * room)
-        if any(u.low < u.high < (u.neutral or 0.0) for u in variant.sizes):
+        if any(not u.low <= (u.neutral or 0.0) <= u.high for u in variant.sizes):
             dose = 1.0  # a column is turned round or not: there is nothing between
         for again in range(3):
             secants = []
@@ -183,7 +183,8 @@ class _Beside:
         """Yield the variants at the two best periods, by directions that cost no simulation.
 
         The weighed residual, back in time, is correlated with what a wave of each period would do
-        to the readings: for a force a lag, for a supply the change by a constant pressure.
+        to the readings: for a force a lag, for a supply the change by a constant pressure. A wave
+        in time also has a weight: that of the levels of its frequency.
         """
         runs, m = self.weigher.train, self.m
         off = self.off - self.inverse @ self.slope @ self.weighed
@@ -200,8 +201,8 @@ class _Beside:
         else:
             tank = "tank_pressure_pa"
             more = {**m.values, tank: m.values.get(tank, self.weigher.base[tank]) + 1e3}
-            way = from_haar(self.weigher.find_residual(more) - self.here)
-            pull, over = (pull * way.reshape(pull.shape)).sum(axis=0)[None], runs.when_s.ravel()
+            way = from_haar(self.weigher.find_residual(more) - self.here).reshape(pull.shape)
+            pull, over = (pull * way).sum(axis=0)[None], runs.when_s.ravel()
         span = float(np.ptp(over))
         if span <= 0.0:
             return
@@ -212,6 +213,8 @@ class _Beside:
         place = ((over - over.min()) / span * (bins - 1)).astype(int)
         spectrum = np.abs(np.fft.rfft(np.bincount(place, pull.sum(axis=0), bins), 4 * bins)) ** 2
         rates = np.arange(len(spectrum)) / (4.0 * span) * (bins - 1) / bins
+        if hypothesis.scan == "time":
+            spectrum /= self._weigh_rates(rates, (way**2).sum(axis=1))
         spectrum[(rates < 0.75 / span) | (rates > highest)] = 0.0
         variant = hypothesis.variants[0]
         for _ in range(2):
@@ -224,6 +227,17 @@ class _Beside:
             )  # fmt: skip
             yield variant._replace(shapes=(shape,))
             spectrum[max(best - 5, 0) : best + 6] = 0.0
+
+    def _weigh_rates(self, rates: Array, size2: Array) -> Array:
+        """Return the weighed square of waves in time, Hz, whose squares are these by channel."""
+        like, weights = self.weigher.like, self.m.cost.weights
+        levels = np.arange(like.n_levels)
+        at = np.log2(1.0 / (self.weigher.train.period_s * np.maximum(rates, 1e-9))) - 1.5
+        total = np.zeros(len(rates))
+        for rows, counts, square in zip(weights, like.counts, size2, strict=True):
+            usual = np.bincount(like.level, rows.sum(axis=0), like.n_levels)
+            total += square * np.interp(at, levels, usual / np.maximum(counts, 1.0))
+        return np.maximum(total, 1e-300)
 
     @property
     def shown(self) -> Array:

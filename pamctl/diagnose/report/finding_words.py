@@ -339,11 +339,13 @@ def spell_quantity(value: float, unit: str) -> str:
     return f"{factor * value:.3g} {shown}"
 
 
-SETUP_UNITS: Mapping[str, str] = {"late": "s", "smooth": "s", "clock": "s/s", "atmosphere": "Pa"}
+SETUP_UNITS: Mapping[str, str] = {
+    "late": "s", "smooth": "s", "clock": "s/s", "atmosphere": "Pa", "added": "Pa",
+}  # fmt: skip
 """Units of the numbers between a plant and a file, by their first word."""
 _LABELS = {
     "plant_constant": "", "skew": "skew of ", "clock_rate": "clock of ", "filtered": "filter of ",
-    "sign": "sign of ",
+    "sign": "sign of ", "added": "atmosphere in ",
 }  # fmt: skip
 _CALLED = {
     "valve_v": "the command",
@@ -405,6 +407,8 @@ class SetupFault:
             return f"{column} is smoothed over {1e3 * value:.3g} ms, forwards and backwards"
         if self.kind == "sign":
             return f"{column} has the wrong sign"
+        if self.kind == "added":
+            return f"{column} is {1e-3 * value:.4g} kPa too high: the atmosphere was added twice"
         return f"{label_fault(self.kind, number)} is {value:.5g} {unit}".rstrip()
 
     @property
@@ -425,6 +429,8 @@ class SetupFault:
         if self.kind == "filtered":
             hz = sqrt(log(2.0)) / (2.0 * pi * max(value, 1e-9))  # half the power passes
             return f"give the data as they were measured: this filter ends near {hz:.3g} Hz"
+        if self.kind == "added":
+            return f"{number} is absolute already: take the atmosphere out of the import map"
         return f"change the sign of {number} in the import map or in the calibration"
 
     def as_dict(self) -> dict[str, Any]:

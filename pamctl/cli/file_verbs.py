@@ -94,7 +94,7 @@ def print_schema() -> None:
 
 # --- plants -----------------------------------------------------------------------------------
 
-_ACTUATORS = ("muscle", "direct", "chamber")
+_ACTUATORS = ("muscle", "direct", "chamber", "cylinder")
 
 
 @plant_app.callback()

@@ -38,7 +38,7 @@ from pamctl.plant.effects.friction import position_factor
 from pamctl.plant.effects.mechanics import drift_factor, stretch_ratio
 from pamctl.plant.effects.places import FrictionBand
 from pamctl.plant.paper import AxialForces, braid_lever_m, force_area_m2, slide
-from pamctl.plant.parameters import MechanicsState, PlantParameters
+from pamctl.plant.parameters import MechanicsState, PlantParameters, keep_in_stroke
 from pamctl.plant.term_kernels import (
     MotionPoint,
     add_damping_term,
@@ -92,6 +92,9 @@ def mechanism_step(
     end_m, end_v, bristles = move_muscle(
         p, forces, before.bristles, position_m, velocity_m_per_s, step_s
     )
+    kept_m = keep_in_stroke(p, end_m)
+    if kept_m != end_m:  # the end of a cylinder takes all speed
+        end_m, end_v = kept_m, 0.0
     memory = follow_motion(p.effects.mechanics, before.memory, position_m, end_m, gauge_pa, step_s)
     term = follow_motion_term(p.terms, before.term, position_m, end_m, gauge_pa, step_s)
     return end_m, end_v, MechanicsState(bristles, memory, term)

@@ -29,7 +29,7 @@ from pamctl.plant.catalogue import (
     make_rest_memories,
 )
 from pamctl.plant.effects.air import ripple_pa
-from pamctl.plant.effects.description import ACTUATORS
+from pamctl.plant.effects.description import ACTUATORS, Actuator
 from pamctl.plant.effects.places import Part
 from pamctl.plant.paper import MuscleParameters, PaperParameters
 from pamctl.plant.term_kernels import (
@@ -57,6 +57,8 @@ class PlantParameters(NamedTuple):
     sensors_act: bool
     direct: bool
     """A measured force, and a piston if there is one, drive the mechanics instead of the muscle."""
+    stroke_m: float = 0.0
+    """A cylinder's piston moves from 0 to here; 0: nothing stops what moves."""
     terms: Terms | None = None
     """None: a plant without terms does not compile them."""
 
@@ -151,6 +153,13 @@ def rest_state(p: PlantParameters, position_m: float, pressure_pa: float) -> Pla
     )
 
 
+def keep_in_stroke(p: PlantParameters, position_m: float) -> float:
+    """Return the position between a cylinder's ends; of all else the position."""
+    if p.stroke_m <= 0.0:
+        return position_m
+    return min(max(position_m, 0.0), p.stroke_m)
+
+
 def vented_state(p: PlantParameters) -> PlantState:
     """Return the muscle at rest at atmospheric pressure: only an effect's force moves it."""
     rest_m = 0.0
@@ -158,7 +167,9 @@ def vented_state(p: PlantParameters) -> PlantState:
         memory = MechanicsState().memory
         pull_n = add_force(p.effects.mechanics, memory, 0.0, 0.0, 0.0, 0.0, 0.0)
         pull_n = add_force_term(p.terms, TermMemory(), pull_n, MotionPoint(0.0, 0.0, 0.0, 0.0))
-        rest_m += pull_n / p.paper.stiffness_n_per_m
+        stiffness = p.paper.stiffness_n_per_m
+        rest_m += pull_n / stiffness if stiffness > 0.0 else 0.0
+        rest_m = keep_in_stroke(p, rest_m)
     return rest_state(p, rest_m, p.paper.atmospheric_pressure_pa)
 
 
@@ -166,8 +177,9 @@ PAPER: dict[str, float] = MuscleParameters().model_dump()
 """Tables I and II in SI."""
 ACTUATOR = "actuator"
 """Place of the actuator in `ACTUATORS`."""
-CHAMBER_VOLUME = "chamber_volume_m3"
-_RIGID = {"damping_n_s_per_m": 1e12, "stiffness_n_per_m": 1e12, "kinetic_friction_per_m": 0.0}
+GEOMETRY = ("chamber_volume_m3", "cylinder_area_m2", "cylinder_volume_m3", "stroke_m")
+"""Numbers of what has no braid; 0 where they mean nothing."""
+_RIGID = {"damping_n_s_per_m": 1e12, "stiffness_n_per_m": 1e12}
 """The walls of a chamber: they move by less than a picometre per newton."""
 _ENDLESS_M = 1e9
 
@@ -200,7 +212,7 @@ def _sizes_of(part: Part) -> tuple[tuple[str, float], ...]:
 
 _VALVE, _AIR = _sizes_of("valve"), _sizes_of("air")
 _MECHANICS, _SENSORS = _sizes_of("mechanics"), _sizes_of("sensors")
-_DEFAULTS = {ACTUATOR: 0.0, CHAMBER_VOLUME: 0.0, **PAPER, **NEUTRAL}
+_DEFAULTS = {ACTUATOR: 0.0, **dict.fromkeys(GEOMETRY, 0.0), **PAPER, **NEUTRAL}
 
 
 def parameters_of(values: Mapping[str, float]) -> PlantParameters:
@@ -217,16 +229,16 @@ def parameters_of(values: Mapping[str, float]) -> PlantParameters:
         for group, layout in _LAYOUTS
     )
     actuator = ACTUATORS[round(v[ACTUATOR])]
-    direct = actuator == "direct"
-    if actuator == "chamber":
-        v |= _make_chamber_rigid(v)
+    has_braid = actuator in ("muscle", "direct")
+    if not has_braid:
+        v |= _leave_out_braid(v, actuator)
     paper = PaperParameters(
         mass_kg=v["mass_kg"],
         damping_n_s_per_m=v["damping_n_s_per_m"],
         stiffness_n_per_m=v["stiffness_n_per_m"],
         rest_length_m=v["rest_length_m"],
         braid_length_m=v["braid_length_m"],
-        volume_scale=1.0 / (4.0 * math.pi * v["braid_turns"] ** 2),
+        volume_scale=1.0 / (4.0 * math.pi * v["braid_turns"] ** 2) if has_braid else 0.0,
         friction_area_m=v["kinetic_friction_per_m"] * v["braid_count"] * v["braid_contact_area_m2"],
         tank_pressure_pa=v["tank_pressure_pa"],
         atmospheric_pressure_pa=v["atmospheric_pressure_pa"],
@@ -238,6 +250,8 @@ def parameters_of(values: Mapping[str, float]) -> PlantParameters:
         * critical ** (1.0 / gamma)
         * math.sqrt(1.0 - critical ** ((gamma - 1.0) / gamma)),
         unchoked_flow_s_per_m=unchoked,
+        cylinder_area_m2=v["cylinder_area_m2"],
+        cylinder_volume_m3=v["cylinder_volume_m3"],
     )
     terms = make_terms(values)
     return PlantParameters(
@@ -245,12 +259,13 @@ def parameters_of(values: Mapping[str, float]) -> PlantParameters:
         effects=Effects(*groups),
         valve_acts=_has_term(terms, "valve") or any(v[name] != neutral for name, neutral in _VALVE),
         air_acts=_has_term(terms, "air") or any(v[name] != neutral for name, neutral in _AIR),
-        mechanics_act=direct
+        mechanics_act=actuator in ("direct", "cylinder")
         or _has_term(terms, "mechanics")
         or any(v[name] != neutral for name, neutral in _MECHANICS),
         sensors_act=_has_term(terms, "sensors")
         or any(v[name] != neutral for name, neutral in _SENSORS),
-        direct=direct,
+        direct=actuator == "direct",
+        stroke_m=v["stroke_m"],
         terms=terms,
     )
 
@@ -259,17 +274,20 @@ def _has_term(terms: Terms | None, part: str) -> bool:
     return terms is not None and getattr(terms, part).size != 0.0
 
 
-def _make_chamber_rigid(v: Mapping[str, float]) -> dict[str, float]:
-    """Return the numbers of a muscle that has the chamber's volume (Eq. 2) and cannot move.
+def _leave_out_braid(v: Mapping[str, float], actuator: Actuator) -> dict[str, float]:
+    """Return the numbers of a plant without a braid; a chamber's walls do not move either.
 
-    Records may hold a position beside it. With b = sqrt(3) L_0 the volume is largest at 0, and
-    L_0 is so long that a position of metres changes it by no bit.
+    The braid's angle stays defined at any position: L_0 is longer than all strokes.
     """
-    length = _ENDLESS_M
-    braid = math.sqrt(3.0) * length
-    turns_squared = length * (braid * braid - length * length) / v[CHAMBER_VOLUME]
-    numbers = {"rest_length_m": length, "braid_length_m": braid}
-    return {**_RIGID, **numbers, "braid_turns": math.sqrt(turns_squared / (4.0 * math.pi))}
+    numbers = {
+        "rest_length_m": _ENDLESS_M,
+        "braid_length_m": 1.5 * _ENDLESS_M,
+        "kinetic_friction_per_m": 0.0,
+    }
+    if actuator == "chamber":
+        volume = {"cylinder_volume_m3": v["chamber_volume_m3"], "cylinder_area_m2": 0.0}
+        return {**numbers, **volume, **_RIGID}
+    return numbers
 
 
 def _explain_unknown(name: str) -> str:

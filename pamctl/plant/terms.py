@@ -29,6 +29,7 @@ from math import exp, pi, sin
 from typing import NamedTuple
 
 from pamctl.plant.effects.description import (
+    ACTUATORS,
     Actuator,
     Block,
     EffectDescription,
@@ -217,7 +218,7 @@ class Location:
     memory_of: tuple[str, ...] = ()
     """Drivers that an operator with a memory may have."""
     seen_by: tuple[Block, ...] = ("mechanics",)
-    actuators: tuple[Actuator, ...] = ("muscle", "direct", "chamber")
+    actuators: tuple[Actuator, ...] = ACTUATORS
 
     @property
     def term_name(self) -> str:
@@ -275,8 +276,8 @@ def _describe_parameters(location: Location) -> tuple[EffectParameter, ...]:
 
 _MOTION = ("position", "pressure", "velocity", "time")
 _AIR: tuple[Block, ...] = ("pressure",)
-_BEHIND_VALVE: tuple[Actuator, ...] = ("muscle", "chamber")
-_MOVING: tuple[Actuator, ...] = ("muscle", "direct")
+_BEHIND_VALVE: tuple[Actuator, ...] = ("muscle", "chamber", "cylinder")
+_MOVING: tuple[Actuator, ...] = ("muscle", "direct", "cylinder")
 
 LOCATIONS: dict[str, Location] = {
     location.name: location
@@ -292,7 +293,7 @@ LOCATIONS: dict[str, Location] = {
         Location("flow", "a flow into the muscle", "kg/s", 1e-6, "air",
                  ("command", "pressure", "position", "time"), (), _AIR, _BEHIND_VALVE),
         Location("volume", "the volume of the air", "m3", 1e-6, "air",
-                 ("position", "pressure"), (), _AIR, ("muscle",)),
+                 ("position", "pressure"), (), _AIR, ("muscle", "cylinder")),
         Location("force", "a force", "N", 0.5, "mechanics", _MOTION, ("position", "pressure"),
                  actuators=_MOVING),
         Location("stiffness", "the stiffness", "N/m", 100.0, "mechanics", ("pressure", "time"),
@@ -302,9 +303,9 @@ LOCATIONS: dict[str, Location] = {
         Location("braid_friction", "the braid's friction", "1", 0.05, "mechanics", _MOTION,
                  actuators=("muscle",)),
         Location("dry_friction", "the dry friction", "1", 0.05, "mechanics", _MOTION,
-                 actuators=("direct",)),
+                 actuators=("direct", "cylinder")),
         Location("pull", "the muscle's pull", "1", 0.01, "mechanics", _MOTION, ("position",),
-                 actuators=("muscle",)),
+                 actuators=("muscle", "cylinder")),
         Location("pressing", "the pressure that pulls", "Pa", 500.0, "mechanics", _MOTION,
                  actuators=("muscle",)),
         Location("pressure_sensor", "the pressure sensor's reading", "Pa", 500.0, "sensors",

@@ -18,7 +18,6 @@ from typing import NoReturn
 from hal.rig import RigError
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.backends import build_clock, build_rig, make_plant, require_backend
-from pamctl.processes.finisher_main import start_finisher
 from pamctl.processes.loop_supervisor import LoopSupervisor
 from pamctl.realtime.loop import ControlLoop
 from pamctl.realtime.orders import Orders
@@ -32,6 +31,7 @@ from pamctl.recording.journal import (
     put_last_event,
     wait_for_recorder,
 )
+from pamctl.recording.recorder import leave_recorder
 from pamctl.recording.ring import RecorderFlag, Ring, RingError, RingFull
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings, from_resolved
@@ -49,7 +49,7 @@ def main() -> NoReturn:
         # If the ring has no room for it, the front puts it there once the recorder has made room.
         ring.loop_done = _put_outcome(ring, ending)
         if supervisor.may_be_last():
-            start_finisher(ring.path)
+            leave_recorder(ring.path)
     report_and_exit(ending)
 
 

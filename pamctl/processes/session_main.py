@@ -15,7 +15,6 @@ from typing import NoReturn
 
 from pamctl.exit_codes import EMERGENCY_STOP, Ending, ExitCode
 from pamctl.processes.backends import build_clock, build_rig, make_plant, require_backend
-from pamctl.processes.finisher_main import start_finisher
 from pamctl.processes.loop_main import (
     await_guardian,
     check_rate,
@@ -31,6 +30,7 @@ from pamctl.realtime.scheduling import keep_single_threaded, prepare
 from pamctl.realtime.steering import SteeredProgram
 from pamctl.realtime.tick_runner import TickRunner
 from pamctl.recording.journal import SessionJournal
+from pamctl.recording.recorder import leave_recorder
 from pamctl.recording.ring import Ring, RingFull
 from pamctl.settings.build import build_ordered_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings, from_resolved
@@ -68,7 +68,7 @@ def main() -> NoReturn:
             journal.end_last_run(ending)
         ring.loop_done = 1
         if recorded is not None and supervisor.may_be_last():
-            start_finisher(recorded.path)
+            leave_recorder(recorded.path)
     report_and_exit(ending)
 
 

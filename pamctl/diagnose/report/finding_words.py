@@ -244,8 +244,8 @@ class FreeTerm:
     def text(self) -> str:
         """The term as a noun: `a force that remembers the last reversal ..., +-1.5 N`."""
         place = self.location.words
-        if self.actuator == "chamber":
-            place = place.replace("muscle", "chamber")
+        if self.actuator in ("chamber", "cylinder"):
+            place = place.replace("muscle", self.actuator)
         article = place if place.startswith("a ") else f"a change of {place}"
         return f"{article} {self._describe_memory()}, {self._describe_size()}"
 

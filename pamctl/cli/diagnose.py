@@ -165,7 +165,7 @@ def _require_known(names: Sequence[str]) -> None:
 
 def diagnose_on_rig(asked: DiagnoseOptions, plant: PlantSettings) -> None:
     """Run the rounds on the daemon's rig; write and print what was found, however they end."""
-    from pamctl.commissioning.terminal_operator import Terminal
+    from pamctl.commissioning.bench import Terminal
     from pamctl.diagnose.record import record_of
     from pamctl.on_rig.decide_on_rig import Investigation, write_investigation
     from pamctl.on_rig.rig_plan import Budget, make_rig_plan

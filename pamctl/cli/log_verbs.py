@@ -323,8 +323,7 @@ def import_file(asked: ImportOptions) -> None:
     A header says quantity and unit: position_mm, pressure_gauge_kpa, `Position [mm]`.
     Errors stop the import (65); warnings go into the log.
     """
-    from pamctl.log.importing.import_page import format_page
-    from pamctl.log.importing.pipeline import import_log
+    from pamctl.log.importing.pipeline import format_page, import_log
 
     done = import_log(
         asked.source,

@@ -202,7 +202,7 @@ class DataOptions(PlantOptions):
 
     def read_noise(self) -> dict[str, float]:
         """Return standard deviations by channel, in SI; leave with 2 where one is wrong."""
-        from pamctl.diagnose.mend import parse_noise
+        from pamctl.diagnose.record import parse_noise
 
         try:
             return parse_noise(self.noise)

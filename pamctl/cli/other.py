@@ -30,6 +30,7 @@ class ReproduceOptions(Options):
 def reproduce(asked: ReproduceOptions) -> None:
     """Write DIR/index.html and DIR/numbers.json; every number is simulated now."""
     from pamctl.report.html_page import write_html
+    from pamctl.report.progress_line import WorkProgress
     from pamctl.reproduce.reproduction import PARTS, reproduce_paper
 
     part, out = asked.part, asked.out
@@ -42,7 +43,8 @@ def reproduce(asked: ReproduceOptions) -> None:
     if out.is_dir():
         require_place(page, replaces=PAGE_BEGIN)
         require_place(numbers, replaces=_NUMBERS_BEGIN)
-    made = reproduce_paper(parts, asked.seed, lambda name: typer.echo(f"{name} ...", err=True))
+    with WorkProgress("reproduce") as progress:
+        made = reproduce_paper(parts, asked.seed, progress)
     text, failure = f"page: {page}\nnumbers: {numbers}", None
     written = to_json(made.numbers).decode() + "\n"
     try:

@@ -123,7 +123,7 @@ class Session:
         return self._loop.poll() is None
 
     def look(self) -> None:
-        """See whether guardian, loop and recorder live; any thread calls it, every `LOOK_EVERY_S`."""
+        """See whether guardian, loop and recorder live; any thread may, every `LOOK_EVERY_S`."""
         with self._reading:
             if self._ring in self._open_rings:
                 self._guardian.look(self._loop)

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from pamctl.diagnose.evidence.constants import MOST_DOSE
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
@@ -198,8 +197,7 @@ class _Beside:
             row = runs.channels.index("position_m")
             pull = pull[row][None]
             if hypothesis.place != "encoder":  # a force moves the mass first
-                keep = np.exp(-runs.period_s / FILTER_S)
-                pull = lfilter([1.0 - keep], [1.0, -keep], pull[:, ::-1])[:, ::-1]
+                pull = _lag_backwards(pull[0], runs.period_s / FILTER_S)[None]
             over = self.shown[row]
         else:
             tank = "tank_pressure_pa"
@@ -247,6 +245,14 @@ class _Beside:
         """What the model shows, one row a channel."""
         measured = self.weigher.train.shown
         return (measured - from_haar(self.m.d)).reshape(len(measured), -1)
+
+
+def _lag_backwards(row: Array, share: float) -> Array:
+    """Return a row behind a lag of 1 / share samples that runs from its end to its beginning."""
+    size = 2 * len(row)
+    lag = (1.0 - np.exp(-share)) * np.exp(-share * np.arange(len(row)))
+    product = np.fft.rfft(row[::-1], size) * np.fft.rfft(lag, size)
+    return np.asarray(np.fft.irfft(product, size)[: len(row)][::-1])
 
 
 def extend_model(weigher: Weigher, m: WeighedModel, score: EvidenceScore) -> WeighedModel:

@@ -108,7 +108,7 @@ pre{overflow-x:auto;background:var(--panel);padding:10px 12px;font-size:12.5px;l
 @media(max-width:600px){main{padding:16px 12px 48px}h1{font-size:22px}.frame{padding-left:50px}
 .spare{display:none}code{white-space:normal}
 nav{flex-wrap:nowrap;overflow-x:auto;white-space:nowrap;padding-bottom:6px}
-td,th{padding-right:8px}table{font-size:13px}.short{white-space:normal}td:not(.num):not(.short){min-width:6em}.facts{grid-template-columns:repeat(2,minmax(0,1fr))}}
+td,th{padding-right:6px}td:last-child,th:last-child{padding-right:0}table{font-size:13px}.short{white-space:normal}td:not(.num):not(.short){min-width:6em}.facts{grid-template-columns:repeat(2,minmax(0,1fr))}}
 @media print{:root{color-scheme:light;--bg:#fff;--fg:#000;--dim:#444;--rule:#ccc;--panel:#f6f6f6;
 --plot:#fff;--c0:#0072b2;--c1:#d55e00;--c2:#009e73;--c3:#cc79a7;--c4:#e69f00;--c5:#56b4e9;
 --c6:#000;--cm:#777;--good:#00785a;--bad:#c02d12}

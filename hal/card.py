@@ -19,8 +19,8 @@ from typing import Annotated, Any, Generic, Literal, NamedTuple, Self, TypeVar
 from pydantic import Field, model_validator
 
 from hal.backend import DoctorFinding, ProbeRequest, describe_rig_error
-from hal.calibration import Converter, Output, make_output, nearest_output_v
-from hal.rig import Configured, RigError
+from hal.calibration import Configured, Converter, Output, make_output, nearest_output_v
+from hal.rig import RigError
 
 
 class MSeriesWiring(Configured):

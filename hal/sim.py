@@ -23,6 +23,7 @@ from hal.backend import Backend, BuiltRig, Plant, RigRequest
 from hal.calibration import (
     Calibration,
     CalibrationSettings,
+    Configured,
     Converter,
     Output,
     Zero,
@@ -34,7 +35,7 @@ from hal.calibration import (
     valve_v,
 )
 from hal.reservation import open_shared, reserve
-from hal.rig import Configured, RawSample, RigError, RigIdentity
+from hal.rig import RawSample, RigError, RigIdentity
 
 
 class SimSettings(Configured):

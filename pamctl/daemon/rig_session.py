@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -159,7 +159,7 @@ class RigSession(SessionLife):
         note: Annotated[str, Field(max_length=LONGEST_NOTE)] = "",
         operator: Annotated[str, Field(max_length=LONGEST_NAME)] = "",
         sample: Annotated[str, Field(max_length=LONGEST_NAME)] = "",
-        tags: Annotated[Sequence[str], Field(max_length=MOST_TAGS)] = (),
+        tags: Annotated[list[str], Field(max_length=MOST_TAGS)] = [],  # noqa: B006
         sweep: Annotated[dict[str, str] | None, BeforeValidator(_refuse_many)] = None,
     ) -> dict[str, str]:
         """Run an experiment; home first if the muscle is not homed."""

@@ -22,7 +22,7 @@ from pamctl import __version__
 from pamctl.daemon.protocol import RequestRefusedError, order
 from pamctl.daemon.session_life import SessionLife
 from pamctl.exit_codes import EMERGENCY_STOP
-from pamctl.plain_text import LONGEST_REMARK, clean_text
+from pamctl.plain_text import LONGEST_NAME, LONGEST_NOTE, LONGEST_REMARK, MOST_TAGS, clean_text
 
 if TYPE_CHECKING:
     from pamctl.daemon.requested_settings import GainEdit
@@ -44,7 +44,6 @@ def _refuse_many(swept: Any) -> Any:
 
 
 DEFAULT_RAMP_S = 0.5
-LONGEST_NOTE, LONGEST_NAME, MOST_TAGS = 2000, 200, 64
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,60}$")]
 Ramp = Annotated[float, Field(ge=0, le=60, description="Time over which the gains change")]

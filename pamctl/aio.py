@@ -15,8 +15,10 @@ import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Concatenate, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
+from pamctl.daemon.protocol import list_orders
+from pamctl.daemon.rig_session import RigSession
 from pamctl.session.daemon_rig import connect as _connect
 from pamctl.session.simulated_rig import simulate as _simulate
 from pamctl.session.steered_rig import InterruptedWaitError, SteeredRig
@@ -64,6 +66,19 @@ class AsyncRig:
     stop = _await_method(SteeredRig.stop)
     disarm = _await_method(SteeredRig.disarm)
     ack = _await_method(SteeredRig.ack)
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Callable[..., Awaitable[Any]]:
+            """Give any order of the session by its name, as `SteeredRig` does."""
+            if name not in list_orders(RigSession):
+                raise AttributeError(f"a rig has no {name!r}")
+
+            async def call(*args: Any, **options: Any) -> Any:
+                rig = await self._open()
+                return await self._call(partial(getattr(rig, name), *args, **options))
+
+            return call
 
     async def estop(self) -> None:
         """Drive the safe voltage at once; it waits for no call that is going on."""

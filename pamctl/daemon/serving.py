@@ -20,9 +20,10 @@ from hal.rig import Rig
 from pamctl import __version__
 from pamctl.daemon.announcements import Announcements, notify, watchdog_period_s
 from pamctl.daemon.protocol import methods_of
-from pamctl.daemon.rig_session import RigSession, RigState
+from pamctl.daemon.rig_session import RigSession
 from pamctl.daemon.server import Server, find_group, require_no_daemon
 from pamctl.daemon.session import Workshop
+from pamctl.daemon.session_life import RigState
 from pamctl.daemon.shelf import Latch, Shelf
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.plant.model import PlantSettings
@@ -34,7 +35,7 @@ from pamctl.processes.run_once import (
     new_ring_path,
     secure_device,
 )
-from pamctl.recording.orphans import finish_orphans_in_own_process
+from pamctl.recording.recorder import finish_orphans
 from pamctl.settings.resolve import RunSettings
 
 _LOOK_EVERY_S = 5e-3
@@ -87,7 +88,7 @@ def serve_daemon(
             if risk:
                 print(f"note: {risk}", file=sys.stderr, flush=True)
         with secure_device(settings) as device:
-            finish_orphans_in_own_process(SHARED_MEMORY)  # its memory would stay with the daemon
+            finish_orphans(SHARED_MEMORY, quiet=False)
             service = RigSession(
                 settings,
                 names,
@@ -127,7 +128,7 @@ def _make_event(event: str, **details: object) -> dict[str, object]:
 
 def _make_workshop(settings: RunSettings, rig: Rig, readers: int) -> Workshop:
     return Workshop(
-        loop=child_command("pamctl.processes.session_main"),
+        loop=child_command("pamctl.processes.loop_main"),
         guardian=child_command("pamctl.processes.guardian_main"),
         rig=rig,
         meta=make_run_meta,

@@ -26,6 +26,10 @@ UNITS: Mapping[str, str] = {
     "temperature_k": "K",
     "heat_capacity_ratio": "",
     "valve_gain_m2_per_v": "m^2/V",
+    "chamber_volume_m3": "m^3",
+    "cylinder_area_m2": "m^2",
+    "cylinder_volume_m3": "m^3",
+    "stroke_m": "m",
 }
 """Units of the numbers that are no effect's."""
 

@@ -151,11 +151,11 @@ def translate_parse_errors(record: FileRecord) -> Iterator[None]:
 
 
 def _compare_checksum(record: FileRecord, what: str, stored: int, data: memoryview) -> None:
-    if stored not in (int.from_bytes(NO_CHECKSUM), _compute_checksum(data)):
+    if stored not in (int.from_bytes(NO_CHECKSUM), compute_checksum(data)):
         raise Damage(record.start, f"the checksum of {what} is wrong")
 
 
-def _compute_checksum(data: memoryview) -> int:
+def compute_checksum(data: memoryview) -> int:
     """Return the CRC of a part of a file; only that of all the data is long."""
     crc, is_long = 0, len(data) > HELD_BYTES
     for begin in range(0, len(data), HELD_BYTES):

@@ -1,7 +1,8 @@
 """Repair a damaged log: take over every part that is whole, and finish the file.
 
-A whole chunk is copied as it is packed; the index is made anew. `LogCopy` also begins what a dead
-recorder's log becomes (`pamctl.recording.finish_from_ring`), and a piece of a log (`edit.py`).
+A whole chunk is copied as it is packed; the index is made anew. `LogCopy` also makes a piece of a
+log (`edit.py`). `resume_log` copies nothing: it goes on behind the last whole chunk of the file of
+a dead recorder.
 """
 
 from __future__ import annotations
@@ -11,26 +12,29 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from io import BufferedRandom
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
 from numpy.typing import NDArray
 
 from pamctl.kept_memory import keep_freed_memory
+from pamctl.log.file_index import DESCRIPTIONS
 from pamctl.log.framing import (
+    MAGIC,
     NO_CHECKSUM,
     Damage,
     FileRecord,
     LogError,
+    compute_checksum,
     is_data_verified,
     map_log_file,
     read_summary,
     translate_parse_errors,
 )
-from pamctl.log.reading.file_index import DESCRIPTIONS
-from pamctl.log.reading.record_walk import (
+from pamctl.log.record_walk import (
     Hole,
     Loaded,
     MessageRun,
@@ -82,11 +86,12 @@ def recover_file(source: str | Path, destination: str | Path) -> Recovery:
             raise LogError(f"nothing of {source} can be saved: {'; '.join(copy.damage)}")
         recovery = copy.describe(str(source), destination)
         sign_recovery(writer, recovery)
+        writer.finish()
     return recovery
 
 
 def sign_recovery(writer: LogWriter, recovery: Recovery) -> None:
-    """Write into the log that it was repaired, and finish it."""
+    """Write into the log that it was repaired."""
     writer.metadata(
         "recovery",
         {
@@ -96,7 +101,26 @@ def sign_recovery(writer: LogWriter, recovery: Recovery) -> None:
             "unverified": ", ".join(recovery.unverified),
         },
     )
-    writer.finish()
+
+
+NO_TICK, NO_ROW = -(1 << 62), -1
+"""Before the first."""
+
+
+class MessagePlace:
+    """How far the messages of a log go: the last tick, and the last row of all that is no tick."""
+
+    def __init__(self) -> None:
+        """Begin before the first message."""
+        self.last_tick, self.last_row = NO_TICK, NO_ROW
+
+    def note(self, topic: str, messages: NDArray[Any]) -> None:
+        """Take note of messages of one topic."""
+        if topic in JSON_SCHEMAS:
+            rows = (message.get("row", NO_ROW) for message in parse_messages(messages))
+            self.last_row = max(self.last_row, *rows)
+        elif topic == TICK_TOPIC:
+            self.last_tick = max(self.last_tick, int(messages["sequence"].max()))
 
 
 class LogCopy:
@@ -118,8 +142,6 @@ class LogCopy:
         self.cut = True
         """Whether the end of the file is missing."""
         self.bytes_lost = 0
-        self.last_tick = -(1 << 62)
-        self.last_row = -1
 
     def describe(self, source: str, destination: Path) -> Recovery:
         """Return what was saved and lost so far."""
@@ -225,17 +247,9 @@ class LogCopy:
             kept = self.select_messages(topic, run.records)
             chosen.append((run.channel, kept))
             if len(kept):
-                self._note_place(topic, kept)
                 counts[topic] += len(kept)
         self.saved += counts
         return chosen
-
-    def _note_place(self, topic: str, kept: NDArray[Any]) -> None:
-        if topic in JSON_SCHEMAS:
-            rows = (message.get("row", -1) for message in parse_messages(kept))
-            self.last_row = max(self.last_row, *rows)
-        elif topic == TICK_TOPIC:
-            self.last_tick = max(self.last_tick, int(kept["sequence"].max()))
 
     def _look_ahead(self, writer: LogWriter, first: FileRecord) -> None:
         """Learn the channels from the first chunk behind `first` that describes them."""
@@ -253,6 +267,56 @@ class LogCopy:
 
         with suppress(_Found):
             self._load(learn, lambda hole: None)
+
+
+class ResumedLog(NamedTuple):
+    """A log that goes on behind the last whole chunk of its file."""
+
+    writer: LogWriter
+    damage: str
+    """Why the file ended there; empty where it was finished."""
+    last_tick: int
+    """The last tick that is in the file, and the last row of all that is no tick."""
+    last_row: int
+
+
+def resume_log(
+    path: Path, stream: BufferedRandom, beat: Callable[[], object] = lambda: None
+) -> ResumedLog:
+    """Go on with a log whose writer has died, or that is finished; `stream` has the file at `path`.
+
+    What follows the last whole chunk is cut off, and so is a summary. `beat` is called for each
+    record that is read. Raise Damage if something before the end is damaged: then the file is as
+    it was.
+    """
+    if path.stat().st_size <= len(MAGIC):
+        stream.truncate(0)
+        return ResumedLog(LogWriter(stream), "nothing was in it", NO_TICK, NO_ROW)
+    writer = LogWriter(stream, begins=False)
+    file = map_log_file(path)
+    place = MessagePlace()
+    damage, ended = "", False
+
+    def take(loaded: Loaded) -> None:
+        nonlocal ended
+        beat()
+        ended = ended or loaded.record.opcode == Opcode.DATA_END
+        if ended:
+            return
+        writer.take_over(loaded)
+        for part in loaded.parts:
+            if isinstance(part, MessageRun):
+                place.note(writer.topic(part.channel), part.records)
+
+    def lose(hole: Hole) -> None:
+        nonlocal damage
+        if not ended and not hole.at_end:
+            raise hole.damage
+        damage = damage if ended else str(hole.damage)
+
+    load_records(path, file, take, lose)
+    writer.go_on(lambda size: compute_checksum(file[:size]))
+    return ResumedLog(writer, damage, place.last_tick, place.last_row)
 
 
 class _Found(LogError):

@@ -14,10 +14,10 @@ from __future__ import annotations
 import platform
 import sys
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
-from io import BufferedWriter
+from io import BufferedRandom, BufferedWriter
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +29,9 @@ from numpy.typing import NDArray
 
 import pamctl
 from pamctl.json_text import to_json
+from pamctl.log.file_index import DESCRIPTIONS, FileIndex
 from pamctl.log.framing import FRAME, MAGIC, FileRecord, encode_record, encode_summary, record_at
-from pamctl.log.reading.file_index import DESCRIPTIONS, FileIndex
-from pamctl.log.reading.record_walk import MessageRun, Part, walk_messages
+from pamctl.log.record_walk import Loaded, MessageRun, Part, walk_messages
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import (
     JSON_SCHEMAS,
@@ -55,8 +55,8 @@ _MEDIA_TYPES = {".json": "application/json", ".yaml": "application/yaml"}
 class LogWriter:
     """A log under construction. The caller opens, syncs and closes its stream."""
 
-    def __init__(self, stream: BufferedWriter) -> None:
-        """Write the file's header."""
+    def __init__(self, stream: BufferedWriter | BufferedRandom, *, begins: bool = True) -> None:
+        """Write the file's header, unless the stream has it: `resume_log` reads what is there."""
         self._stream = stream
         self._at = self._crc = 0
         self._index = FileIndex()
@@ -74,8 +74,11 @@ class LogWriter:
         self._described: set[int] = set()
         """Channels that a reader of the file so far knows."""
         self._compressor = zstandard.ZstdCompressor(_LEVEL)
-        self._put(MAGIC)
-        self._put(encode_record(Header("", LIBRARY)))
+        self._unindexed: dict[int, NDArray[Any]] = {}
+        """Entries of the last chunk that was taken over, whose index is not in the file yet."""
+        if begins:
+            self._put(MAGIC)
+            self._put(encode_record(Header("", LIBRARY)))
 
     @property
     def chunks(self) -> int:
@@ -205,16 +208,66 @@ class LogWriter:
         self._put_chunk(chunk, known)
         self._stream.flush()
 
+    def take_over(self, loaded: Loaded) -> None:
+        """Take note of a sound record that the stream has already; call it for each, in order."""
+        record, place = loaded.record, (loaded.record.start, loaded.record.end)
+        match record.opcode:
+            case Opcode.CHUNK:
+                assert loaded.chunk is not None
+                for part in loaded.parts:
+                    if isinstance(part, FileRecord):
+                        self.learn(part)
+                _, self._unindexed = self._index.take_parts(loaded.parts)
+                self._index.add_chunk(loaded.chunk, place[0], place[1] - place[0])
+                self._described |= _find_described(loaded.parts)
+                self._at = place[1]
+            case Opcode.MESSAGE_INDEX:
+                channel = int.from_bytes(record.body[:2], "little")
+                if self._unindexed.pop(channel, None) is not None:
+                    self._index.add_message_index(channel, place[0], place[1] - place[0])
+                    self._at = place[1]
+            case Opcode.SCHEMA | Opcode.CHANNEL:
+                self.learn(record)
+                self._described |= _find_described(loaded.parts)
+            case Opcode.ATTACHMENT:
+                self._attached.add(Attachment.read(record.stream()).name)
+                self._index.take(record)
+            case Opcode.METADATA:
+                said = Metadata.read(record.stream())
+                self._said.add((said.name, to_json(said.metadata)))
+                self._index.take(record)
+        if record.opcode not in (Opcode.CHUNK, Opcode.MESSAGE_INDEX):
+            self._at = place[1]
+
+    def go_on(self, crc_of: Callable[[int], int]) -> int:
+        """Go on writing behind the records taken over; return where they end.
+
+        `crc_of` returns the checksum of so many first bytes of the stream. The stream is cut there
+        before the next record is written.
+        """
+        self._crc = crc_of(self._at)
+        self._stream.seek(self._at)
+        self._stream.truncate()
+        end = self._at
+        self._put_message_indexes(self._unindexed)
+        self._unindexed = {}
+        for channel in self._index.channels:
+            self._describe(channel)
+        return end
+
     def _put_chunk(self, chunk: Chunk, parts: Sequence[Part]) -> None:
         """Write a chunk that holds these parts; its times are those of its messages."""
         (start, end), entries = self._index.take_parts(parts)
         chunk.message_start_time, chunk.message_end_time = start, end
         self._index.add_chunk(chunk, *self._put(encode_record(chunk)))
+        self._put_message_indexes(entries)
+        self._described |= _find_described(parts)
+
+    def _put_message_indexes(self, entries: Mapping[int, NDArray[Any]]) -> None:
         for channel, found in entries.items():
             body = channel.to_bytes(2, "little") + found.nbytes.to_bytes(4, "little")
             frame = FRAME.pack(Opcode.MESSAGE_INDEX, len(body) + found.nbytes) + body
             self._index.add_message_index(channel, *self._put(frame + found.tobytes()))
-        self._described |= _find_described(parts)
 
     def finish(self) -> None:
         """Write the last chunk, the summary and the footer."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from typing import Annotated, Any, Literal
 
@@ -14,19 +14,18 @@ from pydantic import (
     model_validator,
 )
 
-from hal.rig import Configured
+from hal.calibration import Configured
 from pamctl.plant.catalogue import CATALOGUE, WITH_TERMS
 from pamctl.plant.effects.description import (
     ACTUATORS,
     Actuator,
-    EffectDescription,
     EffectParameter,
     acts,
 )
 from pamctl.plant.paper import ROOM_K, MuscleParameters
 from pamctl.plant.parameters import (
     ACTUATOR,
-    CHAMBER_VOLUME,
+    GEOMETRY,
     NEUTRAL,
     PAPER,
     PlantParameters,
@@ -46,20 +45,24 @@ def _limit_number(p: EffectParameter) -> Any:
     return Field(ge=low, le=high, description=f"{p.meaning} ({p.unit})")
 
 
-def _make_effect_settings(effect: EffectDescription) -> type[Configured]:
-    fields: dict[str, Any] = {
-        p.name: (Annotated[float, _limit_number(p)], p.neutral)
-        if not p.choices
-        else (Annotated[Literal[p.choices], Field(description=p.meaning)], p.choices[0])
-        for p in effect.parameters
-    }
-    return create_model(effect.name, __base__=Configured, **fields)
+def _make_settings(
+    name: str, parameters: Iterable[EffectParameter], base: type[Configured], *required: str
+) -> type[Configured]:
+    fields: dict[str, Any] = {}
+    for p in parameters:
+        kind: Any = Annotated[float, _limit_number(p)]
+        if p.choices:
+            kind = Annotated[Literal[p.choices], Field(description=p.meaning)]
+        default = p.choices[0] if p.choices else p.neutral
+        fields[p.name] = (kind, ... if p.name in required else default)
+    made = create_model(name, __base__=base, **fields)
+    globals()[name] = made  # pickle looks for it here when it sends it to a worker process
+    return made
 
 
-_of_effects = {name: _make_effect_settings(effect) for name, effect in CATALOGUE.items()}
-globals().update(_of_effects)  # pickle looks for them here when it sends them to a worker process
 _effect_fields: dict[str, Any] = {
-    name: (settings | None, None) for name, settings in _of_effects.items()
+    name: (_make_settings(name, effect.parameters, Configured) | None, None)
+    for name, effect in CATALOGUE.items()
 }
 EffectSettings = create_model(
     "EffectSettings",
@@ -96,27 +99,12 @@ class TermSettings(Configured):
 
 
 def _make_term_settings(name: str) -> type[Configured]:
-    fields: dict[str, Any] = {
-        p.name: (
-            Annotated[float, Field(ge=-HUGE, le=HUGE, description=f"{p.meaning} ({p.unit})")],
-            p.neutral,
-        )
-        for p in TERMS[name].parameters
-        if not p.choices
-    }
-    fields["size"] = (fields["size"][0], ...)
-    choices: dict[str, Any] = {
-        p.name: (Annotated[Literal[p.choices], Field(description=p.meaning)], ...)
-        for p in TERMS[name].parameters
-        if p.choices
-    }
-    return create_model(name, __base__=TermSettings, **choices, **fields)
+    choices_first = sorted(TERMS[name].parameters, key=lambda p: not p.choices)
+    return _make_settings(name, choices_first, TermSettings, "size", "operator", "driver")
 
 
-_of_terms = {name: _make_term_settings(name) for name in TERMS}
-globals().update(_of_terms)
 _term_fields: dict[str, Any] = {
-    name.removesuffix(SUFFIX): (settings | None, None) for name, settings in _of_terms.items()
+    name.removesuffix(SUFFIX): (_make_term_settings(name) | None, None) for name in TERMS
 }
 
 
@@ -167,12 +155,23 @@ class PlantSettings(Configured):
         Field(
             description="direct: a measured force, and a piston if there is one, drive mass, "
             "spring and friction; no muscle. chamber: a volume that does not change, behind the "
-            "valve"
+            "valve. cylinder: a piston behind the valve, against mass, spring and friction"
         ),
     ] = "muscle"
     chamber_volume_m3: Annotated[
         float | None,
         Field(ge=1e-12, le=1e6, description="of `actuator: chamber`, its tubes included"),
+    ] = None
+    cylinder_area_m2: Annotated[
+        float | None, Field(ge=1e-9, le=1e3, description="of a cylinder's piston")
+    ] = None
+    cylinder_volume_m3: Annotated[
+        float | None,
+        Field(ge=1e-12, le=1e6, description="behind a cylinder's piston at 0, tubes included"),
+    ] = None
+    stroke_m: Annotated[
+        float | None,
+        Field(ge=1e-6, le=1e3, description="of a cylinder; its piston moves from 0 to here"),
     ] = None
     parameters: MuscleParameters = MuscleParameters()
     effects: EffectSettings = EffectSettings()
@@ -195,26 +194,30 @@ class PlantSettings(Configured):
     @model_validator(mode="after")
     def _check_actuator(self) -> PlantSettings:
         numbers = self.parameters
-        if self.actuator == "muscle":
-            for name in ("damping_n_s_per_m", "stiffness_n_per_m"):
+        if self.actuator in ("muscle", "cylinder"):
+            needed = ("damping_n_s_per_m", "stiffness_n_per_m")
+            for name in needed if self.actuator == "muscle" else needed[:1]:
                 if getattr(numbers, name) < 1.0 / HUGE:
                     raise ValueError(
-                        f"parameters.{name} of a muscle must be at least {1.0 / HUGE:g}"
+                        f"parameters.{name} of a {self.actuator} must be at least {1.0 / HUGE:g}"
                     )
         return self
 
     @model_validator(mode="after")
-    def _check_chamber(self) -> PlantSettings:
-        if (self.actuator == "chamber") != (self.chamber_volume_m3 is not None):
-            raise ValueError("`actuator: chamber` needs chamber_volume_m3, and no other does")
-        if self.actuator == "chamber" and "temperature_k" not in self.parameters.model_fields_set:
+    def _check_geometry(self) -> PlantSettings:
+        needed = GEOMETRY_OF.get(self.actuator, ())
+        for name in GEOMETRY:
+            if (name in needed) != (getattr(self, name) is not None):
+                owner = next(kind for kind, names in GEOMETRY_OF.items() if name in names)
+                raise ValueError(f"`actuator: {owner}` needs {name}, and no other does")
+        if needed and "temperature_k" not in self.parameters.model_fields_set:
             at_room = self.parameters.model_copy(update={"temperature_k": ROOM_K})
             object.__setattr__(self, "parameters", at_room)  # the model is frozen
         return self
 
     @model_validator(mode="after")
     def _check_known(self) -> PlantSettings:
-        names = {*MuscleParameters.model_fields, *NEUTRAL}
+        names = {*MuscleParameters.model_fields, *NEUTRAL, *GEOMETRY_OF.get(self.actuator, ())}
         for name in self.known:
             if name not in names:
                 near = get_close_matches(name, names, n=1)
@@ -228,13 +231,17 @@ class PlantSettings(Configured):
         data: dict[str, Any] = write(self)
         if not self.known:
             data.pop("known", None)
+        for name in GEOMETRY_OF["cylinder"]:
+            if data.get(name) is None:
+                data.pop(name, None)
         if not any(data.get("terms", {}).values()):
             data.pop("terms", None)
-        if self.actuator == "direct" and "parameters" in data:
+        if self.actuator in ("direct", "cylinder") and "parameters" in data:
+            means = AXIS if self.actuator == "direct" else (*AXIS, *AIR)
             data["parameters"] = {
                 name: value
                 for name, value in data["parameters"].items()
-                if name in AXIS or value != PAPER[name]
+                if name in means or value != PAPER[name]
             }
         return data
 
@@ -251,6 +258,10 @@ class PlantSettings(Configured):
 
 AXIS = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")
 """The parameters of a direct mechanism; all others are its effects, or the muscle's."""
+AIR = ("tank_pressure_pa", "atmospheric_pressure_pa", "temperature_k", "valve_gain_m2_per_v")
+"""What a cylinder has beside them."""
+GEOMETRY_OF: Mapping[str, tuple[str, ...]] = {"chamber": GEOMETRY[:1], "cylinder": GEOMETRY[1:]}
+"""The numbers that an actuator without a braid must have."""
 
 
 def plant_parameters(settings: PlantSettings) -> PlantParameters:
@@ -266,8 +277,8 @@ def values_of(settings: PlantSettings) -> dict[str, float]:
     values: dict[str, float] = settings.parameters.model_dump()
     if settings.actuator != "muscle":
         values[ACTUATOR] = float(ACTUATORS.index(settings.actuator))
-    if settings.chamber_volume_m3 is not None:
-        values[CHAMBER_VOLUME] = settings.chamber_volume_m3
+    for name in GEOMETRY_OF.get(settings.actuator, ()):
+        values[name] = getattr(settings, name)
     for name, effect in settings.acting.items():
         for parameter in WITH_TERMS[name].parameters:
             value = effect[parameter.name]
@@ -280,14 +291,12 @@ def settings_of(values: Mapping[str, float]) -> PlantSettings:
     """Return the plant file of a flat mapping, validated; effects at neutral are left out."""
     parameters: dict[str, float] = {}
     effects: dict[str, dict[str, float]] = {}
-    plain: dict[str, Any] = (
-        {CHAMBER_VOLUME: values[CHAMBER_VOLUME]} if values.get(CHAMBER_VOLUME) else {}
-    )
+    plain: dict[str, Any] = {name: values[name] for name in GEOMETRY if values.get(name)}
     for name, value in values.items():
         effect, dot, parameter = name.partition(".")
         if dot:
             effects.setdefault(effect, {})[parameter] = value
-        elif name not in (ACTUATOR, CHAMBER_VOLUME):
+        elif name not in (ACTUATOR, *GEOMETRY):
             parameters[name] = value
     acting = {
         name: _name_choices(name, numbers)

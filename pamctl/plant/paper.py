@@ -11,7 +11,7 @@ from typing import Annotated, NamedTuple
 
 from pydantic import Field, model_validator
 
-from hal.rig import Configured
+from hal.calibration import Configured
 
 LONGEST_M = 10.0
 HIGHEST_TANK_PA = 2e6
@@ -95,12 +95,17 @@ class PaperParameters(NamedTuple):
     """Psi / p_upstream when choked."""
     unchoked_flow_s_per_m: float
     """Scale of Psi / p_upstream when not choked."""
+    cylinder_area_m2: float = 0.0
+    """Area of a piston; a muscle has none, and a cylinder or chamber no braid (volume_scale 0)."""
+    cylinder_volume_m3: float = 0.0
+    """Volume behind the piston at position 0, or of a chamber."""
 
 
 def volume_m3(p: PaperParameters, position_m: float) -> float:
-    """Return the volume V(x) of Eq. 2, with L = L_0 - x (Eq. 1)."""
+    """Return the volume V(x) of Eq. 2, with L = L_0 - x (Eq. 1); of a cylinder V_0 + A x."""
     length = p.rest_length_m - position_m
-    return length * (p.braid_length_m * p.braid_length_m - length * length) * p.volume_scale
+    braid = length * (p.braid_length_m * p.braid_length_m - length * length) * p.volume_scale
+    return braid + (p.cylinder_volume_m3 + p.cylinder_area_m2 * position_m)
 
 
 def force_area_m2(p: PaperParameters, position_m: float) -> float:
@@ -110,7 +115,8 @@ def force_area_m2(p: PaperParameters, position_m: float) -> float:
     would rest at 11.6 mm, and could not reach the set point of 6.4 mm.
     """
     length = p.rest_length_m - position_m
-    return (3.0 * length * length - p.braid_length_m * p.braid_length_m) * p.volume_scale
+    braid = (3.0 * length * length - p.braid_length_m * p.braid_length_m) * p.volume_scale
+    return braid + p.cylinder_area_m2
 
 
 def braid_lever_m(p: PaperParameters, position_m: float) -> float:

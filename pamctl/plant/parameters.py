@@ -28,17 +28,17 @@ from pamctl.plant.catalogue import (
     change_numbers,
     make_rest_memories,
 )
-from pamctl.plant.effects.air import ripple_pa
-from pamctl.plant.effects.description import ACTUATORS
-from pamctl.plant.effects.places import Part
+from pamctl.plant.effects.description import ACTUATORS, Actuator
 from pamctl.plant.paper import MuscleParameters, PaperParameters
-from pamctl.plant.term_kernels import (
-    LOWEST_SUPPLY_PA,
-    MotionPoint,
-    add_force_term,
-    pass_supply_term,
+from pamctl.plant.terms import (
+    FORCE_AT,
+    NO_MEMORY,
+    TermDrivers,
+    TermMemory,
+    Terms,
+    make_terms,
+    push_of,
 )
-from pamctl.plant.terms import TermMemory, Terms, make_terms
 
 
 class PlantParameters(NamedTuple):
@@ -57,6 +57,8 @@ class PlantParameters(NamedTuple):
     sensors_act: bool
     direct: bool
     """A measured force, and a piston if there is one, drive the mechanics instead of the muscle."""
+    stroke_m: float = 0.0
+    """A cylinder's piston moves from 0 to here; 0: nothing stops what moves."""
     terms: Terms | None = None
     """None: a plant without terms does not compile them."""
 
@@ -69,21 +71,6 @@ class PlantParameters(NamedTuple):
     def tank_pressure_pa(self) -> float:
         """Absolute pressure; for callers other than kernels."""
         return self.paper.tank_pressure_pa
-
-
-class AirNow(NamedTuple):
-    """What acts on the air over one step."""
-
-    extra_kg_per_s: float
-    """Extra flow into the muscle, from effects and terms."""
-    tank_pa: float
-    """Absolute pressure of the supply, before it droops."""
-
-
-def find_tank_pa(p: PlantParameters, age_s: float) -> float:
-    """Return the absolute pressure of the supply, before it droops."""
-    tank_pa = p.paper.tank_pressure_pa + ripple_pa(p.effects.air.supply_ripple, age_s)
-    return pass_supply_term(p.terms, max(tank_pa, LOWEST_SUPPLY_PA), age_s)
 
 
 class ValveState(NamedTuple):
@@ -151,14 +138,24 @@ def rest_state(p: PlantParameters, position_m: float, pressure_pa: float) -> Pla
     )
 
 
+def keep_in_stroke(p: PlantParameters, position_m: float) -> float:
+    """Return the position between a cylinder's ends; of all else the position."""
+    if p.stroke_m <= 0.0:
+        return position_m
+    return min(max(position_m, 0.0), p.stroke_m)
+
+
 def vented_state(p: PlantParameters) -> PlantState:
     """Return the muscle at rest at atmospheric pressure: only an effect's force moves it."""
     rest_m = 0.0
     if p.mechanics_act and not p.direct:
         memory = MechanicsState().memory
         pull_n = add_force(p.effects.mechanics, memory, 0.0, 0.0, 0.0, 0.0, 0.0)
-        pull_n = add_force_term(p.terms, TermMemory(), pull_n, MotionPoint(0.0, 0.0, 0.0, 0.0))
-        rest_m += pull_n / p.paper.stiffness_n_per_m
+        if p.terms is not None:
+            pull_n += push_of(p.terms.mechanics, FORCE_AT, NO_MEMORY, TermDrivers())
+        stiffness = p.paper.stiffness_n_per_m
+        rest_m += pull_n / stiffness if stiffness > 0.0 else 0.0
+        rest_m = keep_in_stroke(p, rest_m)
     return rest_state(p, rest_m, p.paper.atmospheric_pressure_pa)
 
 
@@ -166,8 +163,9 @@ PAPER: dict[str, float] = MuscleParameters().model_dump()
 """Tables I and II in SI."""
 ACTUATOR = "actuator"
 """Place of the actuator in `ACTUATORS`."""
-CHAMBER_VOLUME = "chamber_volume_m3"
-_RIGID = {"damping_n_s_per_m": 1e12, "stiffness_n_per_m": 1e12, "kinetic_friction_per_m": 0.0}
+GEOMETRY = ("chamber_volume_m3", "cylinder_area_m2", "cylinder_volume_m3", "stroke_m")
+"""Numbers of what has no braid; 0 where they mean nothing."""
+_RIGID = {"damping_n_s_per_m": 1e12, "stiffness_n_per_m": 1e12}
 """The walls of a chamber: they move by less than a picometre per newton."""
 _ENDLESS_M = 1e9
 
@@ -189,18 +187,16 @@ NEUTRAL: dict[str, float] = {
 """The neutral value of every parameter of every effect and term."""
 
 
-def _sizes_of(part: Part) -> tuple[tuple[str, float], ...]:
-    return tuple(
+_SIZES = {
+    part: tuple(
         (f"{effect.name}.{p.name}", p.neutral)
         for effect in CATALOGUE.values()
         for p in effect.parameters
         if part in effect.parts and p.role == "size"
     )
-
-
-_VALVE, _AIR = _sizes_of("valve"), _sizes_of("air")
-_MECHANICS, _SENSORS = _sizes_of("mechanics"), _sizes_of("sensors")
-_DEFAULTS = {ACTUATOR: 0.0, CHAMBER_VOLUME: 0.0, **PAPER, **NEUTRAL}
+    for part in ("valve", "air", "mechanics", "sensors")
+}
+_DEFAULTS = {ACTUATOR: 0.0, **dict.fromkeys(GEOMETRY, 0.0), **PAPER, **NEUTRAL}
 
 
 def parameters_of(values: Mapping[str, float]) -> PlantParameters:
@@ -217,16 +213,16 @@ def parameters_of(values: Mapping[str, float]) -> PlantParameters:
         for group, layout in _LAYOUTS
     )
     actuator = ACTUATORS[round(v[ACTUATOR])]
-    direct = actuator == "direct"
-    if actuator == "chamber":
-        v |= _make_chamber_rigid(v)
+    has_braid = actuator in ("muscle", "direct")
+    if not has_braid:
+        v |= _leave_out_braid(v, actuator)
     paper = PaperParameters(
         mass_kg=v["mass_kg"],
         damping_n_s_per_m=v["damping_n_s_per_m"],
         stiffness_n_per_m=v["stiffness_n_per_m"],
         rest_length_m=v["rest_length_m"],
         braid_length_m=v["braid_length_m"],
-        volume_scale=1.0 / (4.0 * math.pi * v["braid_turns"] ** 2),
+        volume_scale=1.0 / (4.0 * math.pi * v["braid_turns"] ** 2) if has_braid else 0.0,
         friction_area_m=v["kinetic_friction_per_m"] * v["braid_count"] * v["braid_contact_area_m2"],
         tank_pressure_pa=v["tank_pressure_pa"],
         atmospheric_pressure_pa=v["atmospheric_pressure_pa"],
@@ -238,38 +234,42 @@ def parameters_of(values: Mapping[str, float]) -> PlantParameters:
         * critical ** (1.0 / gamma)
         * math.sqrt(1.0 - critical ** ((gamma - 1.0) / gamma)),
         unchoked_flow_s_per_m=unchoked,
+        cylinder_area_m2=v["cylinder_area_m2"],
+        cylinder_volume_m3=v["cylinder_volume_m3"],
     )
     terms = make_terms(values)
+    acting = {
+        part: (terms is not None and getattr(terms, part).size != 0.0)
+        or any(v[name] != neutral for name, neutral in sizes)
+        for part, sizes in _SIZES.items()
+    }
     return PlantParameters(
         paper=change_numbers(paper, v),
         effects=Effects(*groups),
-        valve_acts=_has_term(terms, "valve") or any(v[name] != neutral for name, neutral in _VALVE),
-        air_acts=_has_term(terms, "air") or any(v[name] != neutral for name, neutral in _AIR),
-        mechanics_act=direct
-        or _has_term(terms, "mechanics")
-        or any(v[name] != neutral for name, neutral in _MECHANICS),
-        sensors_act=_has_term(terms, "sensors")
-        or any(v[name] != neutral for name, neutral in _SENSORS),
-        direct=direct,
+        valve_acts=acting["valve"],
+        air_acts=acting["air"],
+        mechanics_act=actuator in ("direct", "cylinder") or acting["mechanics"],
+        sensors_act=acting["sensors"],
+        direct=actuator == "direct",
+        stroke_m=v["stroke_m"],
         terms=terms,
     )
 
 
-def _has_term(terms: Terms | None, part: str) -> bool:
-    return terms is not None and getattr(terms, part).size != 0.0
+def _leave_out_braid(v: Mapping[str, float], actuator: Actuator) -> dict[str, float]:
+    """Return the numbers of a plant without a braid; a chamber's walls do not move either.
 
-
-def _make_chamber_rigid(v: Mapping[str, float]) -> dict[str, float]:
-    """Return the numbers of a muscle that has the chamber's volume (Eq. 2) and cannot move.
-
-    Records may hold a position beside it. With b = sqrt(3) L_0 the volume is largest at 0, and
-    L_0 is so long that a position of metres changes it by no bit.
+    The braid's angle stays defined at any position: L_0 is longer than all strokes.
     """
-    length = _ENDLESS_M
-    braid = math.sqrt(3.0) * length
-    turns_squared = length * (braid * braid - length * length) / v[CHAMBER_VOLUME]
-    numbers = {"rest_length_m": length, "braid_length_m": braid}
-    return {**_RIGID, **numbers, "braid_turns": math.sqrt(turns_squared / (4.0 * math.pi))}
+    numbers = {
+        "rest_length_m": _ENDLESS_M,
+        "braid_length_m": 1.5 * _ENDLESS_M,
+        "kinetic_friction_per_m": 0.0,
+    }
+    if actuator == "chamber":
+        volume = {"cylinder_volume_m3": v["chamber_volume_m3"], "cylinder_area_m2": 0.0}
+        return {**numbers, **volume, **_RIGID}
+    return numbers
 
 
 def _explain_unknown(name: str) -> str:

@@ -28,7 +28,6 @@ from pamctl.processes.interrupts import STOP_SIGNALS, block_signals
 from pamctl.processes.mark_desk import MarkDesk
 from pamctl.realtime.clock import LoopSettings
 from pamctl.realtime.scheduling import Mode, raise_front_priority
-from pamctl.recording.finish_apart import finish_in_own_process
 from pamctl.recording.journal import make_outcome_event, put_event_for_dead_loop
 from pamctl.recording.recorder import RECORDER_PATIENCE_S, spawn_recorder
 from pamctl.recording.ring import RecorderFlag, Ring
@@ -185,25 +184,33 @@ def read_ending(loop: subprocess.Popen[bytes]) -> Ending:
 
 
 def close_log(ring: Ring, recorder: subprocess.Popen[bytes], ending: Ending) -> FrontReport:
-    """Wait for the recorder; where it is dead, finish its work from the ring."""
-    fault = _await_recorder(recorder, ring)
-    _, said = recorder.communicate()
-    if recorder.returncode == 0:
+    """Wait for the recorder; where it is dead, start it again: it goes on where the file ends."""
+    complaint = _await_recorder(recorder, ring)
+    if not complaint:
         ring.unlink()
         return FrontReport(ending, True, "")
-    complaint = said.decode(errors="replace").strip().removeprefix("recorder: ")
-    complaint = complaint or fault or f"the recorder died with {recorder.returncode}"
     if not ring.recorder_flags & RecorderFlag.READY:
         # The recorder never began: there is no log to finish and no tick to save.
         ring.unlink()
         return FrontReport(Ending(ExitCode.UNEXPECTED, complaint), False, "")
-    return _finish_log_apart(ring, ending, complaint)
+    worst = ending if ending.code else Ending(ExitCode.UNEXPECTED, complaint)
+    note = complaint
+    if not ring.recorder_flags & RecorderFlag.FINISHED:
+        problem = _await_recorder(spawn_recorder(ring.path), ring)
+        if not ring.recorder_flags & RecorderFlag.FINISHED:
+            note += f"; the log could not be finished ({problem}). Its last ticks are kept in "
+            note += f"{ring.path}: make room, and the next `pamctl run` finishes it"
+            return FrontReport(worst, False, note)
+        note += f"; the log was finished from the ring: {ring.meta.log_path}"
+    ring.unlink()
+    return FrontReport(worst, not ring.recorder_flags & RecorderFlag.GAPS, note)
 
 
 def _await_recorder(recorder: subprocess.Popen[bytes], ring: Ring) -> str:
-    """Let the recorder finish; return why it was killed, whose work can be done here.
+    """Let the recorder finish; return why it did not, be it killed here.
 
-    It must show life all the time, and get on with its rows within a minute.
+    It must show life all the time, and get on with its rows within a minute, or read on in the
+    file that it goes on with.
     """
     fault = ""
     seen, beaten_s = (ring.recorder_beats, ring.tail), time.monotonic()
@@ -224,19 +231,8 @@ def _await_recorder(recorder: subprocess.Popen[bytes], ring: Ring) -> str:
             recorder.wait()
             break
         time.sleep(_POLL_S)
-    return fault
-
-
-def _finish_log_apart(ring: Ring, ending: Ending, complaint: str) -> FrontReport:
-    worst = ending if ending.code else Ending(ExitCode.UNEXPECTED, complaint)
-    if ring.recorder_flags & RecorderFlag.FINISHED:
-        ring.unlink()
-        return FrontReport(worst, True, complaint)
-    try:
-        finished = finish_in_own_process(ring.path)
-    except Exception as error:
-        kept = f"{complaint}; the log could not be finished ({error}). Its last ticks are kept in "
-        kept += f"{ring.path}: make room, and the next `pamctl run` finishes it"
-        return FrontReport(worst, False, kept)
-    note = f"{complaint}; the log was finished from the ring: {finished.destination}"
-    return FrontReport(worst, finished.lossless, note)
+    _, said = recorder.communicate()
+    if recorder.returncode == 0:
+        return ""
+    complaint = said.decode(errors="replace").strip().removeprefix("recorder: ")
+    return complaint or fault or f"the recorder died with {recorder.returncode}"

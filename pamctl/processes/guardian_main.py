@@ -24,12 +24,11 @@ from hal.child import child_command
 from hal.rig import Rig, RigError
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.backends import build_clock, build_rig, require_backend
-from pamctl.processes.finisher_main import start_finisher
 from pamctl.processes.guardian import LoopProcess, Takeover, drive_safe, guard
 from pamctl.processes.loop_supervisor import STARTS_WITHIN_S
 from pamctl.realtime.scheduling import keep_single_threaded, prepare_guardian
 from pamctl.recording.journal import make_outcome_event, put_event_for_dead_loop
-from pamctl.recording.recorder import outlive_signals
+from pamctl.recording.recorder import leave_recorder, outlive_signals
 from pamctl.recording.ring import Ring, RingError
 from pamctl.settings.resolve import RunSettings, from_resolved, settings_to_json
 
@@ -104,7 +103,7 @@ def _end_log(ring: Ring, takeover: Takeover | None) -> None:
                     ending = Ending(ExitCode.UNEXPECTED, reason)
                     put_event_for_dead_loop(run, make_outcome_event(ending))
                     run.loop_done = 1
-            start_finisher(path)
+            leave_recorder(path)
 
 
 def _watch_person() -> int:

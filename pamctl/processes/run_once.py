@@ -36,7 +36,7 @@ from pamctl.processes.keep_awake import keep_awake
 from pamctl.processes.mark_desk import MarkDesk, open_mark_desk
 from pamctl.realtime.tick import first_state, keyframe_fields
 from pamctl.realtime.tick_runner import TickRunner
-from pamctl.recording.orphans import finish_orphans
+from pamctl.recording.recorder import finish_orphans
 from pamctl.recording.ring import Ring
 from pamctl.report.progress_line import ProgressLine
 from pamctl.runs.index_finished import index_quietly

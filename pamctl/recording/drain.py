@@ -1,7 +1,8 @@
 """Write the ring's rows into the log, until the run is over.
 
 The ring's tail moves only when a chunk is in the file. If this process dies before that, the rows
-are still in the ring, and `finish_from_ring.py` writes them. Ticks are converted by columns.
+are still in the ring, and the next recorder goes on behind the last whole chunk of the file. Ticks
+are converted by columns.
 
 Disk space is reserved ahead: blocks after the end of the file are allocated before they are needed.
 When the disk is full, there is still room for all rows in the ring, the index and the footer.
@@ -17,21 +18,23 @@ import sys
 from collections import Counter
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from io import BufferedWriter
+from io import BufferedRandom
+from itertools import chain, count
 from pathlib import Path
-from time import monotonic
+from time import monotonic, monotonic_ns
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.json_text import from_json, to_json
-from pamctl.log.framing import LogError
+from pamctl.log.framing import Damage, LogError
+from pamctl.log.recover import Recovery, recover_file, resume_log, sign_recovery
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import EVENT_TOPIC, GAINS_TOPIC, KEYFRAME_TOPIC, TICK_TOPIC
 from pamctl.log.wire import TickLayout, make_message_record, make_message_records
 from pamctl.log.writer import LogWriter, begin_log
-from pamctl.recording.ring import RecorderFlag, Ring
+from pamctl.recording.ring import LOOP_DEAD_NS, RecorderFlag, Ring
 from pamctl.recording.rows import ROW_BYTES, Entry, RowBatch, RowKind, row_dtype
 
 ROUND_S = 0.05
@@ -59,16 +62,25 @@ class Owner(Protocol):
 
 
 def record_run(ring: Ring, owner: Owner) -> bool:
-    """Write the whole log of a run; return False if the disk was too small for it.
+    """Write the log of a run to its end; return False if the disk was too small for it.
 
-    Raise LogError if the log cannot be created, OSError if writing fails. In both cases the rows
-    that are not in the file are still in the ring.
+    It goes on with the file of a recorder that has died. Raise LogError if the log cannot be
+    created, OSError if writing fails. In both cases the rows that are not in the file are still in
+    the ring.
     """
-    path = Path(ring.meta.log_path)
-    with _create_log(path) as file:
-        reserve = _reserve_space(ring, file, path)
+    try:
+        return _record_to_end(ring, owner)
+    except Damage:
+        _repair(ring)
+        return _record_to_end(ring, owner)
+
+
+def _record_to_end(ring: Ring, owner: Owner) -> bool:
+    path, is_new = _find_log(ring, owner)
+    with _create_log(path) if is_new else path.open("r+b") as file:
+        reserve = _reserve_space(ring, file, path, is_new=is_new)
         ring.log_inode = os.fstat(file.fileno()).st_ino
-        recording = _Recording(ring, file, reserve)
+        recording = _Recording(ring, file, reserve, _begin(ring, path, file, is_new=is_new))
         ring.raise_flag(RecorderFlag.READY)
         loop = _SignsOfLife(ring)
         while not (ring.loop_done or (owner.gone and loop.has_ceased())):
@@ -79,9 +91,58 @@ def record_run(ring: Ring, owner: Owner) -> bool:
     return not ring.recorder_flags & RecorderFlag.DISK_FULL
 
 
-def _create_log(path: Path) -> BufferedWriter:
+def _find_log(ring: Ring, owner: Owner) -> tuple[Path, bool]:
+    """Return where the log of a ring is written, and whether the file is still to be made.
+
+    If the file that the ring's recorder had begun is not there any more, or another one is in its
+    place, a new one takes the rows that are left.
+    """
+    path = Path(ring.meta.log_path)
+    inode = path.stat().st_ino if path.exists() else 0
+    if inode and inode in (ring.log_inode, ring.mended_inode):
+        # `mended_inode` is wanted for a repair that is to come: until then this file is ours.
+        ring.log_inode = inode
+        return path, False
+    if not ring.log_inode and not (inode and owner.gone):
+        return path, True
+    if inode or ring.tail:
+        ring.raise_flag(RecorderFlag.GAPS)
+    others = (path.with_stem(f"{path.stem}-recovered-{number}") for number in count(2))
+    names = chain((path, path.with_stem(f"{path.stem}-recovered")), others)
+    return next(name for name in names if not name.exists()), True
+
+
+def _begin(ring: Ring, path: Path, file: BufferedRandom, *, is_new: bool) -> RowLogger:
+    """Begin the log, or take it up behind its last whole chunk."""
+    if is_new:
+        return RowLogger(LogWriter(file), ring.meta)
+
+    def beat() -> None:
+        ring.recorder_beats += 1
+
+    log = resume_log(path, file, beat)
+    rows = RowLogger(log.writer, ring.meta)
+    rows.last_tick, rows.last_row = log.last_tick, log.last_row
+    source = f"{path} and {ring.path}"
+    if log.damage:
+        sign_recovery(log.writer, Recovery(source, str(path), {}, (log.damage,), True, 0))
+    return rows
+
+
+def _repair(ring: Ring) -> None:
+    """Leave what is damaged within the file out of it; the file is exchanged in one step."""
+    ring.raise_flag(RecorderFlag.GAPS)
+    path = Path(ring.meta.log_path)
+    draft = path.with_name(f"{path.name}.recovering")
+    draft.unlink(missing_ok=True)  # one fixed name: the next recorder removes what is left
+    recover_file(path, draft)
+    ring.mended_inode = draft.stat().st_ino
+    draft.replace(path)
+
+
+def _create_log(path: Path) -> BufferedRandom:
     try:
-        return path.open("xb")
+        return path.open("x+b")
     except FileExistsError:
         raise LogError(
             f"{path} exists, and a log is never overwritten; give --log another name"
@@ -92,12 +153,13 @@ def _create_log(path: Path) -> BufferedWriter:
         ) from error
 
 
-def _reserve_space(ring: Ring, file: BufferedWriter, path: Path) -> Reserve:
+def _reserve_space(ring: Ring, file: BufferedRandom, path: Path, *, is_new: bool) -> Reserve:
     reserve = Reserve(file.fileno(), ring.rows * (ROW_BYTES + _MESSAGE_BYTES))
     try:
         reserve.extend(0, 0)
     except OSError as error:
-        path.unlink()
+        if is_new:
+            path.unlink()
         if is_full(error):
             ring.raise_flag(RecorderFlag.DISK_FULL)
         raise LogError(
@@ -113,14 +175,15 @@ class _SignsOfLife:
     """Watches the loop through the ring, without a common clock.
 
     If the whole machine stood still, the loop is not dead: at most two rounds are counted between
-    two looks.
+    two looks. A loop that was silent for long before the recorder began is dead.
     """
 
     def __init__(self, ring: Ring) -> None:
         self._ring = ring
-        self._last = (-1, -1)
+        self._last = (ring.head, ring.loop_beat_ns)
         self._looked_s = monotonic()
-        self._silent_s = 0.0
+        is_silent = monotonic_ns() - ring.loop_beat_ns > LOOP_DEAD_NS
+        self._silent_s = 2.0 * STALLED_S if is_silent else 0.0
 
     def has_ceased(self) -> bool:
         now_s, sign = monotonic(), (self._ring.head, self._ring.loop_beat_ns)
@@ -134,12 +197,11 @@ class _SignsOfLife:
 class _Recording:
     """Writes the log, chunk by chunk."""
 
-    def __init__(self, ring: Ring, file: BufferedWriter, reserve: Reserve) -> None:
+    def __init__(self, ring: Ring, file: BufferedRandom, reserve: Reserve, rows: RowLogger) -> None:
         self._ring = ring
         self._file = file
         self._reserve = reserve
-        self._writer = LogWriter(file)
-        self._rows = RowLogger(self._writer, ring.meta)
+        self._rows, self._writer = rows, rows.writer
         self._file.flush()
         self._full = False
         # A slow disk may take seconds. Meanwhile the ring must be emptied and beats must go on.
@@ -281,8 +343,8 @@ class RowLogger:
     """Writes batches of a run's rows into its log."""
 
     def __init__(self, writer: LogWriter, meta: RunMeta) -> None:
-        """Begin the log."""
-        self._writer = writer
+        """Begin the log, as far as it is not begun."""
+        self.writer = writer
         self._meta = meta
         self._layout = TickLayout.of_fields(meta.tick_fields)
         self._row = row_dtype(meta.tick_fields)
@@ -304,7 +366,7 @@ class RowLogger:
             if rows["kind"][index] != RowKind.CONTINUATION:
                 self._write_entry(batch.entry(index))
         self._write_ticks(rows[start:])
-        self._writer.end_chunk()
+        self.writer.end_chunk()
 
     def _write_ticks(self, rows: NDArray[Any]) -> None:
         is_new = rows["tick"] > self.last_tick
@@ -314,7 +376,7 @@ class RowLogger:
             np.maximum(rows["t_ns"] + self._wall_less_mono, 0),
             rows["tick"],
         )
-        self._writer.add(self._channels[TICK_TOPIC], messages)
+        self.writer.add(self._channels[TICK_TOPIC], messages)
         self.written[TICK_TOPIC] += len(rows)
 
     def _write_entry(self, entry: Entry) -> None:
@@ -322,12 +384,12 @@ class RowLogger:
             return
         value = self._decode_entry(entry)
         if value.get("event") in _METADATA_EVENTS:
-            self._writer.metadata(value["event"], _values_to_text(value))
+            self.writer.metadata(value["event"], _values_to_text(value))
         where = {"tick": entry.tick, "t_ns": entry.t_ns, "row": entry.row}
         time = max(entry.t_ns + self._wall_less_mono, 0)
         topic = _TOPICS[entry.kind]
         message = make_message_record(to_json({**value, **where}), time, entry.tick)
-        self._writer.add(self._channels[topic], message)
+        self.writer.add(self._channels[topic], message)
         self.written[topic] += 1
 
     def _decode_entry(self, entry: Entry) -> dict[str, Any]:

@@ -61,6 +61,12 @@ class RecorderFlag:
     DISK_FULL = 2
     FAILED = 4
     FINISHED = 8
+    GAPS = 16
+    """Parts of the log were damaged, or its first part is in another file."""
+
+
+LOOP_DEAD_NS = 2_000_000_000
+"""A loop that has been silent for this long, and whose ring nobody holds, is dead."""
 
 
 class LoopStage:
@@ -483,6 +489,19 @@ class Ring:
         try:
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
+            return False
+        return True
+
+    def claim_log(self) -> bool:
+        """Take the log for this process alone; return False if another recorder has it.
+
+        The kernel takes it back when the process dies.
+        """
+        import fcntl
+
+        try:
+            fcntl.lockf(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
             return False
         return True
 

@@ -103,8 +103,9 @@ def format_terminal(report: Report) -> str:
     lines = [report.verdict or report.title]
     before: Part | None = None
     for part in report.parts:
-        stands_alone = isinstance(part, Section) or not isinstance(before, Text | Points)
-        if stands_alone and not isinstance(before, Section) and lines[-1]:
+        is_apart = isinstance(part, Section | ReportTable | Facts)
+        is_apart = is_apart or isinstance(before, ReportTable | Facts)
+        if is_apart and not isinstance(before, Section) and lines[-1]:
             lines.append("")
         shown = [*_list_lines(part)]
         lines += shown

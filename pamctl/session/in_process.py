@@ -112,7 +112,8 @@ class InProcessLoop:
     @property
     def phase(self) -> Phase | None:
         """Phase of the current run."""
-        tick = None if self.run is None or self.run.is_over else self.tick
+        is_recorded = self.run is not None and self.log == self.run.ring.meta.log_path
+        tick = self.tick if is_recorded else None
         return None if tick is None else Phase(int(tick["phase"]))
 
     # --- orders ---------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ a whole experiment. So a rival that would come among the best is tried a second 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import partial
@@ -80,16 +80,27 @@ class GainSpace:
         return inside
 
 
-def find_space(law: str, compensate: Sequence[str] = ()) -> GainSpace:
+def find_space(law: str, compensate: Sequence[str] = (), highest_hz: float = math.inf) -> GainSpace:
     """Return the space of an installed law; raise ValueError where it has none.
 
-    Each of its gains also undoes the effects of `compensate`.
+    Each of its gains also undoes the effects of `compensate`; cut-offs stay below `highest_hz`.
     """
     space = find_law(law).search
     if space is None:
         raise ValueError(
             f"the law {law!r} defines no search space; gains that exist can be scored with --check"
         )
+    axes = tuple(
+        a._replace(
+            low=min(a.low, 0.1 * highest_hz),
+            high=min(a.high, highest_hz),
+            usual=min(a.usual, 0.9 * highest_hz),
+        )
+        if a.name.startswith("lpf")
+        else a
+        for a in space.axes
+    )
+    space = space._replace(axes=axes)
     if compensate:
         space = space._replace(fixed={**space.fixed, "compensate": list(compensate)})
     return GainSpace(space)
@@ -189,10 +200,12 @@ class GainsSearch:
     """Longer trial that gains must also stand to be among the best; or None."""
     compensate: tuple[str, ...] = ()
     """Effects that every candidate undoes; the gains name them."""
+    watch: Callable[[float], object] = lambda share: None
+    """Called with the share of a generation's trials that are done."""
 
     def __post_init__(self) -> None:
         """Draw the first population."""
-        self._space = find_space(self.law, self.compensate)
+        self._space = find_space(self.law, self.compensate, self.trial.highest_hz)
         self._order = list(range(len(self.jury.drawn)))
         self._generation = 0
         self._runs = self._longer_runs = 0
@@ -245,7 +258,11 @@ class GainsSearch:
         cost = partial(compute_cost, jury=self.jury, trial=trial, order=self._order)
         limits = np.minimum(self._costs[rivals], _COST_LIMIT).tolist()
         share_out = map if executor is None else executor.map
-        return list(share_out(cost, [controllers[at] for at in rivals], limits))
+        found: list[Cost] = []
+        for each in share_out(cost, [controllers[at] for at in rivals], limits):
+            found.append(each)
+            self.watch(len(found) / len(rivals))
+        return found
 
     def _confirm_elite(
         self,

@@ -21,10 +21,11 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.random import Generator, default_rng
 
-from pamctl.control.experiment import TrackingSettings
+from pamctl.control.experiment import TrackingSettings, plan_experiment
+from pamctl.control.filters import HIGHEST_PER_RATE
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.paper import braid_lever_m, force_area_m2
-from pamctl.settings.resolve import RunSettings, resolve
+from pamctl.settings.resolve import RUN, RunSettings, resolve
 from pamctl.signals import Phase
 from pamctl.simulate.closed_loop import SimulatedRun, simulate_run
 from pamctl.simulate.merit import TABLE_IV, compute_merit
@@ -216,41 +217,62 @@ class GainsTrial:
     """A set-up in which gains are tried: `short` for a search, `whole` for what is reported."""
 
     length: Literal["short", "whole"] = "short"
+    base: str = ""
+    """Settings of a run, as JSON, whose rig is simulated; empty for the shipped one."""
+    own_motion: bool = False
+    """Whether the experiment of `base` is run, at any length, instead of the paper's two."""
 
     @property
     def duration_s(self) -> float:
         """How long the muscle moves for a verdict."""
+        if self.own_motion:
+            experiment = _read_base(self.base).experiment
+            return sum(segment.duration_s for segment in plan_experiment(experiment).segments)
         return SHORT_S if self.length == "short" else WHOLE_S
+
+    @property
+    def highest_hz(self) -> float:
+        """The highest cut-off of a filter at the rig's rate."""
+        return float(HIGHEST_PER_RATE * _read_base(self.base).rig.loop.rate_hz)
 
     def verdict(self, controller: Any, member: Member) -> GainsVerdict:
         """Run gains (a controller's settings) on one plant."""
+        rig = _read_base(self.base).rig
+        if max(controller.lpf1_hz, controller.lpf2_hz) > self.highest_hz:
+            return GainsVerdict(TRIP_COST, "filter above the rate", {}, TRIP_COST)
+        if self.own_motion:
+            own = _read_base(self.base).experiment
+            return _judge_own(simulate_run(_make_settings(controller, member, rig, own)))
         if self.length == "short":
-            return _judge_short(simulate_run(_make_settings(controller, member, SHORT)))
+            return _judge_short(simulate_run(_make_settings(controller, member, rig, SHORT)))
         errors: _Errors = {}
         for name in ("tracking-1", "tracking-2"):
-            batch = simulate_run(_make_settings(controller, member, None, name))
+            experiment = _resolve_base(name).experiment
+            batch = simulate_run(_make_settings(controller, member, rig, experiment))
             if batch.run.tripped_tick >= 0:
                 return _judge_tripped(batch)
             errors |= _errors_of(batch, name)
         return _make_verdict(errors)
 
 
-def _make_settings(
-    controller: Any, member: Member, experiment: Any, name: str = "tracking-1"
-) -> RunSettings:
-    base = _resolve_base(name)
-    sim = base.rig.device_settings.model_copy(
+@lru_cache(maxsize=8)
+def _read_base(text: str) -> RunSettings:
+    return RUN.validate_json(text) if text else _resolve_base("tracking-1")
+
+
+def _make_settings(controller: Any, member: Member, rig: Any, experiment: Any) -> RunSettings:
+    sim = rig.device_settings.model_copy(
         update={
             "sensor_noise_v": member.noise_v,
             "output_delay_ticks": member.output_delay_ticks,
         }
     )
-    return base.model_copy(
+    return _resolve_base("tracking-1").model_copy(
         update={
             "controller": controller,
             "plant": member.plant,
-            "rig": base.rig.model_copy(update={"sim": sim}),
-            "experiment": experiment or base.experiment,
+            "rig": rig.model_copy(update={"sim": sim}),
+            "experiment": experiment,
             "seed": member.seed,
         }
     )
@@ -280,6 +302,21 @@ def _judge_short(batch: SimulatedRun) -> GainsVerdict:
             "steady": (found.steady_m, BOUNDS.steady_m),
         }
     )
+
+
+def _judge_own(batch: SimulatedRun) -> GainsVerdict:
+    """Judge a motion that is not the paper's, on the scale of Table IV all the same."""
+    if batch.run.tripped_tick >= 0:
+        return _judge_tripped(batch)
+    found = batch.merit()
+    if found is None:
+        raise ValueError("the experiment tracks nothing: it has no reference displacement")
+    rests = not np.isnan(found.steady_m)
+    errors = {
+        "max": (found.max_m, BOUNDS.max_m),
+        "RMS": (found.rms_m, BOUNDS.rms_m if rests else BOUNDS.moving_rms_m),
+    }
+    return _make_verdict(errors | ({"steady": (found.steady_m, BOUNDS.steady_m)} if rests else {}))
 
 
 def _errors_of(batch: SimulatedRun, name: str) -> _Errors:

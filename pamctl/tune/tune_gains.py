@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
+import signal
 import textwrap
+import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from pamctl.cluster.worker_processes import start_workers
 from pamctl.control.law_registry import find_law, installed_laws
+from pamctl.exit_codes import ExitCode
 from pamctl.log.run_meta import bare_name
 from pamctl.new_file import NewFileError, require_place, write_files
+from pamctl.report.progress_line import WorkProgress
+from pamctl.report.report import Points, Report, Section, Text
 from pamctl.settings.config_files import find_config_file
 from pamctl.settings.known_effects import build_compensation
 from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import (
     SECTIONS,
+    RunSettings,
     read_section_file,
     require_muscle,
     resolve,
@@ -42,6 +49,9 @@ _FRESH_SEED_OFFSET = 1_000_003
 """Added to the seed for plants that the search has not seen."""
 
 
+WHOLE = GainsTrial("whole")
+
+
 @dataclass(frozen=True)
 class TuningTask:
     """What is tuned, for which plants, and what judges the result."""
@@ -60,16 +70,18 @@ class TuningTask:
     start: dict[str, Any] | None
     compensate: tuple[str, ...] = ()
     """Effects that the gains undo, each with the numbers of the plant that it is judged on."""
+    whole_trial: GainsTrial = WHOLE
+    """What the score rests on: the paper's two experiments, or the motion that was asked for."""
 
     @property
     def trial(self) -> GainsTrial:
         """How gains are judged in a search: on a few named plants by the whole experiments."""
-        return GainsTrial("short" if self.drawn else "whole")
+        return replace(self.whole_trial, length="short" if self.drawn else "whole")
 
     @property
     def elite_trial(self) -> GainsTrial | None:
         """What the best gains of a search on drawn plants must stand as well."""
-        return GainsTrial("whole") if self.drawn else None
+        return self.whole_trial if self.drawn and not self.whole_trial.own_motion else None
 
     @classmethod
     def of(
@@ -83,8 +95,13 @@ class TuningTask:
         check: str | None,
         start: str | None,
         compensate: Sequence[str] = (),
+        base: RunSettings | None = None,
+        own_motion: bool = False,
     ) -> TuningTask:
-        """Make a task of the options of `pamctl tune`; raise `ConfigError`."""
+        """Make a task of the options of `pamctl tune`; raise `ConfigError`.
+
+        `base` has the rig that is simulated, and with `own_motion` the experiment that is judged.
+        """
         checked = None if check is None else _read("controller", check, "--check")
         law = checked.law if checked is not None else law or ""
         if law not in installed_laws():
@@ -105,7 +122,7 @@ class TuningTask:
                 f"--compensate {compensate[0]}",
                 "undoes what a plant file says: give --plant FILE, and no --ensemble",
             )
-        _require_undoable(compensate, named)
+        _require_undoable(compensate, named, base)
         if held_out is not None and not draws:
             message = "there are no fresh plants: with --plant, give --ensemble too"
             raise _option_error(f"--held-out {held_out}", message)
@@ -116,16 +133,34 @@ class TuningTask:
         if checked is not None and compensate:
             checked = checked.model_copy(update={"compensate": tuple(compensate)})
         names = tuple(compensate)
-        return cls(law, drawn, named, fresh, seed, out, checked, begun, names)
+        whole = WHOLE
+        if base is not None:
+            simulated = _simulate_rig(base, own_motion=own_motion)
+            whole = GainsTrial("whole", simulated.model_dump_json(), own_motion)
+        return cls(law, drawn, named, fresh, seed, out, checked, begun, names, whole)
 
 
 def _option_error(where: str, message: str) -> ConfigError:
     return ConfigError([Problem(where, "", message)])
 
 
-def _require_undoable(names: Sequence[str], members: Sequence[Member]) -> None:
+def _simulate_rig(base: RunSettings, *, own_motion: bool) -> RunSettings:
+    """Put a simulation in the place of a card: with its calibration, limits and rate."""
+    if own_motion and getattr(base.experiment, "IS_VALVE", False):
+        message = "moves the valve and tracks nothing: gains need a displacement to follow"
+        raise _option_error("--experiment", message)
+    if base.rig.record.is_simulated:
+        return base
+    kept = ("calibration", "limits", "envelope", "homing", "loop", "compensate")
+    sim = resolve().rig.model_copy(update={name: getattr(base.rig, name) for name in kept})
+    return base.model_copy(update={"rig": sim})
+
+
+def _require_undoable(
+    names: Sequence[str], members: Sequence[Member], base: RunSettings | None
+) -> None:
     """Refuse what a run on one of the plants would refuse."""
-    base = resolve()
+    base = base or resolve()
     controller = base.controller.model_copy(update={"compensate": tuple(names)})
     for member in members:
         try:
@@ -174,6 +209,8 @@ class Scores(NamedTuple):
     worst: float
     failures: tuple[tuple[str, str, float], ...]
     """Name, reason and largest error over its bound of each plant that is not inside."""
+    errors_um: Mapping[str, float]
+    """Of the plant with the median score; empty where safety ended its run."""
 
     @property
     def share(self) -> float:
@@ -196,6 +233,7 @@ def summarise_verdicts(members: Sequence[Member], verdicts: Sequence[GainsVerdic
         p95=ratios[min(len(ratios) - 1, round(0.95 * (len(ratios) - 1)))],
         worst=ratios[-1],
         failures=tuple(sorted(outside, key=lambda failure: -failure[2])),
+        errors_um=sorted(verdicts, key=lambda verdict: verdict.worst)[len(ratios) // 2].figures_um,
     )
 
 
@@ -242,7 +280,7 @@ def describe_effort(task: TuningTask, best: BestGains) -> str:
     )
 
 
-def report_scores(found: Mapping[str, Scores]) -> str:
+def report_scores(task: TuningTask, found: Mapping[str, Scores]) -> str:
     """Return how good the gains are, for the gains file."""
     if not found:
         return "Not scored: interrupted."
@@ -252,33 +290,46 @@ def report_scores(found: Mapping[str, Scores]) -> str:
         f"score median {one.median:.2f}, 95 % {one.p95:.2f}, worst {one.worst:.2f}"
         for which, one in found.items()
     ]
-    return f"Both experiments in full: {'; '.join(said)}."
+    what = "Own experiment" if task.whole_trial.own_motion else "Both experiments in full"
+    return f"{what}: {'; '.join(said)}."
 
 
-def format_scores(law: str, found: Mapping[str, Scores]) -> str:
-    """Return how good the gains are, for the terminal."""
-    return "\n".join(
-        _format_one_score(f"{law}, {_PLANT_SET_NAMES[which]}", one) for which, one in found.items()
-    )
-
-
-def _format_one_score(title: str, found: Scores) -> str:
-    lines = [
-        f"{title}: {found.inside} of {found.plants} inside every bound of Table IV "
-        f"({100 * found.share:.1f} %)",
-        f"largest error over its bound: median {found.median:.2f}, 95 % {found.p95:.2f}, "
-        f"worst {found.worst:.2f}",
-    ]
-    for name, why, worst in found.failures[:_SHOWN_FAILURES]:
-        lines.append(f"  outside: plant {name}: {_describe_failure(why, worst)}")
-    if len(found.failures) > _SHOWN_FAILURES:
-        lines.append(f"  and {len(found.failures) - _SHOWN_FAILURES} more")
-    return "\n".join(lines)
+def report_gains(task: TuningTask, scores: Mapping[str, Scores]) -> Report:
+    """Return how good gains are."""
+    report = Report(f"Gains of {task.law}")
+    if not scores:
+        report.verdict = "not scored"
+    for which, one in scores.items():
+        verdict = (
+            f"{task.law}, {_PLANT_SET_NAMES[which]}: {one.inside} of {one.plants} inside every "
+            f"bound of Table IV ({100 * one.share:.1f} %)"
+        )
+        if report.verdict:
+            report.add(Section(verdict))
+        report.verdict = report.verdict or verdict
+        report.add(
+            Text(
+                f"largest error over its bound: median {one.median:.2f}, 95 % {one.p95:.2f}, "
+                f"worst {one.worst:.2f}"
+            )
+        )
+        if one.errors_um:
+            errors = ", ".join(f"{name} {um:.1f} µm" for name, um in one.errors_um.items())
+            report.add(Text(f"errors on the median plant: {errors}"))
+        shown = one.failures[:_SHOWN_FAILURES]
+        outside = [f"outside: plant {n}: {_describe_failure(why, w)}" for n, why, w in shown]
+        if len(one.failures) > _SHOWN_FAILURES:
+            outside.append(f"and {len(one.failures) - _SHOWN_FAILURES} more")
+        if outside:
+            report.add(Points(outside))
+    return report
 
 
 def _describe_failure(why: str, worst: float) -> str:
     """Say which error is too large; `why` is such as "max 1", or the name of an ending."""
     kind, _, experiment = why.rpartition(" ")
+    if why in _ERROR_NAMES:
+        return f"{_ERROR_NAMES[why]} is {worst:.2f} times the bound"
     if kind not in _ERROR_NAMES:
         return why
     return f"{_ERROR_NAMES[kind]} of experiment {experiment} is {worst:.2f} times the paper's"
@@ -301,8 +352,8 @@ class FoundGains(NamedTuple):
     scores: dict[str, Scores]
     """On plants the search has not seen, and on named ones; empty where interrupted."""
     took_s: float
-    interrupted: bool
-    """Stopped by Ctrl-C; the best gains so far are written all the same."""
+    ending: ExitCode
+    """Stopped by Ctrl-C, SIGTERM or SIGHUP; the best gains so far are written all the same."""
     text: str
     """The gains file."""
     failure: NewFileError | None
@@ -313,8 +364,8 @@ def check_gains(
     task: TuningTask, jobs: int | None, cluster: str | None = None
 ) -> dict[str, Scores]:
     """Score the given gains on fresh plants, or on named ones."""
-    with start_workers(jobs, cluster) as executor:
-        return _score_gains(executor, task.checked, task)
+    with WorkProgress("tune") as progress, start_workers(jobs, cluster) as executor:
+        return _score_gains(executor, task.checked, task, progress)
 
 
 def search_gains(
@@ -333,10 +384,9 @@ def search_gains(
     that comes before the end of the first generation.
     """
     assert task.out is not None
-    began_s = time.monotonic()
-    interrupted = False
+    began_s, ending = time.monotonic(), ExitCode.OK
     scores: dict[str, Scores]
-    with start_workers(jobs, cluster) as executor:
+    with _stop_on_signals(), WorkProgress("tune") as show, start_workers(jobs, cluster) as executor:
         search = GainsSearch(
             task.law,
             Jury(tuple(task.drawn), tuple(task.named)),
@@ -346,34 +396,69 @@ def search_gains(
             task.elite_trial,
             task.compensate,
         )
+
+        def watch(share: float) -> None:
+            best = f", best so far {search.best.cost:.3f}" if search.generation else ""
+            doing = f"generation {search.generation + 1} of {generations}{best}"
+            show(search.generation + share, generations, doing)
+
+        search.watch = watch
+        watch(0.0)
         try:
             while search.generation < generations:
                 progress(search.advance(executor), time.monotonic() - began_s)
-        except KeyboardInterrupt:
+        except KeyboardInterrupt as stop:
             if not search.generation:
-                raise
-            interrupted = True
+                raise SystemExit(_name_ending(stop)) from None
+            ending = _name_ending(stop)
         best = search.best
         controller = SECTIONS["controller"].validate_python(best.gains)
         try:
-            scores = _score_gains(executor, controller, task)
-        except KeyboardInterrupt:  # a second one: the gains are written without scores
-            interrupted, scores = True, {}
+            scores = _score_gains(executor, controller, task, show)
+        except KeyboardInterrupt as stop:  # a second one: the gains are written without scores
+            ending, scores = _name_ending(stop), {}
     effort = describe_effort(task, best)
-    text = format_gains_file(best.gains, command, effort, report_scores(scores))
+    text = format_gains_file(best.gains, command, effort, report_scores(task, scores))
     failure = None
     try:
         write_files({task.out: text})
     except NewFileError as error:
         failure = error
-    return FoundGains(best, scores, time.monotonic() - began_s, interrupted, text, failure)
+    return FoundGains(best, scores, time.monotonic() - began_s, ending, text, failure)
 
 
-def _score_gains(executor: Executor, controller: Any, task: TuningTask) -> dict[str, Scores]:
+@contextmanager
+def _stop_on_signals() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP end the search as Ctrl-C does: with the best so far."""
+
+    def stop(number: int, frame: object) -> None:
+        raise KeyboardInterrupt(number)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {n: signal.signal(n, stop) for n in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _name_ending(stop: KeyboardInterrupt) -> ExitCode:
+    return ExitCode(128 + stop.args[0]) if stop.args else ExitCode.SIGINT
+
+
+def _score_gains(
+    executor: Executor, controller: Any, task: TuningTask, show: WorkProgress
+) -> dict[str, Scores]:
     """Return the scores on the fresh plants and on the named ones, where there are any."""
-    verdict = partial(_judge_member, controller)
+    verdict = partial(task.whole_trial.verdict, controller)
     members = [*task.fresh, *task.named]
-    verdicts = list(executor.map(verdict, members, chunksize=max(1, len(members) // 50)))
+    verdicts = []
+    for each in executor.map(verdict, members, chunksize=max(1, len(members) // 50)):
+        verdicts.append(each)
+        show(len(verdicts), len(members), f"scored on {len(verdicts)} of {len(members)} plants")
     drawn = len(task.fresh)
     parts = {"fresh": slice(drawn), "named": slice(drawn, None)}
     return {
@@ -381,7 +466,3 @@ def _score_gains(executor: Executor, controller: Any, task: TuningTask) -> dict[
         for which, part in parts.items()
         if members[part]
     }
-
-
-def _judge_member(controller: Any, member: Member) -> GainsVerdict:
-    return GainsTrial("whole").verdict(controller, member)

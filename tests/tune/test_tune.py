@@ -333,8 +333,31 @@ def test_invalid_options_are_refused(tmp_path: Path, options: list[str], said: s
     assert said in made.stderr
 
 
+def test_gains_are_sought_for_a_motion_of_ones_own_at_another_rate_and_on_a_card(
+    tmp_path: Path,
+) -> None:
+    rows = "\n".join(f"{t},{x}" for t, x in ((0, 2), (1, 2), (2, 6), (3, 6), (4, 3), (5, 3)))
+    (tmp_path / "motion.csv").write_text(f"t_s,position_mm\n{rows}\n")
+    (tmp_path / "mine.yaml").write_text("kind: table\nfile: motion.csv\n")
+    which = ["--plant", "paper", "--experiment", "mine.yaml", "--rig", "pci6221"]
+    rate = ["--set", "rig.loop.rate_hz=500"]
+    size = ["--generations", "1", "--jobs", "1"]
+    made = tune("--law", "pid", *which, *rate, *size, "--out", "g.yaml", cwd=tmp_path)
+    assert made.returncode == 0, made.stderr
+    assert "1 of 1 inside" in made.stdout
+    found = yaml.safe_load((tmp_path / "g.yaml").read_text())
+    assert max(found["lpf1_hz"], found["lpf2_hz"]) <= 225.0
+    open_loop = ["--experiment", "square-1", "--out", "x.yaml"]
+    refused = tune("--law", "pid", "--plant", "paper", *open_loop, cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "tracks nothing" in refused.stderr
+
+
 @pytest.mark.long
-def test_ctrl_c_keeps_the_best_gains_so_far(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_keeps_the_best_gains_so_far(
+    tmp_path: Path, number: signal.Signals, code: int
+) -> None:
     command = [sys.executable, "-m", "pamctl", "tune", "--law", "pid", "--plant", "paper"]
     process = subprocess.Popen(
         [*command, "--generations", "1000", "--jobs", "2", "--out", "mine.yaml"],
@@ -344,9 +367,9 @@ def test_ctrl_c_keeps_the_best_gains_so_far(tmp_path: Path) -> None:
     )
     assert process.stderr is not None
     assert any(line.startswith(b"generation 1 of 1000") for line in process.stderr)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     _, said = process.communicate(timeout=120)
-    assert process.returncode == 130, said
+    assert process.returncode == code, said
     assert check_config_file(tmp_path / "mine.yaml") == "controller"
     assert b"--start mine.yaml goes on from these gains" in said
     assert not _children_of(process.pid)

@@ -406,7 +406,7 @@ def _choose_channels(records: Sequence[Recording], actuator: str, imposed: bool)
         wanted = ("pressure_pa",) if actuator == "chamber" else ("position_m", "pressure_pa")
         channels = tuple(name for name in wanted if name in measured)
     else:
-        both = {"pressure_pa", "position_m"} <= {*measured} and actuator == "muscle"
+        both = {"pressure_pa", "position_m"} <= {*measured} and actuator in ("muscle", "cylinder")
         channels = ("position_m",) if both else ()
     if not channels:
         raise TooLittleRecorded(

@@ -42,6 +42,14 @@ CALIBRATED: Mapping[str, Mapping[str, float]] = {
     },
     "chamber": {"valve_gain_m2_per_v": 0.1, "tank_pressure_pa": 0.02},
     "direct": {"mass_kg": 0.2, "damping_n_s_per_m": 0.2, "stiffness_n_per_m": 0.2},
+    "cylinder": {
+        "valve_gain_m2_per_v": 0.1,
+        "tank_pressure_pa": 0.02,
+        "mass_kg": 0.2,
+        "damping_n_s_per_m": 0.2,
+        "stiffness_n_per_m": 0.1,
+        "cylinder_volume_m3": 0.1,
+    },
 }
 """Numbers that every model recalibrates, and a visible share of each."""
 LOAD = "external_load.force_n"
@@ -194,7 +202,8 @@ def list_calibrated(
             most = 50.0 * abs(number)
             low = -most if p.low < 0.0 else 0.0
             found.append(Unknown(name, number, low, most, 0.1 * abs(number)))
-    if plant.actuator == "direct" and not runs.imposed and "external_load" not in plant.known:
+    loaded = plant.actuator in ("direct", "cylinder") and not runs.imposed
+    if loaded and LOAD not in values and "external_load" not in plant.known:
         force = scales_of(runs, plant).force_n
         found.append(Unknown(LOAD, 0.0, -10.0 * force, 10.0 * force, 0.1 * force))
     for channel, row in zip(runs.channels, runs.shown, strict=True):
@@ -222,7 +231,7 @@ def list_pool(runs: Runs, values: Mapping[str, float], plant: PlantSettings) -> 
         pool = [h for h in pool if h.place in seen and _is_driven(h, reach)]
     if runs.imposed:
         pool = [h for h in pool if not h.scan]
-    if plant.actuator == "muscle" and "valve_v" not in runs.stretches[0].inputs:
+    if plant.actuator in ("muscle", "cylinder") and "valve_v" not in runs.stretches[0].inputs:
         pool = [h for h in pool if h.place in ("friction", "pull", "encoder")]
     if plant.actuator == "chamber":
         pool = [h for h in pool if h.place in ("valve", "supply", "air", "pressure_sensor")]
@@ -260,13 +269,13 @@ def find_reach(runs: Runs) -> dict[str, tuple[float, float]]:
 
 def scales_of(runs: Runs, plant: PlantSettings) -> Scales:
     """Return what the machine reaches; for a muscle of the paper's size the catalogue's."""
-    if plant.actuator != "direct":
+    if plant.actuator in ("muscle", "chamber"):
         return PAPER_SCALES
     reach = find_reach(runs)
     forces = [s.inputs["force_n"] for s in runs.stretches if "force_n" in s.inputs]
     pressure = reach.get("pressure", (0.0, PAPER_SCALES.pressure_pa))[1]
-    force = 0.5 * float(np.ptp(np.concatenate(forces))) if forces else 1e-3 * pressure
-    return Scales(
-        max(force, 1e-9), max(reach["position"][1] - reach["position"][0], 1e-9),
-        max(map(abs, reach["velocity"])), max(pressure, 1.0),
-    )  # fmt: skip
+    area_m2 = plant.cylinder_area_m2 or 1e-3
+    force = 0.5 * float(np.ptp(np.concatenate(forces))) if forces else area_m2 * pressure
+    low_m, high_m = reach.get("position", (0.0, plant.stroke_m or PAPER_SCALES.travel_m))
+    speed = max(map(abs, reach.get("velocity", (high_m - low_m,))))
+    return Scales(max(force, 1e-9), max(high_m - low_m, 1e-9), speed, max(pressure, 1.0))

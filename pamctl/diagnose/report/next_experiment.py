@@ -196,6 +196,11 @@ _OF_ACTUATOR: Mapping[str, RigWords] = {
         "guides, mounting, the drive, sensors",
         "at rest",
     ),
+    "cylinder": RigWords(
+        "a cylinder with a piston behind a valve",
+        "supply, tubing, seals, guides, sensors",
+        "with the cylinder vented and at rest",
+    ),
     "chamber": RigWords(
         "a chamber of constant volume behind a valve",
         "supply, tubing, leaks, sensors",

@@ -10,12 +10,11 @@ import numpy as np
 
 from pamctl.diagnose.diagnosis import Diagnosis, Verdict
 from pamctl.diagnose.evidence.fit import WeighedModel
-from pamctl.diagnose.evidence.run_pieces import Runs
 from pamctl.diagnose.record import Array
 from pamctl.diagnose.report.verdict_words import SIGNAL_DISPLAYS
 from pamctl.log.run_meta import Moment
-from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot, plot_apart
-from pamctl.report.html_page import Page
+from pamctl.report.figure import MUTED, Plot, PlotAxis, plot_apart
+from pamctl.report.report import Figure, Report, Section
 from pamctl.report.run_motion import mark_moments
 
 STRETCH_S = 3.0
@@ -71,41 +70,31 @@ def show_runs(diagnosis: Diagnosis, stages: Sequence[ModelStage]) -> list[ShownR
         return []
     weigher = evidence.weigher
     runs = weigher.held_out or weigher.train
-    counted = np.where(_flatten(runs.masked), np.nan, 1.0)
-    shown = _flatten(runs.shown)
-    simulated = {
-        s.key: _flatten(runs.simulate({**weigher.base, **s.model.values}, min(runs.steps_s)))
-        for s in stages
-    }
     noise = np.array([evidence.noise_rms[c] for c in runs.channels])
     most = MOST_NOISE * noise[:, None]
-    left = {k: np.clip(shown - row, -most, most) for k, row in simulated.items()}
-    return list(_cut_pieces(diagnosis, runs, shown, left, counted, noise))
-
-
-def _flatten(blocks: np.ndarray) -> np.ndarray:
-    return blocks.reshape(len(blocks), -1)
-
-
-def _cut_pieces(
-    diagnosis: Diagnosis, runs: Runs, shown: Array, left: dict[str, Array], counted: Array,
-    noise: Array,
-) -> Iterator[ShownRun]:  # fmt: skip
-    when_s, at = runs.when_s.ravel(), 0
+    shown: Array = runs.shown.reshape(len(runs.channels), -1)
+    counted, left = np.where(runs.masked.reshape(shown.shape), np.nan, 1.0), {}
+    for s in stages:
+        rows = runs.simulate({**weigher.base, **s.model.values}, min(runs.steps_s))
+        left[s.key] = np.clip(shown - rows.reshape(shown.shape), -most, most)
+    when_s, at, found = runs.when_s.ravel(), 0, []
     moments = {r.name: r.moments for r in (*diagnosis.train, *diagnosis.holdout)}
     for piece, size in zip(runs.stretches, runs.sizes, strict=True):
         n = min(size, piece.shown.shape[1])
         part = slice(at, at + n)
         command = piece.inputs.get("valve_v")
-        yield ShownRun(
-            piece.name, piece.begin_s + when_s[part], None if command is None else command[:n],
-            runs.channels, shown[:, part], {k: rows[:, part] for k, rows in left.items()},
-            counted[:, part], noise, moments.get(piece.name, ()),
+        found.append(
+            ShownRun(
+                piece.name, piece.begin_s + when_s[part], None if command is None else command[:n],
+                runs.channels, shown[:, part], {k: rows[:, part] for k, rows in left.items()},
+                counted[:, part], noise, moments.get(piece.name, ()),
+            )
         )  # fmt: skip
         at += size
+    return found
 
 
-def write_traces(page: Page, diagnosis: Diagnosis) -> None:
+def write_traces(page: Report, diagnosis: Diagnosis) -> None:
     """Show the most telling stretch, and the residual of its whole record."""
     stages = list_stages(diagnosis)
     runs = show_runs(diagnosis, stages)
@@ -118,28 +107,34 @@ def write_traces(page: Page, diagnosis: Diagnosis) -> None:
     is_part = part.stop - part.start < len(run.t_s)
     whole = [*_draw_whole(run, part, stages)] if is_part else []
     mark_moments([*close_up, *same_scale, *whole], run.moments)
-    page.section("Measured and simulated")
+    page.add(Section("Measured and simulated"))
     why = (
         f'where the model "{stages[-1].label}" improves most on "{stages[-2].label}"'
         if len(stages) > 1
         else "where the residual is largest"
     )
     use = "held-out" if diagnosis.holdout else "partly fitted"
-    page.figure(
-        *close_up,
-        caption=f"The {use} record {run.name}, at most {STRETCH_S:g} s of it, {why}. A residual "
-        "breaks where samples do not count.",
+    page.add(
+        Figure(
+            [*close_up],
+            f"The {use} record {run.name}, at most {STRETCH_S:g} s of it, {why}. A residual "
+            "breaks where samples do not count.",
+        )
     )
-    page.figure(
-        *same_scale,
-        caption="The measured signal without its mean, and the residual, at the same scale: what "
-        f'the model "{stages[-1].label}" leaves of what there was to explain.',
+    page.add(
+        Figure(
+            [*same_scale],
+            "The measured signal without its mean, and the residual, at the same scale: what "
+            f'the model "{stages[-1].label}" leaves of what there was to explain.',
+        )
     )
     if whole:
-        page.figure(
-            *whole,
-            caption=f"What is left over the whole record {run.name}. The stretch above lies "
-            "between the dashed lines.",
+        page.add(
+            Figure(
+                [*whole],
+                f"What is left over the whole record {run.name}. The stretch above lies "
+                "between the dashed lines.",
+            )
         )
 
 
@@ -178,11 +173,11 @@ def _measure_movement(residual: Array, length: int) -> Array:
     return np.asarray(means[1] - 0.9 * means[0] ** 2)
 
 
-def _draw_close_up(run: ShownRun, part: slice, stages: Sequence[ModelStage]) -> Iterator[SvgPlot]:
+def _draw_close_up(run: ShownRun, part: slice, stages: Sequence[ModelStage]) -> Iterator[Plot]:
     t_s = run.t_s[part]
     for c, channel in enumerate(run.channels):
         display = SIGNAL_DISPLAYS[channel]
-        plot = SvgPlot(display.title, _TIME, PlotAxis(display.short, display.unit))
+        plot = Plot(display.title, _TIME, PlotAxis(display.short, display.unit))
         measured = run.measured[c, part]
         plot.line(t_s, display.factor * measured, "measured", colour=MUTED, thick=True)
         for stage in stages:
@@ -191,21 +186,19 @@ def _draw_close_up(run: ShownRun, part: slice, stages: Sequence[ModelStage]) -> 
         yield plot
         yield from _draw_residual(run, c, stages, part)
     if run.command_v is not None:
-        command = SvgPlot("Valve command", _TIME, PlotAxis("command", "V"), height_px=90)
+        command = Plot("Valve command", _TIME, PlotAxis("command", "V"), height_px=90)
         yield command.line(t_s, run.command_v[part], step=True, colour=MUTED)
 
 
-def _draw_residual(
-    run: ShownRun, c: int, stages: Sequence[ModelStage], part: slice
-) -> list[SvgPlot]:
+def _draw_residual(run: ShownRun, c: int, stages: Sequence[ModelStage], part: slice) -> list[Plot]:
     display = SIGNAL_DISPLAYS[run.channels[c]]
     title = f"{display.title.split(',')[0]}, measurement \N{MINUS SIGN} simulation"
     residuals = {s.key: (run.residuals[s.key] * run.counted)[c, part] for s in stages}
     largest = max(float(np.abs(np.nan_to_num(r)).max()) for r in residuals.values())
     factor, unit = display.choose_unit(largest)
 
-    def draw(shown: Sequence[ModelStage]) -> SvgPlot:
-        plot = SvgPlot(title, _TIME, PlotAxis("residual", unit), height_px=110)
+    def draw(shown: Sequence[ModelStage]) -> Plot:
+        plot = Plot(title, _TIME, PlotAxis("residual", unit), height_px=110)
         for stage in shown:
             plot.line(
                 run.t_s[part], factor * residuals[stage.key], stage.label, colour=stage.colour
@@ -215,13 +208,13 @@ def _draw_residual(
     return plot_apart(draw, stages)
 
 
-def _draw_same_scale(run: ShownRun, stage: ModelStage) -> Iterator[SvgPlot]:
+def _draw_same_scale(run: ShownRun, stage: ModelStage) -> Iterator[Plot]:
     """Draw signal and residual of the whole record on one axis, with their RMS as labels."""
     for c, channel in enumerate(run.channels):
         display = SIGNAL_DISPLAYS[channel]
         moved = display.factor * (run.measured[c] - np.mean(run.measured[c]))
         left = display.factor * run.residuals[stage.key][c] * run.counted[c]
-        plot = SvgPlot(
+        plot = Plot(
             f"{display.title.split(',')[0]}, signal and residual", _TIME,
             PlotAxis(display.short, display.unit),
         )  # fmt: skip
@@ -232,7 +225,7 @@ def _draw_same_scale(run: ShownRun, stage: ModelStage) -> Iterator[SvgPlot]:
         yield plot
 
 
-def _draw_whole(run: ShownRun, part: slice, stages: Sequence[ModelStage]) -> Iterator[SvgPlot]:
+def _draw_whole(run: ShownRun, part: slice, stages: Sequence[ModelStage]) -> Iterator[Plot]:
     for c in range(len(run.channels)):
         for plot in _draw_residual(run, c, stages, slice(None)):
             plot.place(float(run.t_s[part.start]), "")

@@ -167,7 +167,7 @@ LINE_RESTRICTION = EffectDescription(
         EffectForm("turbulent", free=("resistance_pa_s_per_kg", "turbulent_pa_s2_per_kg2"),
                    held={"volume_m3": 0.0}),
     ),
-    actuators=("muscle", "chamber"),
+    actuators=("muscle", "chamber", "cylinder"),
 )  # fmt: skip
 
 

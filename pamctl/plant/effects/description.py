@@ -25,17 +25,18 @@ UNDOABLE_PLACES = ("command", "opening", "pressure_reading", "position_reading")
 """Where a tick can undo an effect: before the valve, and behind the sensors."""
 
 Block = Literal["pressure", "mechanics", "sensors"]
-Actuator = Literal["muscle", "direct", "chamber"]
+Actuator = Literal["muscle", "direct", "chamber", "cylinder"]
 """What a plant file calls `actuator`.
 
 A muscle; a force that drives the mechanics directly; a chamber of constant volume, which has no
-mechanics.
+mechanics; a cylinder whose piston the pressure pushes.
 """
 ACTUATORS: tuple[Actuator, ...] = get_args(Actuator)
 USED_SIGNALS: Mapping[Actuator, tuple[str, ...]] = {
     "muscle": ("valve_v", "pressure_pa", "position_m"),
     "direct": ("force_n", "pressure_pa", "position_m"),
     "chamber": ("valve_v", "pressure_pa"),
+    "cylinder": ("valve_v", "pressure_pa", "position_m"),
 }
 """The measured signals that an actuator's model reads."""
 

@@ -65,7 +65,7 @@ FRICTION_ASYMMETRY = EffectDescription(
         EffectEntry("friction", tilt_band,
                     after=("coulomb_friction", "pressure_friction", "return_friction", "stribeck")),
     ),
-    actuators=("direct",),
+    actuators=("direct", "cylinder"),
 )  # fmt: skip
 
 
@@ -214,7 +214,7 @@ PRESSURE_FRICTION = EffectDescription(
     ),
     signature="an error with the sign of the speed, in proportion to pressure",
     entries=(EffectEntry("friction", add_pressed_friction, after=("return_friction",)),),
-    actuators=("direct",),
+    actuators=("direct", "cylinder"),
 )  # fmt: skip
 
 
@@ -311,5 +311,5 @@ VISCOUS_ASYMMETRY = EffectDescription(
              meaning="a, positive where the damping is greater while x grows", low=-0.95),
     ),
     signature="an error in proportion to the absolute value of the speed",
-    woven=("mechanics",), actuators=("direct",),
+    woven=("mechanics",), actuators=("direct", "cylinder"),
 )  # fmt: skip

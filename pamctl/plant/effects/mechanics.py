@@ -370,6 +370,6 @@ SPRING_HYSTERESIS = EffectDescription(
     "speed and also without pressure",
     best_experiment="slow-ramps",
     entries=(EffectEntry("force", loop_force_n, memory=EffectMemory(start_loop, follow_loop)),),
-    actuators=("muscle", "direct"),
+    actuators=("muscle", "direct", "cylinder"),
     as_terms=(AsTerm("force", "hysteresis", "position"),),
 )  # fmt: skip

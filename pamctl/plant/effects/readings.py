@@ -278,6 +278,6 @@ PRESSURE_SENSOR_OFFSET = EffectDescription(
         EffectEntry("pressure_reading", add_offset_pa, after=("pressure_sensor_gain",),
                     undo=undo_offset_pa),
     ),
-    actuators=("muscle", "chamber"),
+    actuators=("muscle", "chamber", "cylinder"),
     as_terms=(AsTerm("pressure_sensor", "constant"),),
 )  # fmt: skip

@@ -42,6 +42,7 @@ _OTHER_WAYS = {
     "braid_length_m": "or `23 deg`, the braid's angle to the axis at rest",
     "braid_turns": "a number, or `13 mm diameter`, the braid's diameter at rest",
     "area_m2": "or `25 mm bore`",
+    "cylinder_area_m2": "or `25 mm bore`",
     "valve_gain_m2_per_v": "or `350 l/min`, the nominal flow at full opening",
     "temperature_k": "or `20 C`",
 }
@@ -157,5 +158,6 @@ _SPECIAL = {
     "braid_length_m": _read_braid_length,
     "braid_turns": _read_braid_turns,
     "area_m2": _read_area,
+    "cylinder_area_m2": _read_area,
     "valve_gain_m2_per_v": _read_valve_gain,
 }

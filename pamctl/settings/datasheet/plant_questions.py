@@ -25,13 +25,22 @@ _OF_BRAID = {
     "braid_contact_area_m2",
 }  # fmt: skip
 _OF_MOTION = {"mass_kg", "damping_n_s_per_m", "stiffness_n_per_m"}
-_NOT_OF = {"muscle": set(), "direct": _OF_AIR | _OF_BRAID, "chamber": _OF_BRAID | _OF_MOTION}
+_NOT_OF = {
+    "muscle": set(),
+    "direct": _OF_AIR | _OF_BRAID,
+    "chamber": _OF_BRAID | _OF_MOTION,
+    "cylinder": _OF_BRAID,
+}
 """Numbers that mean nothing to an actuator."""
-_NO_DEFAULT = {"direct": _OF_MOTION, "chamber": {"chamber_volume_m3"}}
+_NO_DEFAULT = {
+    "direct": _OF_MOTION,
+    "chamber": {"chamber_volume_m3"},
+    "cylinder": {"cylinder_area_m2", "cylinder_volume_m3", "stroke_m", *_OF_MOTION},
+}
 """Numbers for which no other rig's value is a guess."""
 _DEFAULTS = {"temperature_k": ROOM_K}
 """Where the paper's number is no guess for a rig of one's own."""
-_EFFECTS = {"direct": ("piston",)}
+_EFFECTS = {"direct": ("piston",), "cylinder": ("external_load",)}
 """Effects that are part of an actuator, where the catalogue has them."""
 _FIRST = ("atmospheric_pressure_pa",)
 """A gauge pressure needs it."""
@@ -51,6 +60,9 @@ _PLAIN_WORDS = {
     "braid_contact_area_m2": "contact area of two braid threads, A_b",
     "valve_gain_m2_per_v": "opening of the valve per volt of command, K_Av",
     "chamber_volume_m3": "volume behind the valve, tubes included",
+    "cylinder_area_m2": "area of the piston",
+    "cylinder_volume_m3": "volume behind the piston at position 0, tubes included",
+    "stroke_m": "stroke: the piston moves from 0 to here",
 }
 """What the settings describe by the paper's symbols."""
 

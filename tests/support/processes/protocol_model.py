@@ -310,7 +310,7 @@ def _close(rules: Rules, state: State) -> State:
         if rules.ring_waits:
             return state
     else:
-        state = state._replace(is_finished=True)  # by the recorder, or from the ring
+        state = state._replace(is_finished=True)  # by the recorder, or by the next one
     return remove_ring(state)._replace(front_phase=Phase.DISMISSING, front_waited=0)
 
 
@@ -324,7 +324,7 @@ def move_recorder(rules: Rules, state: State) -> State:
 
 
 def move_finisher(rules: Rules, state: State) -> State:
-    """Move the finisher, which needs nobody and is hit by no fault."""
+    """Move the recorder that a guardian or a loop has started, which is hit by no fault."""
     if not state.has_ring:
         return state._replace(has_finisher=False)
     if is_gone(state.life[RECORDER]):

@@ -1,0 +1,177 @@
+"""First guesses of a plant's numbers from measured records, for `pamctl plant new --from`.
+
+A guess is a regression without a simulation: the balance of forces for what moves, the balance of
+air for the valve (Eq. 7 and 8). It need only be right within a factor of some three, since
+`pamctl diagnose` fits it. A number that the records do not show keeps its usual value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from pamctl.diagnose.evidence.measured_motion import SMOOTH_S, find_rates
+from pamctl.diagnose.record import Record
+from pamctl.plant.drive import build_grid
+from pamctl.plant.effects.description import ACTUATORS
+from pamctl.plant.paper import PaperParameters, force_area_m2, orifice_flow, volume_m3
+from pamctl.plant.parameters import ACTUATOR, parameters_of
+
+Array = NDArray[np.float64]
+
+ABOVE_HIGHEST = 1.02
+"""A supply is above the highest pressure that it filled something to."""
+OPEN_SHARE = 0.2
+"""Samples with less flow, or speed, than this share of the largest say little."""
+LEAST_SHARE = 0.01
+"""A force that the balance does not show is guessed to be this share of all force."""
+MOST_SAMPLES = 20_000
+
+
+class Guess(NamedTuple):
+    """A number in SI, and where it is from."""
+
+    value: float
+    how: str
+
+
+class DrivenMotion(NamedTuple):
+    """What the balance of forces needs of all records, each of shape (samples,)."""
+
+    position_m: Array
+    speed_m_per_s: Array
+    acceleration_m_per_s2: Array
+    drive_n: Array
+
+
+def guess_numbers(
+    records: Sequence[Record], actuator: str, values: Mapping[str, float]
+) -> dict[str, Guess]:
+    """Return what the records show of a plant's numbers, by name.
+
+    `values` are the numbers as far as they are known (SI), such as the muscle's geometry, which
+    turns a pressure into a force. Columns that no record has give no guess.
+    """
+    found: dict[str, Guess] = {}
+    if actuator != "direct" and all(r.pressure_pa is not None for r in records):
+        found |= _guess_air(records, actuator, values)
+    if actuator != "chamber" and all(r.position_m is not None for r in records):
+        found |= _guess_mechanics(records, actuator, values)
+    return found
+
+
+def _guess_air(
+    records: Sequence[Record], actuator: str, values: Mapping[str, float]
+) -> dict[str, Guess]:
+    """Return supply and valve gain from d(P V)/dt = R T K u Psi.
+
+    The gain follows from the exhaust, whose other side is the atmosphere, if there is one; then
+    the supply from what came in.
+    """
+    highest = max(float(np.nanquantile(np.asarray(r.pressure_pa), 0.999)) for r in records)
+    tank = Guess(
+        ABOVE_HIGHEST * highest, f"{ABOVE_HIGHEST:g} times the highest pressure in the records"
+    )
+    if any(r.valve_v is None for r in records):
+        return {"tank_pressure_pa": tank}
+    p = _paper_numbers(actuator, {**values, "tank_pressure_pa": tank.value})
+    tables = [_tabulate_flow(record, p) for record in records]
+    command, pressure, growth = (np.concatenate(rows) for rows in zip(*tables, strict=True))
+    flow = _flow_per_gain(p, command, pressure)
+    out = command < 0.0
+    large = np.abs(flow) > OPEN_SHARE * np.nanmax(np.abs(flow))
+    use = large & out if (large & out).sum() > OPEN_SHARE * large.sum() else large
+    gain = float(np.nanmedian(growth[use] / flow[use])) if use.any() else 0.0
+    if not gain > 0.0:
+        return {"tank_pressure_pa": tank}
+    into = large & ~out
+    if (use & out).any() and into.any():
+        came = growth[into] / (gain * command[into] * p.specific_energy_j_per_kg)
+        needed = float(np.nanmedian(came)) / p.choked_flow_s_per_m
+        if needed > tank.value:
+            tank = Guess(needed, "from the pressure's rise, by the gain of the exhaust")
+    gained = Guess(gain, "from the command and the change of the pressure")
+    return {"tank_pressure_pa": tank, "valve_gain_m2_per_v": gained}
+
+
+def _paper_numbers(actuator: str, values: Mapping[str, float]) -> PaperParameters:
+    return parameters_of({**values, ACTUATOR: float(ACTUATORS.index(actuator))}).paper
+
+
+def _tabulate_flow(record: Record, p: PaperParameters) -> tuple[Array, Array, Array]:
+    """Return command (V), pressure (Pa) and d(P V)/dt (W), each of shape (samples,)."""
+    command, pressure = np.asarray(record.valve_v), np.asarray(record.pressure_pa)
+    position = np.zeros(len(command)) if record.position_m is None else record.position_m
+    air = pressure * np.array([volume_m3(p, x) for x in np.asarray(position)])
+    every = max(1, len(command) // MOST_SAMPLES)
+    rows = (command, pressure, _differentiate(record, air)["speed"])
+    good = np.all([np.isfinite(row) for row in rows], axis=0)
+    command, pressure, growth = (row[good][::every] for row in rows)
+    return command, pressure, growth
+
+
+def _flow_per_gain(p: PaperParameters, command_v: Array, pressure_pa: Array) -> Array:
+    """Return R T u Psi, the growth of P V per unit of the valve's gain, W/(m^2/V)."""
+    flow = [
+        u * orifice_flow(p, max(p.tank_pressure_pa, pressure), pressure)
+        if u > 0.0
+        else u * orifice_flow(p, pressure, min(p.atmospheric_pressure_pa, pressure))
+        for u, pressure in zip(command_v, pressure_pa, strict=True)
+    ]
+    return p.specific_energy_j_per_kg * np.array(flow)
+
+
+def _guess_mechanics(
+    records: Sequence[Record], actuator: str, values: Mapping[str, float]
+) -> dict[str, Guess]:
+    """Return mass, damping and stiffness from M a + c v + k x + F_c sign(v) + F_0 = drive."""
+    motions = [m for record in records if (m := _find_motion(record, actuator, values)) is not None]
+    if not motions:
+        return {}
+    motion = DrivenMotion(*(np.concatenate(rows) for rows in zip(*motions, strict=True)))
+    speed = motion.speed_m_per_s
+    moves = np.abs(speed) > OPEN_SHARE * np.quantile(np.abs(speed), 0.99)
+    x, v, a, drive = (row[moves] for row in motion)
+    ones = np.ones(len(x))
+    table = np.column_stack([a, v, x, np.sign(v), ones, -ones])
+    scale = np.sqrt(np.mean(table**2, axis=0))
+    amounts, _ = nnls(table / scale, drive)
+    least = LEAST_SHARE * float(np.sqrt(np.mean(drive**2)))
+    names = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")
+    found = {}
+    for name, amount, size in zip(names, amounts, scale, strict=False):
+        how = "from the balance of forces over the motion"
+        if amount < least:
+            if actuator != "direct":
+                continue
+            how = f"hardly seen: {100 * LEAST_SHARE:g} % of the force"
+        found[name] = Guess(float(max(amount, least) / size), how)
+    return found
+
+
+def _find_motion(record: Record, actuator: str, values: Mapping[str, float]) -> DrivenMotion | None:
+    rates = _differentiate(record, np.asarray(record.position_m))
+    if actuator == "direct":
+        if record.force_n is None:
+            return None
+        drive = np.asarray(record.force_n)
+    else:
+        if record.pressure_pa is None:
+            return None
+        p = _paper_numbers(actuator, values)
+        area = np.array([force_area_m2(p, x) for x in rates["smooth"]])
+        drive = area * (np.asarray(record.pressure_pa) - p.atmospheric_pressure_pa)
+    every = max(1, len(drive) // MOST_SAMPLES)
+    rows = (rates["smooth"], rates["speed"], rates["push"], drive)
+    good = np.all([np.isfinite(row) for row in rows], axis=0)
+    return DrivenMotion(*(row[good][::every] for row in rows))
+
+
+def _differentiate(record: Record, column: Array) -> dict[str, Array]:
+    steps = np.diff(record.t_s)
+    grid = build_grid(steps, len(column), 1)
+    return find_rates(column, float(np.median(steps)), SMOOTH_S, grid)

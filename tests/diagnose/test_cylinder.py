@@ -1,0 +1,47 @@
+"""A cylinder of other code: what its valve lacks is named, beside the numbers of its plant file."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.cylinder import Array, Cylinder, excite
+
+from pamctl.diagnose import Record, diagnose
+
+T_S = np.arange(0.0, 8.0, 2e-3)
+GUESSED = Cylinder(
+    stroke_m=0.2, mass_kg=1.0, damping_n_s_per_m=60.0, stiffness_n_per_m=1650.0,
+    gain_m2_per_v=2.6e-7, preload_n=25.0, volume_m3=3.4e-5,
+)  # fmt: skip
+"""The plant file: numbers 10 to 25 % wrong."""
+
+
+def record(cylinder: Cylinder, seed: int) -> Record:
+    """Return the readings of a noisy pressure sensor and of an encoder with steps of 10 um."""
+    chance = np.random.default_rng(seed)
+    commands: Array = (0.8 + 0.1 * seed) * excite(T_S * (1.0 + 0.07 * seed))
+    position_m, pressure_pa = cylinder.simulate(T_S, commands)
+    read_m = np.round((position_m + chance.normal(0.0, 5e-6, len(T_S))) / 1e-5) * 1e-5
+    read_pa = pressure_pa + chance.normal(0.0, 300.0, len(T_S))
+    return Record(f"run {seed}", T_S, valve_v=commands, pressure_pa=read_pa, position_m=read_m)
+
+
+@pytest.mark.long
+def test_dead_band_and_leak_are_named_from_valve_pressure_and_position_together() -> None:
+    rig = Cylinder(stroke_m=0.2, dead_band_v=0.3, leak_m2=2e-8)
+    found = diagnose([record(rig, 1)], [record(rig, 2)], GUESSED.plant())
+    assert {f.name for f in found.findings} == {"valve_deadband", "chamber_leak"}
+    numbers = {n.name: n for f in found.findings for n in f.numbers}
+    for name, true in (
+        ("valve_deadband.fill_width_v", 0.3),
+        ("valve_deadband.exhaust_width_v", 0.3),
+        ("chamber_leak.area_m2", 2e-8),
+    ):
+        assert numbers[name].value == pytest.approx(true, rel=0.03), name
+
+
+@pytest.mark.long
+def test_of_a_cylinder_that_lacks_nothing_no_effect_is_named() -> None:
+    rig = Cylinder(stroke_m=0.2)
+    found = diagnose([record(rig, 1)], [record(rig, 2)], GUESSED.plant())
+    assert not [f.name for f in found.findings if f.says_name]

@@ -1,0 +1,85 @@
+"""First guesses from records: an axis and a chamber that another solver made."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from pamctl.diagnose.guess_plant import guess_numbers
+from pamctl.diagnose.record import Record
+from pamctl.plant.parameters import PAPER
+
+PERIOD_S = 2e-3
+T_S = np.arange(0.0, 12.0, PERIOD_S)
+
+
+def move_axis(mass_kg: float, damping: float, stiffness: float, dry_n: float) -> Record:
+    """Return an axis that a force of several frequencies moves, friction smoothed by 1 mm/s."""
+
+    def force_n(t: float) -> float:
+        return float(40.0 * np.sin(3.0 * t) + 25.0 * np.sin(11.0 * t + 1.0))
+
+    def rates(t: float, y: np.ndarray) -> list[float]:
+        friction = damping * y[1] + dry_n * np.tanh(y[1] / 1e-3)
+        return [y[1], (force_n(t) - friction - stiffness * y[0]) / mass_kg]
+
+    found = solve_ivp(rates, (0.0, T_S[-1]), [0.0, 0.0], "LSODA", T_S, rtol=1e-8, atol=1e-10)
+    return Record("axis", T_S, position_m=found.y[0], force_n=np.array([*map(force_n, T_S)]))
+
+
+def test_mass_damping_and_spring_of_an_axis_are_guessed_within_a_third() -> None:
+    record = move_axis(4.0, 60.0, 900.0, 6.0)
+    found = guess_numbers([record], "direct", {**PAPER, "atmospheric_pressure_pa": 1e5})
+    for name, true in (("mass_kg", 4.0), ("damping_n_s_per_m", 60.0), ("stiffness_n_per_m", 900.0)):
+        assert found[name].value == pytest.approx(true, rel=0.33), name
+
+
+def test_a_spring_that_is_not_there_is_guessed_small() -> None:
+    record = move_axis(4.0, 60.0, 0.0, 6.0)
+    found = guess_numbers([record], "direct", {**PAPER, "atmospheric_pressure_pa": 1e5})
+    travel_m = np.ptp(record.position_m)
+    assert found["stiffness_n_per_m"].value * travel_m < 0.1 * 65.0
+
+
+def fill_vessel(gain_m2_per_v: float, volume_m3: float, tank_pa: float) -> Record:
+    """Return a vessel behind a valve, with the orifice's flow written out (ISO 6358's limit)."""
+    air_j_per_kg, gamma = 287.1 * 293.0, 1.4
+
+    def psi(up_pa: float, down_pa: float) -> float:
+        r = max(down_pa / up_pa, (2.0 / (gamma + 1.0)) ** (gamma / (gamma - 1.0)))
+        grows = 2.0 * gamma / ((gamma - 1.0) * air_j_per_kg)
+        return up_pa * float(np.sqrt(grows * (r ** (2.0 / gamma) - r ** ((gamma + 1.0) / gamma))))
+
+    def command_v(t: float) -> float:
+        return 2.0 if t % 2.0 < 1.0 else -2.0
+
+    def rate(t: float, y: np.ndarray) -> list[float]:
+        u = command_v(t)
+        flow = u * (psi(tank_pa, y[0]) if u > 0.0 else psi(y[0], 101.3e3))
+        return [air_j_per_kg * gain_m2_per_v * flow / volume_m3]
+
+    pressures, now_pa = [], 101.3e3
+    for t in T_S:
+        pressures.append(now_pa)
+        found = solve_ivp(rate, (t, t + PERIOD_S), [now_pa], max_step=PERIOD_S / 4)
+        now_pa = min(max(found.y[0, -1], 101.4e3), tank_pa - 100.0)
+    return Record(
+        "vessel", T_S, valve_v=np.array([*map(command_v, T_S)]), pressure_pa=np.array(pressures)
+    )
+
+
+@pytest.mark.parametrize("gain", [2e-7, 6e-8])
+def test_the_gain_of_a_valve_is_guessed_within_a_third_and_the_supply_where_it_was_reached(
+    gain: float,
+) -> None:
+    record = fill_vessel(gain, 2e-3, 600e3)
+    values = {**PAPER, "temperature_k": 293.0, "chamber_volume_m3": 2e-3}
+    found = guess_numbers([record], "chamber", values)
+    assert found["valve_gain_m2_per_v"].value == pytest.approx(gain, rel=0.33)
+    assert found["tank_pressure_pa"].value >= 0.99 * np.max(record.pressure_pa)
+
+
+def test_without_a_pressure_nothing_of_the_air_is_guessed() -> None:
+    record = Record("still", T_S, valve_v=np.sin(T_S), position_m=1e-3 * np.sin(T_S))
+    assert "valve_gain_m2_per_v" not in guess_numbers([record], "muscle", PAPER)

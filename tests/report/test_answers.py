@@ -1,0 +1,77 @@
+"""An answer is printed the same everywhere: its numbers, its tables, its progress."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from pamctl.report.html_page import write_html
+from pamctl.report.progress_line import WorkProgress
+from pamctl.report.report import (
+    Facts,
+    Points,
+    Report,
+    ReportTable,
+    Section,
+    Text,
+    format_terminal,
+    spell_number,
+)
+
+
+@pytest.mark.parametrize(
+    ("value", "within", "said"),
+    [
+        (24.951, 0.0412, "24.95 mV ± 0.04"),
+        (24.951, 0.0961, "24.95 mV ± 0.10"),
+        (24.951, 0.0141, "24.951 mV ± 0.014"),
+        (1234.0, 57.0, "1230 mV ± 60"),
+        (0.5, None, "0.5000 mV"),
+        (24.951, None, "24.95 mV"),
+        (0.0, None, "0 mV"),
+        (-3.2e-9, None, "-3.200e-09 mV"),
+        (float("nan"), 1.0, "-"),
+    ],
+)
+def test_a_number_has_the_digits_that_its_interval_leaves(
+    value: float, within: float | None, said: str
+) -> None:
+    assert spell_number(value, "mV", within=within) == said
+
+
+def test_terminal_and_page_say_the_same_and_the_terminal_in_ascii() -> None:
+    report = Report("Title", "12.3 µm ± 0.1: good").add(
+        Section("Errors"),
+        ReportTable(["", "max, µm"], [["measured", "38.5"], ["true", "-"]], "All of it."),
+        Facts({"plant": "paper"}),
+        Points(["run `pamctl doctor`"]),
+        Text("\N{MINUS SIGN}3 V"),
+    )
+    said = format_terminal(report)
+    assert said.isascii()
+    assert said.splitlines() == [
+        "12.3 um +- 0.1: good", "", "Errors", "All of it.", "          max, um",
+        "measured     38.5", "true            -", "", "plant  paper", "", "- run pamctl doctor",
+        "-3 V",
+    ]  # fmt: skip
+    page = write_html(report)
+    for part in (
+        "12.3 µm ± 0.1: good",
+        "38.5</td>",
+        "<dd>paper</dd>",
+        "<code>pamctl doctor</code>",
+    ):
+        assert part in page
+
+
+def test_long_work_says_in_a_file_how_far_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    with WorkProgress("compare") as show:
+        show(1, 4, "paper, mechanics")
+        assert "25%" in show.line()
+        assert "left" in show.line()
+        assert capsys.readouterr().err == ""
+        deadline_s = time.monotonic() + 30.0
+        while not (said := capsys.readouterr().err) and time.monotonic() < deadline_s:
+            time.sleep(0.1)
+    assert said.startswith("compare: paper, mechanics, 2 s, 25%, about ")

@@ -19,8 +19,8 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Generic, Literal, NamedTuple, Protocol, TypeVar
 
-from hal.calibration import CalibrationSettings, Output
-from hal.rig import Configured, Edge, Rig, RigError
+from hal.calibration import CalibrationSettings, Configured, Output
+from hal.rig import Edge, Rig, RigError
 
 GROUP = "pamctl.rigs"
 

@@ -11,9 +11,14 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal, NamedTuple
 
-from pydantic import Field
+from pydantic import BaseModel, ConfigDict, Field
 
-from hal.rig import Configured
+
+class Configured(BaseModel):
+    """Immutable; an unknown key, NaN or infinity is an error, never a silent default."""
+
+    # Built at first use: most models are only parts of one that is used.
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
 
 class CalibrationSettings(Configured):

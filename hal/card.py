@@ -18,9 +18,9 @@ from typing import Annotated, Any, Generic, Literal, NamedTuple, Self, TypeVar
 
 from pydantic import Field, model_validator
 
-from hal.backend import DoctorFinding, ProbeRequest
-from hal.calibration import Converter, Output, make_output, nearest_output_v
-from hal.rig import Configured, RigError
+from hal.backend import DoctorFinding, ProbeRequest, describe_rig_error
+from hal.calibration import Configured, Converter, Output, make_output, nearest_output_v
+from hal.rig import RigError
 
 
 class MSeriesWiring(Configured):
@@ -246,29 +246,51 @@ def find_pci_cards(directory: Path = PCI_DEVICES) -> list[PciCard]:
     """Return NI's cards in the order of their slots; none where the system has no such place."""
     slots = sorted(directory.iterdir()) if directory.is_dir() else []
     return [
-        PciCard(slot.name, _read(slot / "device"), _find_driver(slot))
+        PciCard(
+            slot.name,
+            read_line(slot / "device"),
+            (slot / "driver").resolve().name if (slot / "driver").exists() else "",
+        )
         for slot in slots
-        if _read(slot / "vendor") == _NI
+        if read_line(slot / "vendor") == _NI
     ]
 
 
-def describe_holders(cards: Sequence[PciCard]) -> str:
-    """Say which driver holds each card."""
-    return "; ".join(
-        f"{card.slot} ({card.device_id}) is held by {card.driver or 'no driver'}" for card in cards
-    )
-
-
-def _read(path: Path) -> str:
+def read_line(path: Path) -> str:
+    """Return what the kernel says in a file; empty where there is none."""
     try:
         return path.read_text().strip()
     except OSError:
         return ""
 
 
-def _find_driver(slot: Path) -> str:
-    link = slot / "driver"
-    return link.resolve().name if link.exists() else ""
+def judge_holder(
+    cards: Sequence[PciCard], wanted: str, is_right: Callable[[str], bool], fix: str
+) -> DoctorFinding:
+    """Say which kernel driver holds NI's cards: only one of NI's own and comedi's can."""
+    name, wanted = "card.kernel_driver", f"a card held by {wanted}"
+    if not cards:
+        found = "no card of NI's on the PCI bus (a card on USB is not listed there)"
+        return DoctorFinding(name, "warning", found, wanted, NO_CARD_FIX)
+    found = "; ".join(
+        f"{card.slot} ({card.device_id}) is held by {card.driver or 'no driver'}" for card in cards
+    )
+    data = {"cards": [card._asdict() for card in cards]}
+    if any(is_right(card.driver) for card in cards):
+        return DoctorFinding(name, "ok", found, data=data)
+    return DoctorFinding(name, "fault", found, wanted, fix, data)
+
+
+def judge_parts(
+    busy: Mapping[str, RigError], holders: str, more: Mapping[str, object] = {}
+) -> DoctorFinding:
+    """Say which parts of the card could not be taken; `holders` is the fix where all are held."""
+    name = "card.reservations"
+    if not busy:
+        return DoctorFinding(name, "ok", "input, counter and output are free")
+    found = "; ".join(describe_rig_error(error) for error in busy.values())
+    data = {"channels": sorted(busy), **more}
+    return DoctorFinding(name, "fault", found, "free", holders, data)
 
 
 VoltRange = tuple[float, float]

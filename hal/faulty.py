@@ -11,7 +11,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from hal.rig import Configured, RawSample, Rig, RigError, RigIdentity
+from hal.calibration import Configured
+from hal.rig import RawSample, Rig, RigError, RigIdentity
 
 FaultKind = Literal[
     "stuck_encoder",

@@ -11,15 +11,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Literal, NamedTuple, Protocol
 
-from pydantic import BaseModel, ConfigDict
-
-
-class Configured(BaseModel):
-    """Immutable; an unknown key, NaN or infinity is an error, never a silent default."""
-
-    # Built at first use: most models are only parts of one that is used.
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
-
 
 class RawSample(NamedTuple):
     """What the converters read within one tick, and when.

@@ -15,7 +15,7 @@ import random
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple, Protocol
+from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field
 
@@ -23,6 +23,7 @@ from hal.backend import Backend, BuiltRig, Plant, RigRequest
 from hal.calibration import (
     Calibration,
     CalibrationSettings,
+    Configured,
     Converter,
     Output,
     Zero,
@@ -34,7 +35,7 @@ from hal.calibration import (
     valve_v,
 )
 from hal.reservation import open_shared, reserve
-from hal.rig import Configured, RawSample, RigError, RigIdentity
+from hal.rig import RawSample, RigError, RigIdentity
 
 
 class SimSettings(Configured):
@@ -124,7 +125,7 @@ class SimRig:
         now_ns: Callable[[], int],
         output_delay_ticks: Literal[0, 1] = 0,
         seed: int = 0,
-        register: Register | None = None,
+        register: PrivateRegister | SharedRegister | None = None,
     ) -> None:
         """`safe_output_v` is the analog output voltage at which the rig is safe.
 
@@ -260,30 +261,18 @@ _PID_AT = 8
 _SIZE = 64
 
 
-class Register(Protocol):
-    """Holds the volts on the simulated analog output."""
-
-    volts: float
-
-    def reserve(self) -> None:
-        """Take the output for this process; raise `RigError` if another holds it. Idempotent."""
-
-    def release(self) -> None:
-        """Release the output; the voltage stays. Idempotent."""
-
-
 class PrivateRegister:
-    """An output that no other process can see."""
+    """Holds the volts on a simulated output that no other process can see."""
 
     def __init__(self, volts: float = 0.0) -> None:
         """Power up at `volts`."""
         self.volts = volts
 
     def reserve(self) -> None:
-        """Do nothing: no other process can hold it."""
+        """Take the output for this process; raise `RigError` if another holds it. Idempotent."""
 
     def release(self) -> None:
-        """Do nothing."""
+        """Release the output; the voltage stays. Idempotent."""
 
 
 class SharedRegister:

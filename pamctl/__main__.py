@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import io
 import os
 import signal
@@ -59,8 +60,22 @@ class _Stream(io.FileIO):
             return len(data)
 
 
+_BYTES_OR_MARK = "pamctl"
+
+
+def _write_bytes_or_mark(error: UnicodeError) -> tuple[str | bytes, int]:
+    """Write the byte of a file's name that is no text, and `?` for what the terminal lacks."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    lacking = error.object[error.start : error.end]
+    return b"".join(
+        bytes([ord(c) - 0xDC00]) if "\udc80" <= c <= "\udcff" else b"?" for c in lacking
+    ), error.end
+
+
 def _never_raise_in_print() -> _Stream | None:
     """Replace the process's own standard streams; return standard output."""
+    codecs.register_error(_BYTES_OR_MARK, _write_bytes_or_mark)
     replaced: dict[str, _Stream] = {}
     for name, number in (("stdout", 1), ("stderr", 2)):
         old = getattr(sys, name)
@@ -70,7 +85,9 @@ def _never_raise_in_print() -> _Stream | None:
             continue
         replaced[name] = _Stream(number, "wb", closefd=False)
         # The terminal may lack a character: that is no reason to end a verb.
-        errors = "replace" if old.errors == "strict" else old.errors
+        errors = {"strict": "replace", "surrogateescape": _BYTES_OR_MARK}.get(
+            old.errors, old.errors
+        )
         new = io.TextIOWrapper(
             io.BufferedWriter(replaced[name]),
             old.encoding,

@@ -6,7 +6,7 @@
 
 `gymnasium.make("pamctl/Muscle-v0", plant="paper")` makes the same one. The plant, its converters
 and its noise are those of the simulated rig. There is no homing: the zeros are known.
-Needs the package gymnasium: `pip install 'pamctl[gym]'`.
+Needs the package gymnasium: `pip install gymnasium`.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
     from pamctl.plant.model import PlantSettings
 else:
-    gymnasium = require_package("gymnasium", "gym")
+    gymnasium = require_package("gymnasium")
 
 Observation = NDArray[np.float32]
 

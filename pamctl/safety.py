@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from pydantic import Field, model_validator
 
-from hal.rig import Configured, RawSample
+from hal.calibration import Configured
+from hal.rig import RawSample
 from pamctl.plant.paper import PaperParameters, valve_flow, volume_m3
 from pamctl.signals import Command, Decision, Estimate, Measurement, Phase, Reference, Timing
 

@@ -65,7 +65,7 @@ STARVED = "the loop was starved"
 """The message of a run over a card that got no CPU and ended before its first fault."""
 
 PROCESSES = {
-    "loop": ("loop_main", "session_main"),
+    "loop": ("loop_main",),
     "guardian": ("guardian_main",),
     "recorder": ("recording.recorder",),
     "front": (),

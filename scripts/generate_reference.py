@@ -24,7 +24,7 @@ from measured_table import format_table
 
 import pamctl
 from hal import rig
-from hal.rig import Configured
+from hal.calibration import Configured
 from pamctl import exit_codes, safety, signals
 from pamctl.cli.app import app
 from pamctl.control.forms import Drawn

@@ -218,8 +218,8 @@ def acts(rig: Rig, dice: random.Random) -> dict[str, tuple[int, Any]]:
         "ack": (8, lambda: rig.ask("ack")),
         "estop": (2, lambda: rig.ask("estop")),
         "disarm": (2, lambda: rig.ask("disarm")),
-        "kill loop": (1, lambda: rig.kill("session_main", signal.SIGKILL)),
-        "freeze loop": (1, lambda: rig.kill("session_main", signal.SIGSTOP)),
+        "kill loop": (1, lambda: rig.kill("loop_main", signal.SIGKILL)),
+        "freeze loop": (1, lambda: rig.kill("loop_main", signal.SIGSTOP)),
         "kill recorder": (1, lambda: rig.kill("recording.recorder", signal.SIGKILL)),
         "kill guardian": (1, lambda: rig.kill("guardian_main", signal.SIGKILL)),
     }

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Annotated, Self
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
@@ -20,37 +20,34 @@ from hal.backend import (
     ProbeRequest,
     RigKeys,
     RigRequest,
-    describe_rig_error,
     report_rig_error,
 )
 from hal.card import (
     COMEDI_DRIVER,
-    NO_CARD_FIX,
     PCI_DEVICES,
     MSeriesWiring,
     PciCard,
     card_output,
-    describe_holders,
     find_pci_cards,
+    judge_holder,
     judge_input_range,
+    judge_parts,
 )
 from hal.comedi.libcomedi import (
     BUSY,
+    CALIBRATE,
     FROM_PHYSICAL,
     PERMIT,
     TO_PHYSICAL,
+    UNCALIBRATED,
+    AnalogChannel,
     ComediFile,
     find_library_path,
+    list_ranges,
     load_library,
+    read_calibration,
 )
 from hal.rig import RigError
-
-if TYPE_CHECKING:
-    from hal.comedi.codes import AnalogChannel
-
-
-UNCALIBRATED = "none"
-"""The `calibration_file` of a rig whose owner accepts the nominal ranges of the card."""
 
 
 class ComediSettings(MSeriesWiring):
@@ -122,7 +119,6 @@ def examine_comedi(request: ProbeRequest[ComediSettings]) -> Iterator[DoctorFind
 def _examine_parts(
     file: ComediFile, request: ProbeRequest[ComediSettings], product: str
 ) -> Iterator[DoctorFinding]:
-    from hal.comedi.codes import list_ranges
     from hal.comedi.comedi_rig import (
         find_counter,
         find_pfi_lines,
@@ -156,22 +152,14 @@ def _examine_parts(
 
 
 def judge_kernel_driver(cards: Sequence[PciCard]) -> DoctorFinding:
-    """Say which kernel driver holds NI's cards: only one of NI's own and comedi's can."""
-    name = "card.kernel_driver"
-    wanted = f"a card held by {COMEDI_DRIVER}"
-    if not cards:
-        return DoctorFinding(name, "warning", "no card of NI's on the PCI bus", wanted, NO_CARD_FIX)
-    found = describe_holders(cards)
-    data = {"cards": [card._asdict() for card in cards]}
-    if any(card.driver == COMEDI_DRIVER for card in cards):
-        return DoctorFinding(name, "ok", found, data=data)
+    """Say which kernel driver holds NI's cards, and how to get the kernel's own."""
     held = next((card.driver for card in cards if card.driver), "")
     fix = (
         f"NI's driver {held} holds it, so comedi cannot: `pamctl manual comedi` shows how to switch"
         if held
         else f"sudo modprobe {COMEDI_DRIVER}"
     )
-    return DoctorFinding(name, "fault", found, wanted, fix, data)
+    return judge_holder(cards, COMEDI_DRIVER, lambda driver: driver == COMEDI_DRIVER, fix)
 
 
 def check_permission(device: Path) -> Iterator[DoctorFinding]:
@@ -207,8 +195,6 @@ def judge_calibration(
     file: ComediFile, settings: ComediSettings, sensor: AnalogChannel, valve: AnalogChannel
 ) -> DoctorFinding:
     """Check that the calibration file knows both converters."""
-    from hal.comedi.codes import CALIBRATE, read_calibration
-
     name, wanted = "card.calibration", "a file from comedi_soft_calibrate"
     if settings.calibration_file == UNCALIBRATED:
         found = "comedi.calibration_file: none: nominal ranges, wrong by some 5 %"
@@ -233,14 +219,10 @@ def judge_locks(file: ComediFile, parts: dict[str, int]) -> DoctorFinding:
             busy[part] = error
         else:
             file.unlock(subdevice)
-    name = "card.reservations"
-    if not busy:
-        return DoctorFinding(name, "ok", "input, counter and output are free")
-    found = "; ".join(describe_rig_error(error) for error in busy.values())
-    fix = next(iter(busy.values())).fix
+    fix = next(iter(busy.values())).fix if busy else ""
     if all(error.code in BUSY for error in busy.values()):
         fix = f"{fix}; sudo fuser -v {file.path} names it"
-    return DoctorFinding(name, "fault", found, "free", fix, {"channels": sorted(busy)})
+    return judge_parts(busy, fix)
 
 
 def _require(settings: ComediSettings) -> None:

@@ -19,16 +19,20 @@ from typing import NamedTuple
 
 from hal.card import CardRig, refuse_stand_in, unwrap_count
 from hal.comedi import libcomedi
-from hal.comedi.codes import (
+from hal.comedi.comedi_backend import ComediSettings
+from hal.comedi.libcomedi import (
+    UNCALIBRATED,
     AnalogChannel,
+    ComediFile,
+    ComediInsn,
+    ComediInsnList,
+    LibraryMissingError,
     Polynomial,
     evaluate,
     find_channel,
     make_nominal,
     read_calibration,
 )
-from hal.comedi.comedi_backend import UNCALIBRATED, ComediSettings
-from hal.comedi.libcomedi import ComediFile, ComediInsn, ComediInsnList, LibraryMissingError
 from hal.rig import RawSample, RigError, RigIdentity
 
 STAND_IN_DRIVER = "stand_in"

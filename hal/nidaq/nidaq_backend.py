@@ -26,15 +26,15 @@ from hal.backend import (
 )
 from hal.card import (
     COMEDI_DRIVER,
-    NO_CARD_FIX,
     PCI_DEVICES,
-    PciCard,
     card_output,
-    describe_holders,
     find_pci_cards,
     format_range,
     holds,
+    judge_holder,
     judge_input_range,
+    judge_parts,
+    read_line,
 )
 from hal.nidaq.card_settings import BUSY_CODES, ON_DEMAND, PACKAGE_BROKEN, NidaqSettings
 from hal.rig import RigError
@@ -95,7 +95,12 @@ def examine_card(request: ProbeRequest[NidaqSettings]) -> Iterator[DoctorFinding
     yield judge_reservations(busy, probe.find_driver_users([os.getpid()]) if busy else [])
     if settings.pressure_channel in busy:
         return
-    yield judge_on_demand(probe.try_on_demand_read(settings))
+    failure = probe.try_on_demand_read(settings)
+    yield (
+        report_rig_error("timing.on_demand", failure, "a read on demand")
+        if failure
+        else DoctorFinding("timing.on_demand", "ok", "works")
+    )
 
 
 def examine_card_clock(request: ProbeRequest[NidaqSettings]) -> DoctorFinding:
@@ -233,23 +238,12 @@ def judge_output_range(settings: NidaqSettings, card: Card) -> DoctorFinding:
 
 def judge_reservations(busy: dict[str, RigError], users: list[DriverUser]) -> DoctorFinding:
     """Say which parts of the card another program holds, and which programs use the driver."""
-    if not busy:
-        return DoctorFinding("card.reservations", "ok", "input, counter and output are free")
-    error = next(iter(busy.values()))
-    found = "; ".join(describe_rig_error(error) for error in busy.values())
-    if any(error.code not in BUSY_CODES for error in busy.values()):
-        return DoctorFinding("card.reservations", "fault", found, "free", error.fix)
+    first = next(iter(busy.values()), None)
+    if first is None or any(error.code not in BUSY_CODES for error in busy.values()):
+        return judge_parts(busy, first.fix if first else "")
     who = "; ".join(f"process {user.pid} ({user.command})" for user in users)
-    fix = f"end what uses the driver: {who}" if who else f"{error.fix}; root sees which"
-    data = {"channels": sorted(busy), "users": [user._asdict() for user in users]}
-    return DoctorFinding("card.reservations", "fault", found, "free", fix, data)
-
-
-def judge_on_demand(failure: RigError | None) -> DoctorFinding:
-    """Say whether a read on demand works."""
-    if failure is None:
-        return DoctorFinding("timing.on_demand", "ok", "works")
-    return report_rig_error("timing.on_demand", failure, "a read on demand")
+    fix = f"end what uses the driver: {who}" if who else f"{first.fix}; root sees which"
+    return judge_parts(busy, fix, {"users": [user._asdict() for user in users]})
 
 
 def judge_hardware_timing(trial: ClockTrial, period_s: float, is_wanted: bool) -> DoctorFinding:
@@ -311,26 +305,6 @@ def examine_kernel(
 ) -> Iterator[DoctorFinding]:
     """Check who holds the card, whether NI's modules are built, and the IOMMU."""
     cards, release = find_pci_cards(pci), platform.release()
-    modules = find_modules(dkms, release)
-    yield judge_holder(cards)
-    if modules:
-        yield judge_modules(modules, release)
-    if cards:
-        yield judge_iommu(
-            {card.slot: read_iommu_type(pci / card.slot) for card in cards}, is_clocked
-        )
-
-
-def judge_holder(cards: Sequence[PciCard]) -> DoctorFinding:
-    """Say which kernel driver holds NI's cards: only one of NI's own and comedi's can."""
-    name, wanted = "card.kernel_driver", "a card held by NI's driver"
-    if not cards:
-        found = "no card of NI's on the PCI bus (a card on USB is not listed there)"
-        return DoctorFinding(name, "warning", found, wanted, NO_CARD_FIX)
-    found = describe_holders(cards)
-    data = {"cards": [card._asdict() for card in cards]}
-    if any(card.driver not in ("", COMEDI_DRIVER) for card in cards):
-        return DoctorFinding(name, "ok", found, data=data)
     fix = (
         "the kernel's own driver took it, so NI's tools see nothing: write `blacklist ni_pcimio` "
         "to /etc/modprobe.d/ni_pcimio.conf and restart the PC; or use --backend comedi"
@@ -338,13 +312,15 @@ def judge_holder(cards: Sequence[PciCard]) -> DoctorFinding:
         else "NI's modules are not loaded: see card.modules, and `sudo dmesg`, which names modules "
         "that secure boot refused"
     )
-    return DoctorFinding(name, "fault", found, wanted, fix, data)
-
-
-def find_modules(dkms: Path, release: str) -> list[Module]:
-    """Return NI's modules that DKMS knows, and whether each is built for the running kernel."""
+    yield judge_holder(cards, "NI's driver", lambda one: one not in ("", COMEDI_DRIVER), fix)
     sources = sorted(dkms.glob("ni*")) if dkms.is_dir() else []
-    return [Module(one.name, any(one.glob(f"*/{release}/*/module"))) for one in sources]
+    modules = [Module(one.name, any(one.glob(f"*/{release}/*/module"))) for one in sources]
+    if modules:
+        yield judge_modules(modules, release)
+    if cards:
+        # Such as identity or DMA-FQ; empty without one.
+        types = {one.slot: read_line(pci / one.slot / "iommu_group" / "type") for one in cards}
+        yield judge_iommu(types, is_clocked)
 
 
 def judge_modules(modules: Sequence[Module], release: str) -> DoctorFinding:
@@ -363,14 +339,6 @@ def judge_modules(modules: Sequence[Module], release: str) -> DoctorFinding:
         "that fails, start a kernel that NI supports: `dkms status` lists those built for",
         data,
     )
-
-
-def read_iommu_type(slot: Path) -> str:
-    """Return how the IOMMU treats a card, such as identity or DMA-FQ; empty without one."""
-    try:
-        return (slot / "iommu_group" / "type").read_text().strip()
-    except OSError:
-        return ""
 
 
 def judge_iommu(types: dict[str, str], is_clocked: bool) -> DoctorFinding:

@@ -7,17 +7,19 @@ raises `Failed` where there is no such error.
 from __future__ import annotations
 
 import json
+import os
+import re
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
-from functools import wraps
+from functools import partial, wraps
+from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import typer
 from typer.core import TyperGroup
 
 from pamctl.cli.examples import EXAMPLES, write_epilog
-from pamctl.cli.plain_values import read_without_pydantic
 from pamctl.cli.waiting import SLOW_VERBS, tell_while_silent
 from pamctl.exit_codes import ExitCode
 from pamctl.plain_text import PlainStream, clean_lines
@@ -52,9 +54,10 @@ class Verbs(TyperGroup):
         """Take the verbs; the help shows no type beside a flag, which takes no value."""
         super().__init__(*arguments, **options)
         _hide_flag_types(self)
+        _escape_brackets(self)
         _add_epilogs(self, ())
         _print_plainly(self)
-        read_without_pydantic(self)
+        _read_without_pydantic(self)
 
     def main(self, args: Sequence[str] | None = None, *rest: Any, **extra: Any) -> Any:
         """Run the verb that the arguments name; report its failure."""
@@ -117,6 +120,15 @@ def _hide_flag_types(command: Any) -> None:
         _hide_flag_types(inner)
 
 
+def _escape_brackets(command: Any) -> None:
+    """Keep `[mm]` in the help: rich takes it for markup."""
+    for told in (command, *command.params):
+        if getattr(told, "help", None):
+            told.help = re.sub(r"(?<!\\)\[", r"\\[", told.help)
+    for inner in getattr(command, "commands", {}).values():
+        _escape_brackets(inner)
+
+
 def _add_epilogs(command: Any, words: tuple[str, ...]) -> None:
     for name, inner in getattr(command, "commands", {}).items():
         _add_epilogs(inner, (*words, name))
@@ -171,3 +183,51 @@ def _report_failure(failed: Failed, *, as_json: bool) -> None:
 def _print_document(exit_code: object, reason: str, **details: object) -> None:
     # One line: it may end a stream of lines, as of `pamctl watch --json`.
     print(json.dumps({"exit_code": exit_code, "reason": reason, **details}))
+
+
+# --- values of options that need no check: typer would load pydantic to read any value ---------
+
+
+def _read_without_pydantic(command: Any) -> None:
+    """Let all parameters of a verb, and of the verbs in it, read plain values themselves."""
+    command.get_params = partial(_list_readers, command.get_params)
+    for inner in getattr(command, "commands", {}).values():
+        _read_without_pydantic(inner)
+
+
+def _list_readers(list_parameters: Callable[[Any], list[Any]], ctx: Any) -> list[Any]:
+    parameters = list_parameters(ctx)
+    for parameter in parameters:
+        if not isinstance(parameter.get_runtime_param, _Reader):
+            parameter.get_runtime_param = _Reader(parameter.get_runtime_param)
+    return parameters
+
+
+class _Reader:
+    """Reads what is given for one parameter."""
+
+    def __init__(self, build: Callable[[], Any]) -> None:
+        """`build` makes the reader of typer."""
+        self._build = build
+
+    def __call__(self) -> _Reader:
+        """Return what typer asks for a value."""
+        return self
+
+    def coerce(self, value: Any, param: Any, ctx: Any) -> Any:
+        """Return the value of an option that was not given, of a text or a path.
+
+        Typer reads all others, and a path that it will refuse.
+        """
+        kind = param.type_descriptor.annotation
+        if value is None and not param.multiple and param.nargs == 1:
+            return None
+        if isinstance(value, str) and kind is str:
+            return value
+        if isinstance(value, str) and kind is Path and _can_be_read(value):
+            return Path(value)
+        return self._build().coerce(value, param=param, ctx=ctx)
+
+
+def _can_be_read(path: str) -> bool:
+    return not os.path.exists(path) or os.access(path, os.R_OK)

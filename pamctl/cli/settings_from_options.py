@@ -9,6 +9,20 @@ from typing import Any, NamedTuple, TypedDict, Unpack
 import typer
 
 from hal.backend import find_backends, hint_at_missing
+from pamctl.cli.backend_option import BackendOption
+from pamctl.cli.options import (
+    ControllerFromOption,
+    ControllerOption,
+    DurationOption,
+    ExperimentOption,
+    FastOption,
+    Options,
+    PlantOption,
+    RigOption,
+    RtOption,
+    SeedOption,
+    SetOption,
+)
 from pamctl.log.run_meta import CHANGES, describe_changes
 from pamctl.settings.config_files import DEFAULT_NAMES, find_config_file, list_shipped
 from pamctl.settings.envelope import find_excesses
@@ -43,6 +57,47 @@ class VerbOptions(TypedDict, total=False):
     fast: bool | None
     readonly: bool | None
     rt: str | None
+
+
+class RigOptions(Options):
+    """The rig that a verb works on."""
+
+    backend: BackendOption = None
+    rig: RigOption = None
+    overrides: SetOption = None
+
+    def resolve(self) -> ResolvedOptions:
+        """Return the settings of a run on this rig; raise `ConfigError`."""
+        return resolve_options(self.backend, self.rig, self.overrides, fast=False)
+
+
+class SettingsOptions(RigOptions):
+    """All that settles a run."""
+
+    controller: ControllerOption = None
+    controller_from: ControllerFromOption = None
+    experiment: ExperimentOption = None
+    plant: PlantOption = None
+    seed: SeedOption = None
+    duration_s: DurationOption = None
+    fast: FastOption = False
+    rt: RtOption = None
+
+    def resolve(self) -> ResolvedOptions:
+        """Return the settings of the run; raise `ConfigError`."""
+        return resolve_options(
+            self.backend,
+            self.rig,
+            self.overrides,
+            controller=self.controller,
+            controller_from=self.controller_from,
+            experiment=self.experiment,
+            plant=self.plant,
+            seed=self.seed,
+            duration_s=self.duration_s,
+            fast=self.fast or None,
+            rt=self.rt,
+        )
 
 
 def resolve_options(

@@ -55,32 +55,32 @@ VERBS: Mapping[str, Verb] = {
     ),
     "report": Verb(
         "Analyse",
-        "analyse.report:report",
+        "analyse:report",
         "Write one self-contained HTML page with figures and plots of these logs.",
     ),
     "replay": Verb(
         "Analyse",
-        "analyse.replay:replay",
+        "analyse:replay",
         "Run the tick over a log's raw samples, and compare every stage with the log.",
     ),
     "compare": Verb(
         "Analyse",
-        "analyse.compare:compare",
+        "analyse:compare",
         "Drive models by the logged command, and compare them with the measurement.",
     ),
     "audit": Verb(
         "Analyse",
-        "analyse.audit:audit",
+        "audit:audit",
         "Show which effects an experiment or a log cannot show, before anything is fitted.",
     ),
     "diagnose": Verb(
         "Analyse",
-        "analyse.diagnose:diagnose",
+        "diagnose:diagnose",
         "Find what the model lacks to explain the logs, say what is sure of it, and add it.",
     ),
     "health": Verb(
         "Analyse",
-        "analyse.health:health",
+        "analyse:health",
         "Fit the plant's numbers to every run of a folder, and say which of them drift.",
     ),
     "tune": Verb(
@@ -101,10 +101,10 @@ VERBS: Mapping[str, Verb] = {
     ),
     "reproduce": Verb(
         "Other",
-        "reproduce:reproduce",
+        "other:reproduce",
         "Write DIR/index.html and DIR/numbers.json; every number is simulated now.",
     ),
-    "manual": Verb("Other", "manual:manual", "List the pages of the manual, or print one of them."),
+    "manual": Verb("Other", "other:manual", "List the pages of the manual, or print one of them."),
     # A negative position is an argument, not an option: goto -1mm.
     "goto": Verb(
         "Daemon",
@@ -119,17 +119,15 @@ VERBS: Mapping[str, Verb] = {
         "rig.calibrate:calibrate_app",
         "Measure sensor, encoder and valve of the rig, and write a new rig file.",
     ),
-    "log": Verb(
-        "Logs", "logs.log_verbs:log_app", "Look into logs, mend, cut, export and import them."
-    ),
+    "log": Verb("Logs", "log_verbs:log_app", "Look into logs, mend, cut, export and import them."),
     "runs": Verb(
         "Logs", "runs.runs:runs_app", "Find runs again by law, date, error, tag or setting."
     ),
     "plant": Verb(
-        "Analyse", "plant:plant_app", "Make and export plant files, which describe a rig."
+        "Analyse", "file_verbs:plant_app", "Make and export plant files, which describe a rig."
     ),
     "config": Verb(
-        "Other", "config:config_app", "Check, show and describe the configuration files."
+        "Other", "file_verbs:config_app", "Check, show and describe the configuration files."
     ),
 }
 PANELS = ("Run", "Daemon", "Analyse", "Tune", "Rig", "Logs", "Other")

@@ -94,7 +94,7 @@ def connect_to_cluster(address: str) -> Iterator[Executor]:
     except ImportError as error:
         raise ClusterError(
             f"--cluster {address}: needs the package distributed; install it with "
-            "pip install 'pamctl[cluster]', here and on every worker"
+            "pip install distributed, here and on every worker"
         ) from error
     try:
         client = Client(address, timeout=CONNECT_S, set_as_default=False)

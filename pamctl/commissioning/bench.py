@@ -1,14 +1,18 @@
-"""A rig in a person's hands: command the valve for a while, read samples, watch the limits.
+"""A rig in a person's hands: command the valve for a while, read samples, watch the limits, ask.
 
 `doctor --actuate` and `calibrate` move slowly and little, with a person watching. They need no
 law, no log and no loop process, but they keep the limits of the rig file. The rig is held by them
-alone, and safe at the end.
+alone, and safe at the end. It goes on while an answer is awaited: `idle` is called again and
+again, and holds a pressure or watches the encoder.
 """
 
 from __future__ import annotations
 
 import math
+import os
+import select
 import statistics
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
@@ -290,3 +294,61 @@ def open_workplace(settings: RunSettings) -> Iterator[Bench]:
             file.safe_volts,
             file.record.keys,
         )
+
+
+class NoAnswer(Exception):
+    """Standard input has ended, or the person said no."""
+
+    exit_code = ExitCode.USAGE
+
+
+class Terminal:
+    """Asks a person, and keeps the rig running while waiting."""
+
+    def __init__(self) -> None:
+        """Read lines from standard input as they come."""
+        self._buffer = b""
+
+    def say(self, text: str) -> None:
+        """Print a remark on standard error; standard output is for results."""
+        print(text, file=sys.stderr, flush=True)
+
+    def wait(self, request: str, idle: Callable[[], object]) -> None:
+        """Ask for something to be done, and wait for Enter. Raises `NoAnswer`."""
+        self._line(f"{request} [Enter]", idle)
+
+    def confirm_done(self, request: str, idle: Callable[[], object]) -> bool:
+        """Ask for something to be done; return whether it was. Raises `NoAnswer`."""
+        return not self._line(f"{request} [Enter, or s to skip]", idle).lower().startswith("s")
+
+    def number(self, question: str, idle: Callable[[], object]) -> float:
+        """Ask for a number until one is given. Raises `NoAnswer`."""
+        while True:
+            text = self._line(question, idle)
+            try:
+                value = float(text.replace(",", "."))
+            except ValueError:
+                value = math.nan
+            if math.isfinite(value):
+                return value
+            self.say(f"'{text}' is not a number")
+
+    def require_yes(self, question: str) -> None:
+        """Ask for a yes; raise `NoAnswer` on anything else."""
+        if self._line(f"{question} [y/N]", None).lower() not in {"y", "yes"}:
+            raise NoAnswer("not confirmed")
+
+    def _line(self, question: str, idle: Callable[[], object] | None) -> str:
+        source = sys.stdin.fileno()
+        print(f"{question} ", end="", file=sys.stderr, flush=True)
+        while b"\n" not in self._buffer:
+            if idle is not None:
+                idle()
+            if select.select([source], [], [], None if idle is None else 0.0)[0]:
+                # Without Python's buffer: `select` would not see a second line in it.
+                read = os.read(source, 4096)
+                if not read:
+                    raise NoAnswer("standard input has ended; give the values by options")
+                self._buffer += read
+        line, _, self._buffer = self._buffer.partition(b"\n")
+        return line.decode(errors="replace").strip()

@@ -8,7 +8,7 @@ from typing import Any
 
 from hal.backend import DoctorFinding, ProbeRequest, report_rig_error
 from hal.rig import RigError
-from pamctl.commissioning.bench import Bench, open_workplace
+from pamctl.commissioning.bench import Bench, NoAnswer, Terminal, open_workplace
 from pamctl.commissioning.pc_checks import (
     examine_pc,
     judge_calls,
@@ -27,7 +27,6 @@ from pamctl.commissioning.rig_checks import (
     measure_at_rest,
     report_unmoved_encoder,
 )
-from pamctl.commissioning.terminal_operator import NoAnswer, Terminal
 from pamctl.processes.backends import SHARED_MEMORY, build_clock, hold_device
 from pamctl.realtime.scheduling import prepare
 from pamctl.realtime.tick import TickSetup
@@ -69,7 +68,7 @@ def examine_all(
             with hold_device(settings):
                 yield from probe.examine_output(request)
     except RigError as error:
-        yield _report_unavailable_rig(error)
+        yield report_rig_error("rig.device", error, "the device, for this command alone")
 
 
 def _examine_rig(
@@ -96,11 +95,6 @@ def _examine_rig(
             "a pressure sensor within its range",
             "see sensor.voltage, then run this again",
         )
-
-
-def _report_unavailable_rig(error: RigError) -> DoctorFinding:
-    """Say that the rig is not available, or was lost on the way."""
-    return report_rig_error("rig.device", error, "the device, for this command alone")
 
 
 def make_probe_request(settings: RunSettings) -> ProbeRequest[Any]:

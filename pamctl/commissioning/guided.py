@@ -10,13 +10,19 @@ import math
 import re
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from hal.rig import RawSample
-from pamctl.commissioning.bench import Bench, SensorStatistics, open_workplace, summarise_samples
-from pamctl.commissioning.terminal_operator import Terminal
+from pamctl.commissioning.bench import (
+    Bench,
+    SensorStatistics,
+    Terminal,
+    open_workplace,
+    summarise_samples,
+)
 from pamctl.exit_codes import ExitCode
 from pamctl.new_file import NewFileError, require_place, write_files
 from pamctl.processes.backends import require_backend
@@ -87,7 +93,10 @@ def calibrate_rig(
     """
     settings = task.settings
     source = find_config_file("rig", task.rig)
-    _require_new(task.out)
+    if task.out.suffix not in {".yaml", ".yml"}:
+        message = "must end in .yaml, for --rig to take it as a file"
+        raise ConfigError([Problem(f"--out {task.out}", "", message)])
+    require_place(task.out)
     _require_within_limit(task.points_kpa, settings)
     terminal = Terminal()
     if not may_move:
@@ -102,13 +111,6 @@ def calibrate_rig(
     except NewFileError as error:  # the values must not be lost with the file
         failure = error
     return CalibratedRig(settings, outcome, task.out, failure)
-
-
-def _require_new(out: Path) -> None:
-    if out.suffix not in {".yaml", ".yml"}:
-        message = "must end in .yaml, for --rig to take it as a file"
-        raise ConfigError([Problem(f"--out {out}", "", message)])
-    require_place(out)
 
 
 def _require_within_limit(points_kpa: Sequence[float], settings: RunSettings) -> None:
@@ -250,11 +252,16 @@ def insert_values(text: str, outcome: CalibrationOutcome, heading: str) -> str:
     edited = text
     for value in outcome.values:
         edited = _edit_line(edited, value, heading)
-    if (
-        _parse_data(edited) != wanted
-    ):  # written in a way that lines cannot follow: flow style, anchors
+    found: object = None
+    with suppress(YamlError):
+        found = parse_yaml(edited, Path("rig file")).data
+    if found != wanted:  # written in a way that lines cannot follow: flow style, anchors
         edited = dump_yaml(wanted)
-    return _add_notes(edited, [heading, *outcome.notes])
+    # The notes stand below the comments that the file begins with.
+    lines = edited.splitlines()
+    first = next((i for i, line in enumerate(lines) if not line.startswith("#")), len(lines))
+    lines[first:first] = [f"# {note}" for note in (heading, *outcome.notes)]
+    return "\n".join(lines) + "\n"
 
 
 def _change_data(data: dict[str, object], values: Sequence[CalibrationValue]) -> dict[str, Any]:
@@ -263,13 +270,6 @@ def _change_data(data: dict[str, object], values: Sequence[CalibrationValue]) ->
         section, key = value.keys
         changed[section] = {**(changed.get(section) or {}), key: value.value}
     return changed
-
-
-def _parse_data(text: str) -> dict[str, Any] | None:
-    try:
-        return parse_yaml(text, Path("rig file")).data
-    except YamlError:
-        return None
 
 
 def _edit_line(text: str, value: CalibrationValue, heading: str) -> str:
@@ -313,11 +313,3 @@ def _describe_value(value: CalibrationValue, heading: str) -> str:
 
 def _format_value(value: CalibrationValue) -> str:
     return f"{value.value:d}" if isinstance(value.value, int) else repr(value.value)
-
-
-def _add_notes(text: str, notes: Sequence[str]) -> str:
-    """Put notes below the comments that a file begins with."""
-    lines = text.splitlines()
-    first = next((i for i, line in enumerate(lines) if not line.startswith("#")), len(lines))
-    lines[first:first] = [f"# {note}" for note in notes]
-    return "\n".join(lines) + "\n"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, Union
 
 from pydantic import Field, model_validator
 
-from hal.rig import Configured
+from hal.calibration import Configured
 from pamctl.control.course import Plan
 from pamctl.control.forms import FORMS, Count, Drawn, Form, Hertz, Seconds, require_rising
 from pamctl.control.sketch import Sketch

@@ -16,7 +16,7 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar, cast
 
 from pydantic import ConfigDict, Field, create_model, model_validator
 
-from hal.rig import Configured
+from hal.calibration import Configured
 from pamctl.control.sketch import Sketch
 from pamctl.control.waves import (
     MOST_TONES,

@@ -12,8 +12,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from hal.calibration import CalibrationSettings, Zero
-from hal.rig import Configured, RawSample
+from hal.calibration import CalibrationSettings, Configured, Zero
+from hal.rig import RawSample
 from pamctl.control.course import make_valve_reference
 from pamctl.signals import Phase, Reference
 

@@ -37,7 +37,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_args
 
 from pydantic import Field
 
-from hal.rig import Configured
+from hal.calibration import Configured
 from pamctl.control.filters import FilterGains
 from pamctl.signals import Command, Estimate, Reference
 

@@ -128,7 +128,7 @@ def _make_event(event: str, **details: object) -> dict[str, object]:
 
 def _make_workshop(settings: RunSettings, rig: Rig, readers: int) -> Workshop:
     return Workshop(
-        loop=child_command("pamctl.processes.session_main"),
+        loop=child_command("pamctl.processes.loop_main"),
         guardian=child_command("pamctl.processes.guardian_main"),
         rig=rig,
         meta=make_run_meta,

@@ -47,7 +47,7 @@ class Workshop:
     """How the processes of a rig are started; made by the composition root."""
 
     loop: Sequence[str]
-    """The command of the loop; the ring's path and the orders' descriptor are appended."""
+    """The command of the loop; the ring's path, the orders' descriptor, `session` are appended."""
     guardian: Sequence[str]
     """The command of the guardian; the ring's path is appended."""
     rig: Rig
@@ -109,7 +109,7 @@ class Session:
                 self._ring, workshop.guardian, workshop.rig, settings.rig.loop
             )
             self._loop = subprocess.Popen(
-                [*workshop.loop, str(path), str(self._orders.fd)],
+                [*workshop.loop, str(path), str(self._orders.fd), "session"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 pass_fds=[self._orders.fd],

@@ -65,12 +65,17 @@ class BlindSpot:
         size, unit = self.visible_from
         return f"it shows from about {size:.2g} {unit}".rstrip()
 
+    @property
+    def reason(self) -> str:
+        """Why it is blind, and from which size on the effect shows."""
+        return f"{self.why}; {self.visibility}"
+
     def as_dict(self) -> dict[str, object]:
         """Return what the document holds."""
         size, unit = self.visible_from or (None, None)
         return {
             "name": self.name,
-            "why": f"{self.why}; {self.visibility}",
+            "why": self.reason,
             "experiment": self.experiment,
             "visible_from": size,
             "unit": unit,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, permutations
@@ -25,7 +25,7 @@ from pamctl.diagnose.drawn_programs import (
     sample_commands,
 )
 from pamctl.diagnose.evidence.constants import COARSE_STEP_S, NAME_NATS, NU, NUGGET
-from pamctl.diagnose.evidence.fit import STEP, WeighedModel, Weigher, bound_gain
+from pamctl.diagnose.evidence.fit import STEP, WeighedModel, bound_gain
 from pamctl.diagnose.evidence.likelihood import to_haar
 from pamctl.diagnose.evidence.run_pieces import Runs, join_waves
 from pamctl.diagnose.explanations import BLOCKS, Explanation
@@ -70,25 +70,20 @@ class ProgramTrial:
         # The vent at the end goes on to the end of a block.
         missing = -len(self.commands_v) % weigher.train.block
         whole_v = np.pad(self.commands_v, (0, missing), mode="edge")
-        self._runs = _make_runs(whole_v, period_s, weigher)
+        still, vented = np.zeros(len(whole_v)), weigher.base["atmospheric_pressure_pa"]
+        t_s = period_s * np.arange(len(whole_v), dtype=np.float64)
+        record = Record("program", t_s, whole_v, pressure_pa=still + vented, position_m=still)
+        self._runs = Runs([record], weigher.base, weigher.train)
         self._keep = self._runs.find_kept(weigher.like.level)
         self._shown: dict[str, Array] = {}
         self.runs: dict[str, ProgramRun] = {}
         for e in explanations:
             plain, _ = join_waves(e.values)
-            self.runs[e.name] = self._cut(self._runs.simulate(plain, COARSE_STEP_S))
+            rows = self._runs.simulate(plain, COARSE_STEP_S).reshape(len(self._runs.channels), -1)
+            by_channel = zip(self._runs.channels, rows[:, : len(self.commands_v)], strict=True)
+            self.runs[e.name] = ProgramRun(**dict(by_channel))
             self._shown[e.name] = self._runs.simulate(e.values, COARSE_STEP_S)
         self._tangents: dict[str, Array] = {}
-
-    @property
-    def duration_s(self) -> float:
-        """The length of the program."""
-        return len(self.commands_v) * self.period_s
-
-    def _cut(self, rows: Array) -> ProgramRun:
-        flat = rows.reshape(len(rows), -1)[:, : len(self.commands_v)]
-        by_channel = dict(zip(self._runs.channels, flat, strict=True))
-        return ProgramRun(**by_channel)
 
     @cached_property
     def rough(self) -> tuple[float, float]:
@@ -97,87 +92,76 @@ class ProgramTrial:
         First all of it, then its fast part: a refit takes the slow part away first. They cost one
         simulation an explanation, and sort the programs before the dearer figure.
         """
-        pairs = [self._compare_roughly(a, b) for a, b in combinations(self.explanations, 2)]
-        return min(whole for whole, _ in pairs), min(fast for _, fast in pairs)
-
-    def _compare_roughly(self, a: Explanation, b: Explanation) -> tuple[float, float]:
-        noise = np.sqrt(a.weigher.find_noise2(a.model))[:, None]
-        off = self._shown[a.name] - self._shown[b.name]
-        off = off.reshape(len(off), -1) / noise
-        fast = off - uniform_filter1d(off, max(1, round(SLOW_S / self.period_s)), axis=1)
-        return float(_rms(off).max()), float(_rms(fast).max())
+        whole: list[float] = []
+        fast: list[float] = []
+        for a, b in combinations(self.explanations, 2):
+            noise = np.sqrt(a.weigher.find_noise2(a.model))[:, None]
+            off = (self._shown[a.name] - self._shown[b.name]).reshape(len(noise), -1) / noise
+            slow = uniform_filter1d(off, max(1, round(SLOW_S / self.period_s)), axis=1)
+            for found, rows in ((whole, off), (fast, off - slow)):
+                found.append(float(np.sqrt((rows**2).mean(axis=1)).max()))
+        return min(whole), min(fast)
 
     @cached_property
     def separations(self) -> tuple[Separation, ...]:
         """Every explanation against every other that were true; refitted by one straight step."""
-        return self._separate_all(self._step_once)
+        return tuple(self._separate(*pair, steps=0) for pair in permutations(self.explanations, 2))
 
     @cached_property
     def forecasts(self) -> tuple[Separation, ...]:
         """The same, by some steps that are simulated: right also where the numbers go far."""
-        return self._separate_all(self._step_on)
-
-    def _separate_all(
-        self, refit: Callable[[Explanation, Explanation], tuple[Array, bool]]
-    ) -> tuple[Separation, ...]:
         return tuple(
-            self._separate(true, other, *refit(true, other))
-            for true, other in permutations(self.explanations, 2)
+            self._separate(*pair, steps=STEPS) for pair in permutations(self.explanations, 2)
         )
 
-    def _separate(
-        self, true: Explanation, other: Explanation, left: Array, agrees: bool
-    ) -> Separation:
+    def _separate(self, true: Explanation, other: Explanation, steps: int) -> Separation:
+        left, agrees = self._refit(true, other, steps)
         weigher = true.weigher
-        squares = (left**2 * self._keep).sum(axis=(1, 2)) / self._keep.sum(axis=(1, 2))
+        squares = self._mean_squares(left)
         noise2 = weigher.find_noise2(true.model)
-        block = int((squares / noise2).argmax())
-        here2 = weigher.like.mean_squares(true.model.d)[block]
-        over = float(np.sqrt((squares[block] + here2) / noise2[block]))
-        nats = self._count_nats(true.model, left, squares)
-        sure = self._find_sureness(true.model, other.model, nats)
-        name = BLOCKS[self._runs.channels[block]]
+        channel = int((squares / noise2).argmax())
+        here2 = weigher.like.mean_squares(true.model.d)[channel]
+        over = float(np.sqrt((squares[channel] + here2) / noise2[channel]))
+        # What the wrong one loses in each block, beside noise of the right one's scales; and on
+        # the records so far. It is refuted if it surely loses what a name must gain.
+        scales2 = self._find_scales2(true.model, squares)
+        beside = true.model.cost.scales2[:, weigher.like.level][:, None, :] / scales2
+        logs = np.log1p(left**2 / scales2 / (NU + beside))
+        nats = 0.5 * (NU + 1.0) * (logs * self._keep).sum(axis=(0, 2))
+        gain = np.concatenate([other.model.left_out - true.model.left_out, nats])
         # A curve's knots follow the reach of the records: with this run it would be another.
         agrees &= not any(v.is_curve for v in other.model.picked.values())
+        name = BLOCKS[self._runs.channels[channel]]
+        sure = float(bound_gain(gain)[0]) / NAME_NATS
         return Separation(true.name, other.name, name, over, sure, agrees)
 
-    def _count_nats(self, true: WeighedModel, left: Array, squares: Array) -> Array:
-        """Return what the wrong one loses in each block, beside noise of the right one's scales."""
-        level = self.explanations[0].weigher.like.level
-        floor2 = NUGGET**2 * squares[:, None]
-        scales2 = np.maximum(true.cost.scales2, floor2)[:, level][:, None, :]
-        beside = true.cost.scales2[:, level][:, None, :] / scales2
-        logs = np.log1p(left**2 / scales2 / (NU + beside))
-        return np.asarray(0.5 * (NU + 1.0) * (logs * self._keep).sum(axis=(0, 2)))
+    def _mean_squares(self, d: Array) -> Array:
+        return np.asarray((d**2 * self._keep).sum(axis=(1, 2)) / self._keep.sum(axis=(1, 2)))
 
-    def _find_sureness(self, true: WeighedModel, wrong: WeighedModel, nats: Array) -> float:
-        """Return how surely the wrong one would be refuted, by this run and the records so far."""
-        gain = np.concatenate([wrong.left_out - true.left_out, nats])
-        return float(bound_gain(gain)[0]) / NAME_NATS
+    def _find_scales2(self, true: WeighedModel, squares: Array) -> Array:
+        """Return the squared scale of each coefficient, never finer than can be resolved."""
+        scales2 = np.maximum(true.cost.scales2, NUGGET**2 * squares[:, None])
+        return scales2[:, self.explanations[0].weigher.like.level][:, None, :]
 
     # --- the refit of the wrong one ---
 
-    def _step_once(self, true: Explanation, other: Explanation) -> tuple[Array, bool]:
-        change = to_haar(self._shown[true.name] - self._shown[other.name])
-        way = self._find_step(true, other, change, np.zeros(len(other.model.x)))
-        flat = change.ravel() + way @ self._find_tangent(other)
-        return flat.reshape(change.shape), True
+    def _refit(self, true: Explanation, other: Explanation, steps: int) -> tuple[Array, bool]:
+        """Return what is left after some steps, each simulated; and whether the last held.
 
-    def _step_on(self, true: Explanation, other: Explanation) -> tuple[Array, bool]:
-        """Return what is left after some steps, each simulated; and whether the last held."""
-        m = other.model
-        change, moved = (
-            to_haar(self._shown[true.name] - self._shown[other.name]),
-            np.zeros(len(m.x)),
-        )
-        agrees = True
-        for _ in range(STEPS):
+        Of no steps: after a straight one, by the tangents.
+        """
+        m, agrees = other.model, True
+        change = to_haar(self._shown[true.name] - self._shown[other.name])
+        moved = np.zeros(len(m.x))
+        for _ in range(max(steps, 1)):
             way = self._find_step(true, other, change, moved)
-            straight = change.ravel() + way @ self._find_tangent(other)
+            straight = change + (way @ self._find_tangent(other)).reshape(change.shape)
+            if not steps:
+                return straight, True
             d = to_haar(self._shown[true.name] - self._simulate(other, moved + way))
-            promised, found = float(_rms(straight[None])[0]), float(_rms(d.reshape(1, -1))[0])
-            agrees = found <= AGREES * promised
-            if found >= float(_rms(change.reshape(1, -1))[0]):
+            promised, found, before = (float(np.mean(x**2)) for x in (straight, d, change))
+            agrees = found <= AGREES**2 * promised
+            if found >= before:
                 break
             change, moved = d, moved + way
         return change, agrees
@@ -186,13 +170,11 @@ class ProgramTrial:
         self, true: Explanation, other: Explanation, change: Array, moved: Array
     ) -> Array:
         """Return a Gauss-Newton step, in scales, on the records so far and the program's run."""
-        m, weigher = other.model, other.weigher
+        m = other.model
         assert m.tangent is not None
         old = m.tangent.reshape(len(m.x), -1)
         known = (old * m.cost.weights.ravel()) @ old.T
-        squares = (change**2 * self._keep).sum(axis=(1, 2)) / self._keep.sum(axis=(1, 2))
-        scales2 = np.maximum(true.model.cost.scales2, NUGGET**2 * squares[:, None])
-        scales2 = scales2[:, weigher.like.level][:, None, :]
+        scales2 = self._find_scales2(true.model, self._mean_squares(change))
         weights = ((NU + 1.0) / (NU * scales2 + change**2) * self._keep).ravel()
         slope = self._find_tangent(other)
         both = known + (slope * weights) @ slope.T
@@ -220,23 +202,6 @@ class ProgramTrial:
         m = e.model
         x = {n.name: float(v + w * n.scale) for n, v, w in zip(m.numbers, m.x, moved, strict=True)}
         return self._runs.simulate({**e.values, **x}, COARSE_STEP_S)
-
-
-def _make_runs(commands_v: Array, period_s: float, weigher: Weigher) -> Runs:
-    """Return an empty run of these commands, from the vented rest."""
-    still, vented = np.zeros(len(commands_v)), weigher.base["atmospheric_pressure_pa"]
-    record = Record(
-        "program",
-        period_s * np.arange(len(commands_v), dtype=np.float64),
-        valve_v=commands_v,
-        pressure_pa=still + vented,
-        position_m=still,
-    )
-    return Runs([record], weigher.base, weigher.train)
-
-
-def _rms(rows: Array) -> Array:
-    return np.asarray(np.sqrt((rows**2).mean(axis=1)))
 
 
 PROGRAMS = 100
@@ -330,7 +295,11 @@ def choose_deciding_program(
 
     None where there is nothing to decide, or no drawn program stays within the limits.
     """
-    if len(explanations) < 2 or not _are_of_muscle(explanations):
+    if len(explanations) < 2:
+        return None
+    first = explanations[0]
+    driven = {*first.weigher.train.channels} == {"pressure_pa", "position_m"}
+    if first.nominal.actuator != "muscle" or not driven:  # no program can be simulated whole
         return None
     limits = find_rig_limits(records)
     period_s = float(np.median(records[0].step_s))
@@ -341,29 +310,38 @@ def choose_deciding_program(
         tried = [(ProgramTrial(d.program, explanations, period_s), d.blocks) for d in drawn]
         return [t for t in tried if all(map(limits.allows, t[0].runs.values()))]
 
+    def keep_best(tried: Iterable[_Tried]) -> list[_Tried]:
+        return sorted(tried, key=lambda t: _weigh(t[0].separations), reverse=True)[:BEST]
+
     inside = try_programs(programs)
-    best = _keep_best(_select_finalists(inside), BEST)
+    finalists: dict[int, _Tried] = {}
+    for part in (0, 1):  # those that differ most, as a whole or in their fast part
+        ranked = sorted(inside, key=lambda t: t[0].rough[part], reverse=True)
+        finalists |= {id(t): t for t in ranked[:FINALISTS]}
+    best = keep_best(finalists.values())
     pool = [block for _, blocks in best for block in blocks]
     mixed = try_programs(MIXED, pool) if pool else []
-    best = _keep_best([*best, *mixed], BEST)
-    admitted = [trial for trial, _ in best if _is_admitted(trial, limits)]
+    admitted = [
+        trial
+        for trial, _ in keep_best([*best, *mixed])
+        if all(limits.admits(trial.commands_v, run, period_s) for run in trial.runs.values())
+    ]
     if not admitted:
         return None
     chosen = max(admitted[:FORECAST], key=lambda t: _weigh(t.forecasts))
-    return _describe(chosen, programs + MIXED, len(inside) + len(mixed), limits.source)
-
-
-def _select_finalists(inside: Sequence[_Tried]) -> list[_Tried]:
-    """Return the programs that differ most, as a whole or in their fast part."""
-    found: dict[int, _Tried] = {}
-    for part in (0, 1):
-        ranked = sorted(inside, key=lambda t: t[0].rough[part], reverse=True)
-        found |= {id(t): t for t in ranked[:FINALISTS]}
-    return [*found.values()]
-
-
-def _keep_best(tried: Sequence[_Tried], count: int) -> list[_Tried]:
-    return sorted(tried, key=lambda t: _weigh(t[0].separations), reverse=True)[:count]
+    runs = chosen.runs.values()
+    return DecidingProgram(
+        chosen.program,
+        tuple(chosen.runs),
+        chosen.forecasts,
+        max(float(run.pressure_pa.max()) for run in runs),
+        min(float(run.position_m.min()) for run in runs),
+        max(float(run.position_m.max()) for run in runs),
+        len(chosen.commands_v) * period_s,
+        programs + MIXED,
+        len(inside) + len(mixed),
+        limits.source,
+    )
 
 
 def _weigh(separations: Sequence[Separation]) -> tuple[int, float]:
@@ -387,30 +365,3 @@ def choose_repeated_part(
         if all(map(limits.allows, runs.values())):
             return begin
     return make_repeated_part(0.0, limits.command_v)
-
-
-def _are_of_muscle(explanations: Sequence[Explanation]) -> bool:
-    """Tell whether a valve drove both blocks: then a program can be simulated whole."""
-    e = explanations[0]
-    channels = {*e.weigher.train.channels}
-    return e.nominal.actuator == "muscle" and channels == {"pressure_pa", "position_m"}
-
-
-def _is_admitted(trial: ProgramTrial, limits: RigLimits) -> bool:
-    return all(limits.admits(trial.commands_v, r, trial.period_s) for r in trial.runs.values())
-
-
-def _describe(trial: ProgramTrial, drawn: int, inside: int, limits_from: str) -> DecidingProgram:
-    runs = trial.runs.values()
-    return DecidingProgram(
-        trial.program,
-        tuple(trial.runs),
-        trial.forecasts,
-        max(float(run.pressure_pa.max()) for run in runs),
-        min(float(run.position_m.min()) for run in runs),
-        max(float(run.position_m.max()) for run in runs),
-        trial.duration_s,
-        drawn,
-        inside,
-        limits_from,
-    )

@@ -12,9 +12,8 @@ from pamctl.diagnose.deciding_program import DecidingProgram
 from pamctl.diagnose.evidence.ladder import Finding
 from pamctl.diagnose.evidence.weigh import EvidenceVerdict
 from pamctl.diagnose.explanations import JudgedForecast
-from pamctl.diagnose.mend import ChannelNoise
 from pamctl.diagnose.plant_numbers import FittedNumber, value_of
-from pamctl.diagnose.record import Record
+from pamctl.diagnose.record import ChannelNoise, Record
 from pamctl.diagnose.refuse import AcceptedDoubt
 from pamctl.plant.model import PlantSettings
 

@@ -6,136 +6,19 @@ Mains hum is taken off. The zeros that homing gave the pressure sensor are align
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import pairwise
-from math import isfinite, sqrt
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from pamctl.diagnose.record import CHANNELS, REST_V, Array, Record, estimate_white_noise
+from pamctl.diagnose.record import CHANNELS, REST_V, SENSORS, Array, FaultKind, Record, SensorFault
 from pamctl.log.record_problems import find_sensor_step
 
 Rows = NDArray[np.bool_]
-FaultKind = Literal["jitter", "outliers", "dropouts", "hum", "unused"]
-SENSORS = {channel: unit for channel, unit in CHANNELS.items() if channel != "valve_v"}
-SOURCES = {
-    "stated": "as stated",
-    "residual": "from what changes from sample to sample of what is left",
-    "differences": "from differences of the samples",
-}
-
-
-class SensorFault(NamedTuple):
-    """What is wrong with a channel beside its noise."""
-
-    channel: str
-    """The channel; `t_s` for the time stamps."""
-    kind: FaultKind
-    says: str
-    """What was found, with the number and its unit, and what was done about it."""
-
-
-@dataclass(frozen=True)
-class ChannelNoise:
-    """What is known of one channel; the time stamps, `t_s`, and unused channels have faults only.
-
-    Numbers are in SI.
-    """
-
-    deviation: float | None = None
-    """Standard deviation of a reading, with the converter's rounding."""
-    resolution: float = 0.0
-    """Step of the converter; 0 where none is visible."""
-    source: str = ""
-    """Of `SOURCES`."""
-    faults: tuple[SensorFault, ...] = ()
-
-    def as_dict(self, channel: str) -> dict[str, Any]:
-        """Return plain values for the document."""
-        entry: dict[str, Any] = {}
-        says = [fault.says for fault in self.faults]
-        if self.deviation is not None:
-            unit = CHANNELS[channel]
-            how = SOURCES[self.source]
-            says.insert(0, f"{channel}: noise {self.deviation:.3g} {unit}, {how}")
-            entry = {
-                "deviation": self.deviation,
-                "unit": unit,
-                "resolution": self.resolution,
-                "source": self.source,
-                "is_known": True,
-            }
-        return {**entry, "faults": [*dict.fromkeys(f.kind for f in self.faults)], "says": says}
-
-
-def describe_channels(
-    records: Sequence[Record], left: Mapping[str, float], faults: Sequence[SensorFault]
-) -> dict[str, ChannelNoise]:
-    """Return what is known of each channel.
-
-    `left` is the noise of the channels that a model explains, as the fitted model leaves it, in SI.
-    """
-    found = {}
-    sensors = [c for c in records[0].channels if c in SENSORS]
-    for name in dict.fromkeys([*sensors, *(fault.channel for fault in faults)]):
-        mine = tuple(f for f in faults if f.channel == name)
-        if name not in sensors:
-            found[name] = ChannelNoise(faults=mine)
-            continue
-        step = float(np.median([find_sensor_step(r[name]) for r in records]))
-        stated = [r.stated_noise[name] for r in records if name in r.stated_noise]
-        if stated:
-            size, source = sqrt(np.mean(np.square(stated))), "stated"
-        elif name in left:
-            size, source = left[name], "residual"
-        else:
-            size = float(np.median([estimate_white_noise(r[name]) for r in records]))
-            source = "differences"
-        found[name] = ChannelNoise(size, step, source, mine)
-    return found
-
-
-def pool_stated_noise(records: Sequence[Record]) -> dict[str, float]:
-    """Return the stated standard deviation of each channel over records, without the rounding."""
-    pooled = {}
-    for channel in SENSORS:
-        stated = [r.stated_noise[channel] for r in records if channel in r.stated_noise]
-        if stated and channel in records[0].channels:
-            step = float(np.median([find_sensor_step(r[channel]) for r in records]))
-            white2 = float(np.mean(np.square(stated))) - step**2 / 12.0
-            pooled[channel] = sqrt(max(white2, 0.0))
-    return pooled
-
-
-def parse_noise(texts: Iterable[str]) -> dict[str, float]:
-    """Return standard deviations in SI from texts such as `position_m=2e-6`.
-
-    Raise ValueError with what is wrong.
-    """
-    stated: dict[str, float] = {}
-    for text in texts:
-        channel, equals, number = text.partition("=")
-        channel = channel.strip()
-        if channel not in SENSORS or not equals:
-            listed = ", ".join(f"{name}=... ({unit})" for name, unit in SENSORS.items())
-            raise ValueError(f"{text!r} states no channel's noise; give {listed}")
-        if channel in stated:
-            raise ValueError(f"{channel} is stated twice")
-        try:
-            deviation = float(number)
-        except ValueError:
-            deviation = float("nan")
-        if not isfinite(deviation) or deviation < 0.0:
-            raise ValueError(
-                f"{channel} is {number.strip()!r}, but must be a number of {SENSORS[channel]} that "
-                "is 0 or more: the standard deviation of a reading"
-            )
-        stated[channel] = deviation
-    return stated
 
 
 def mend_records(records: Sequence[Record]) -> tuple[list[Record], list[SensorFault]]:
@@ -179,6 +62,9 @@ def _mend_channels(record: Record) -> tuple[Record, list[SensorFault]]:
                 says += f"the first in row {int(np.argmax(lost))}; they do not count"
                 faults.append(SensorFault(channel, kind, says))
         values = bridge(record[channel], spikes | dropouts)
+        if is_filtered(record, channel):
+            says = f"{record.name}: {channel} was filtered; use the data as they were measured"
+            faults.append(SensorFault(channel, "filtered", says))
         for part in _cut_even_stretches(record):
             command = None if record.valve_v is None else record.valve_v[part]
             values[part], hums = remove_hum(values[part], record.period_s, command)
@@ -405,7 +291,8 @@ def remove_hum(values: Array, period_s: float, command: Array | None) -> tuple[A
     found: list[Hum] = []
     length = round(WINDOW_S / period_s)
     centres = np.arange(length // 2, len(values) - length // 2, max(length // 2, 1))
-    if len(centres) < 2 * FEWEST_WINDOWS or period_s * MAINS_HZ[-1] > 0.4:
+    too_short = len(centres) < 2 * FEWEST_WINDOWS or period_s * MAINS_HZ[-1] > 0.4
+    if too_short or np.ptp(values) == 0.0:
         return values, found
     for mains_hz in MAINS_HZ:
         line = _measure_phasors(values, centres, length, period_s * mains_hz)
@@ -417,7 +304,9 @@ def remove_hum(values: Array, period_s: float, command: Array | None) -> tuple[A
         turn = float(np.angle(np.sum(line[1:] * np.conj(line[:-1]))))
         still = line * np.exp(-1j * turn * np.arange(len(line)))
         quiet = np.mean(beside, axis=0)
-        weights = 1.0 / np.maximum(quiet, 1e-3 * float(np.median(quiet)) + 1e-300) ** 2
+        if not quiet.any():
+            continue
+        weights = (float(quiet.max()) / np.maximum(quiet, 1e-3 * float(quiet.max()))) ** 2
         mean = complex(np.sum(weights * still) / weights.sum())
         size = abs(mean)
         scatter = float(np.sqrt(np.sum(weights * np.abs(still - mean) ** 2) / weights.sum()))
@@ -497,16 +386,44 @@ def align_resting_pressure(records: Sequence[Record]) -> list[Record]:
     return aligned
 
 
-def _average_rest(record: Record) -> Array:
-    """Return the mean pressure of each piece before the command changes; empty for no rest."""
-    if record.valve_v is None or record.pressure_pa is None or record.valve_v[0] > REST_V:
-        return np.zeros(0)
+def _find_rest(record: Record) -> int:
+    """Return how many samples there are before the command first changes; 0 for no rest."""
+    if record.valve_v is None or record.valve_v[0] > REST_V:
+        return 0
     moved = np.abs(record.valve_v - record.valve_v[0]) > REST_V
-    rest = int(np.argmax(moved)) if moved.any() else len(record)
-    if rest < FEWEST_SAMPLES:
+    return int(np.argmax(moved)) if moved.any() else len(record)
+
+
+def _average_rest(record: Record) -> Array:
+    """Return the mean pressure of each piece of a rest; empty where there is none."""
+    rest = _find_rest(record)
+    if record.pressure_pa is None or rest < FEWEST_SAMPLES:
         return np.zeros(0)
     piece = ((record.t_s[:rest] - record.t_s[0]) / PIECE_S + 1e-6).astype(int)
     counts = np.bincount(piece)
     means = np.bincount(piece, weights=record.pressure_pa[:rest]) / np.maximum(counts, 1)
     whole = counts > 0.5 * counts[0]  # the last piece may be a stub
     return np.asarray(means[: int(np.argmin(whole))] if not whole.all() else means)
+
+
+# --- filters -------------------------------------------------------------------------------------
+
+FEWEST_AT_REST = 256
+"""Samples of a rest that show whether its noise was filtered."""
+APART, SMOOTHER = 8, 8.0
+"""Third differences over so many samples are larger by this factor than those of neighbours where
+a filter took the fast noise away: of white noise they are equal, of a random walk 2.8 times."""
+
+
+def is_filtered(record: Record, channel: str) -> bool:
+    """Tell whether somebody smoothed a channel, by the noise of its rest."""
+    rest = record[channel][: _find_rest(record)]
+    if len(rest) < FEWEST_AT_REST:
+        return False
+    near, far = (
+        float(
+            np.std(rest[3 * n :] - 3.0 * rest[2 * n : -n] + 3.0 * rest[n : -2 * n] - rest[: -3 * n])
+        )
+        for n in (1, APART)
+    )
+    return far > SMOOTHER * max(near, find_sensor_step(record[channel]))

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from hashlib import sha256
+from math import isfinite, sqrt
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +22,7 @@ from pamctl.log.edit import find_longest_step_s, split_at_gaps
 from pamctl.log.framing import MAGIC, map_log_file
 from pamctl.log.measured_signals import judge_ticks
 from pamctl.log.reader import Log
+from pamctl.log.record_problems import find_sensor_step
 from pamctl.log.run_meta import Moment, list_moments
 from pamctl.plain_text import escape_name
 from pamctl.signals import Phase
@@ -155,6 +157,126 @@ def estimate_white_noise(values: Array) -> float:
 
 def _as_column(values: ArrayLike) -> Array:
     return np.ascontiguousarray(values, dtype=np.float64).reshape(-1)
+
+
+# --- what is known of the sensors -----------------------------------------------------------------
+
+FaultKind = Literal["jitter", "outliers", "dropouts", "hum", "filtered", "unused"]
+SENSORS = {channel: unit for channel, unit in CHANNELS.items() if channel != "valve_v"}
+SOURCES = {
+    "stated": "as stated",
+    "residual": "from what changes from sample to sample of what is left",
+    "differences": "from differences of the samples",
+}
+
+
+class SensorFault(NamedTuple):
+    """What is wrong with a channel beside its noise."""
+
+    channel: str
+    """The channel; `t_s` for the time stamps."""
+    kind: FaultKind
+    says: str
+    """What was found, with the number and its unit, and what was done about it."""
+
+
+@dataclass(frozen=True)
+class ChannelNoise:
+    """What is known of one channel; the time stamps, `t_s`, and unused channels have faults only.
+
+    Numbers are in SI.
+    """
+
+    deviation: float | None = None
+    """Standard deviation of a reading, with the converter's rounding."""
+    resolution: float = 0.0
+    """Step of the converter; 0 where none is visible."""
+    source: str = ""
+    """Of `SOURCES`."""
+    faults: tuple[SensorFault, ...] = ()
+
+    def as_dict(self, channel: str) -> dict[str, Any]:
+        """Return plain values for the document."""
+        entry: dict[str, Any] = {}
+        says = [fault.says for fault in self.faults]
+        if self.deviation is not None:
+            unit = CHANNELS[channel]
+            how = SOURCES[self.source]
+            says.insert(0, f"{channel}: noise {self.deviation:.3g} {unit}, {how}")
+            entry = {
+                "deviation": self.deviation,
+                "unit": unit,
+                "resolution": self.resolution,
+                "source": self.source,
+                "is_known": True,
+            }
+        return {**entry, "faults": [*dict.fromkeys(f.kind for f in self.faults)], "says": says}
+
+
+def describe_channels(
+    records: Sequence[Record], left: Mapping[str, float], faults: Sequence[SensorFault]
+) -> dict[str, ChannelNoise]:
+    """Return what is known of each channel.
+
+    `left` is the noise of the channels that a model explains, as the fitted model leaves it, in SI.
+    """
+    found = {}
+    sensors = [c for c in records[0].channels if c in SENSORS]
+    for name in dict.fromkeys([*sensors, *(fault.channel for fault in faults)]):
+        mine = tuple(f for f in faults if f.channel == name)
+        if name not in sensors:
+            found[name] = ChannelNoise(faults=mine)
+            continue
+        step = float(np.median([find_sensor_step(r[name]) for r in records]))
+        stated = [r.stated_noise[name] for r in records if name in r.stated_noise]
+        if stated:
+            size, source = sqrt(np.mean(np.square(stated))), "stated"
+        elif name in left:
+            size, source = left[name], "residual"
+        else:
+            size = float(np.median([estimate_white_noise(r[name]) for r in records]))
+            source = "differences"
+        found[name] = ChannelNoise(size, step, source, mine)
+    return found
+
+
+def pool_stated_noise(records: Sequence[Record]) -> dict[str, float]:
+    """Return the stated standard deviation of each channel over records, without the rounding."""
+    pooled = {}
+    for channel in SENSORS:
+        stated = [r.stated_noise[channel] for r in records if channel in r.stated_noise]
+        if stated and channel in records[0].channels:
+            step = float(np.median([find_sensor_step(r[channel]) for r in records]))
+            white2 = float(np.mean(np.square(stated))) - step**2 / 12.0
+            pooled[channel] = sqrt(max(white2, 0.0))
+    return pooled
+
+
+def parse_noise(texts: Iterable[str]) -> dict[str, float]:
+    """Return standard deviations in SI from texts such as `position_m=2e-6`.
+
+    Raise ValueError with what is wrong.
+    """
+    stated: dict[str, float] = {}
+    for text in texts:
+        channel, equals, number = text.partition("=")
+        channel = channel.strip()
+        if channel not in SENSORS or not equals:
+            listed = ", ".join(f"{name}=... ({unit})" for name, unit in SENSORS.items())
+            raise ValueError(f"{text!r} states no channel's noise; give {listed}")
+        if channel in stated:
+            raise ValueError(f"{channel} is stated twice")
+        try:
+            deviation = float(number)
+        except ValueError:
+            deviation = float("nan")
+        if not isfinite(deviation) or deviation < 0.0:
+            raise ValueError(
+                f"{channel} is {number.strip()!r}, but must be a number of {SENSORS[channel]} that "
+                "is 0 or more: the standard deviation of a reading"
+            )
+        stated[channel] = deviation
+    return stated
 
 
 class HoldoutError(Exception):

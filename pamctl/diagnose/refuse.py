@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from pamctl.diagnose.mend import SensorFault
-from pamctl.diagnose.record import CHANNELS, Array, Record, estimate_white_noise
+from pamctl.diagnose.record import CHANNELS, Array, Record, SensorFault, estimate_white_noise
 from pamctl.exit_codes import ExitCode
 from pamctl.log.importing.plausibility import is_switched
 from pamctl.log.record_problems import find_sensor_step
@@ -294,24 +293,20 @@ def find_usual_ends(values: Array) -> tuple[float, float]:
     return float(np.quantile(values, 0.001)), float(np.quantile(values, 0.999))
 
 
-STEP_SHARE = 0.3
-"""Share of the command's span that counts as a step."""
-LEFT_SHARE = 0.25
-"""A command that moves on by this share of a step has left its level."""
+STEP_SHARE, LEFT_SHARE = 0.3, 0.25
+"""Share of the command's span that counts as a step; share of a step by which it is left."""
 QUIET_S, BEFORE_S, AFTER_S = 0.3, 0.15, 0.3
 """The command rests `QUIET_S` before a step. The search for answers begins `BEFORE_S` before the
 step and ends `AFTER_S` after it."""
 FEWEST_AT_REST = 8
 """With fewer samples before a step, its answer cannot be timed."""
-ANSWER_SHARE = 0.05
-"""An answer has begun when this share of the whole change is reached."""
+ANSWER_SHARE, ABOVE_NOISE = 0.05, 5.0
+"""An answer has begun when this share of the whole change is reached, and this multiple of the
+scatter at rest."""
 LEAST_SHARE = {"pressure_pa": 0.2, "position_m": 0.12}
 """Smaller changes, as shares of the signal's span, are no answer to a step."""
-ABOVE_NOISE = 5.0
-"""An answer has begun only at this multiple of the scatter at rest."""
-EARLY_S = {"pressure_pa": 3e-3, "position_m": 5e-3}
+EARLY_S, EARLY_PERIODS = {"pressure_pa": 3e-3, "position_m": 5e-3}, 1.5
 """Noise and late ticks may make an answer seem to begin this long before its cause."""
-EARLY_PERIODS = 1.5
 LATE_S = {"pressure_pa": 0.035, "position_m": 0.1}
 """The longest delay with the slowest valve; for the position with the strongest friction too."""
 LATE_RISES = 0.5
@@ -319,36 +314,29 @@ LATE_RISES = 0.5
 CAUSE = {"pressure_pa": "valve_v", "position_m": "pressure_pa"}
 
 
-class _Response(NamedTuple):
-    """When a signal began to answer a step; NaN if it does not answer or did not rest."""
-
-    begins_s: float
-    rise_s: float = 0.0
-    """From its beginning to half of its change."""
-
-
-_NONE = _Response(float("nan"))
-
-
 def check_time_shifts(record: Record) -> Iterator[str]:
-    """Yield the reason where a column does not fit the time of its cause."""
-    if record.valve_v is None or record.pressure_pa is None:
+    """Yield the reason where a column is shifted: an answer before its cause, or long after it.
+
+    Pressure and position answer steps of the command out of a rest in an order and within times
+    that no effect of the catalogue can change. A larger chamber answers more slowly, and may also
+    begin later.
+    """
+    quiet = round((QUIET_S - BEFORE_S) / record.period_s)
+    if record.valve_v is None or record.pressure_pa is None or quiet < FEWEST_AT_REST:
         return
-    if round((QUIET_S - BEFORE_S) / record.period_s) < FEWEST_AT_REST:
-        return
-    steps = _find_steps(record)
-    held_s = [_find_end_s(record, step) for step in steps]
-    causes = [_Response(float(record.t_s[step])) for step in steps]
-    for channel in ("pressure_pa", "position_m"):
-        if channel not in record.channels:
-            continue
-        answers = [_find_response(record, channel, step) for step in steps]
-        pairs = [
-            (answer.begins_s - cause.begins_s, _latest_s(channel, cause, answer))
-            for cause, answer, end_s in zip(causes, answers, held_s, strict=True)
-            if np.isfinite(answer.begins_s - cause.begins_s) and answer.begins_s <= end_s
-        ]
-        causes = answers
+    found: dict[str, list[tuple[float, float]]] = {c: [] for c in CAUSE if c in record.channels}
+    for step, end_s in _find_steps(record):
+        cause_s, cause_rise_s = float(record.t_s[step]), 0.0
+        for channel, pairs in found.items():
+            answer = _find_response(record, channel, step)
+            if answer is None:
+                break
+            begins_s, rise_s = answer
+            most_s = max(float(np.hypot(LATE_S[channel], LATE_RISES * rise_s)), cause_rise_s)
+            if begins_s <= end_s:
+                pairs.append((begins_s - cause_s, most_s))
+            cause_s, cause_rise_s = begins_s, rise_s
+    for channel, pairs in found.items():
         if not pairs:
             return
         early_s = max(EARLY_S[channel], EARLY_PERIODS * record.period_s)
@@ -362,60 +350,45 @@ def check_time_shifts(record: Record) -> Iterator[str]:
             )
 
 
-def _latest_s(channel: str, cause: _Response, answer: _Response) -> float:
-    """Return the longest time after its cause at which an answer may begin."""
-    return max(float(np.hypot(LATE_S[channel], LATE_RISES * answer.rise_s)), cause.rise_s)
-
-
-def _find_steps(record: Record) -> list[int]:
-    """Return the samples at which the command steps out of a rest, away from gaps."""
+def _find_steps(record: Record) -> Iterator[tuple[int, float]]:
+    """Yield each step of the command out of a rest, away from gaps, and when its level is left."""
     command = record["valve_v"]
-    least_v = STEP_SHARE * float(np.ptp(command))
+    sizes = np.abs(np.diff(command, prepend=command[0]))
     quiet, after = (round(s / record.period_s) for s in (QUIET_S, AFTER_S))
-    found = []
+    steps = np.flatnonzero((sizes >= STEP_SHARE * float(np.ptp(command))) & (sizes > 0.0))
     for part in record.segments:
-        steps = np.abs(np.diff(command[part]))
-        jumps = np.flatnonzero((steps >= least_v) & (steps > 0.0)) + 1 + part.start
-        found += [
-            int(jump)
-            for jump in jumps
-            if jump >= part.start + quiet
-            and jump + after < part.stop
-            and np.ptp(command[jump - quiet : jump]) == 0.0
-        ]
-    return found
+        for step in steps[(steps >= part.start + quiet) & (steps < part.stop - after)].tolist():
+            if np.ptp(command[step - quiet : step]) > 0.0:
+                continue
+            away = np.abs(command[step:] - command[step]) > LEFT_SHARE * sizes[step]
+            end = step + int(np.argmax(away)) if away.any() else -1
+            yield step, float(record.t_s[end])
 
 
-def _find_end_s(record: Record, step: int) -> float:
-    """Return when the command leaves the level of a step; what follows may answer that instead."""
-    command = record["valve_v"]
-    size = abs(command[step] - command[step - 1])
-    left = np.flatnonzero(np.abs(command[step:] - command[step]) > LEFT_SHARE * size)
-    return float(record.t_s[step + left[0]]) if len(left) else float(record.t_s[-1])
+def _find_response(record: Record, channel: str, step: int) -> tuple[float, float] | None:
+    """Return when a channel begins to answer a step, and its time from there to half, in s.
 
-
-def _find_response(record: Record, channel: str, step: int) -> _Response:
-    """Find when a channel begins to answer a step, and how fast."""
+    None where it does not answer, or did not rest.
+    """
     quiet, before, after = (round(s / record.period_s) for s in (QUIET_S, BEFORE_S, AFTER_S))
     values: Array = record[channel]
     rest = values[step - quiet : step - before]
-    earlier, later = np.array_split(rest, 2)
-    rested, drift = float(later.mean()), float(later.mean() - earlier.mean())
-    change = values[step - before : step + after] - rested
+    earlier, later = (float(half.mean()) for half in np.array_split(rest, 2))
+    change = values[step - before : step + after] - later
     whole = float(change[np.argmax(np.abs(change))])
     begun = ANSWER_SHARE * abs(whole)
     if (
         abs(whole) <= LEAST_SHARE[channel] * float(np.ptp(values))
         or begun < ABOVE_NOISE * float(np.std(rest))
-        or abs(drift) > 0.2 * begun
+        or abs(later - earlier) > 0.2 * begun
     ):
-        return _NONE
+        return None
     first = int(np.argmax(change / whole > ANSWER_SHARE))
     if not first:
-        return _NONE
+        return None
     half = int(np.argmax(change / whole > 0.5))
-    begins_s = float(record.t_s[step - before + first])
-    return _Response(begins_s, float(record.t_s[step - before + half]) - begins_s)
+    begins_s, half_s = (float(record.t_s[step - before + k]) for k in (first, half))
+    return begins_s, half_s - begins_s
 
 
 class BadData(Exception):

@@ -19,14 +19,8 @@ from pamctl.diagnose.evidence import EvidenceVerdict, weigh_evidence
 from pamctl.diagnose.evidence.run_pieces import TooLittleRecorded
 from pamctl.diagnose.explanations import judge_forecasts, list_explanations
 from pamctl.diagnose.extend import extend_plant
-from pamctl.diagnose.mend import (
-    SensorFault,
-    align_resting_pressure,
-    describe_channels,
-    mend_records,
-    pool_stated_noise,
-)
-from pamctl.diagnose.record import Record
+from pamctl.diagnose.mend import align_resting_pressure, mend_records
+from pamctl.diagnose.record import Record, SensorFault, describe_channels, pool_stated_noise
 from pamctl.diagnose.refuse import BadData, check_measured_runs, leave_out_unused
 from pamctl.plant.model import PlantSettings
 

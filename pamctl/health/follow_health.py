@@ -50,23 +50,34 @@ class FittedRun:
     refused: str = ""
 
 
-def fit_log(path: Path, when_s: float, plant: PlantSettings) -> FittedRun:
+@dataclass(frozen=True)
+class Stated:
+    """What the user says of the logs."""
+
+    accepted: Mapping[str, str] = field(default_factory=dict)
+    """Reasons by the rule about the data that they overrule."""
+    noise: Mapping[str, float] = field(default_factory=dict)
+    """Standard deviations by channel, in SI."""
+
+
+def fit_log(path: Path, when_s: float, plant: PlantSettings, stated: Stated) -> FittedRun:
     """Fit a log; a log that cannot be used is returned with the reason."""
     try:
         record = record_of(path)
-        return replace(fit_record(record, plant), name=path.name, when_s=when_s)
+        return replace(fit_record(record, plant, stated), name=path.name, when_s=when_s)
     except (LogError, BadData, OSError) as error:
         return FittedRun(path.name, when_s, refused=" ".join(str(error).split()))
 
 
-def fit_record(record: Record, plant: PlantSettings) -> FittedRun:
+def fit_record(record: Record, plant: PlantSettings, stated: Stated = Stated()) -> FittedRun:
     """Fit a record; raise `BadData` where it cannot be fitted."""
     (record,), _ = mend_records([record])
-    if plant.noise is not None:
-        record = replace(record, stated_noise={**record.stated_noise, **plant.noise.stated})
+    of_plant = plant.noise.stated if plant.noise is not None else {}
+    known = {**record.stated_noise, **of_plant, **stated.noise}
+    record = replace(record, stated_noise=known)
     if record.duration_s < SHORTEST_S:
         raise BadData(f"{record.duration_s:.1f} s after homing; {SHORTEST_S:g} s are needed")
-    check_measured_runs([record], plant)
+    check_measured_runs([record], plant, stated.accepted)
     try:
         weigher, start = prepare_weigher([record], (), plant)
     except ValueError as error:
@@ -98,14 +109,16 @@ def _widen_by_misfit(number: FittedNumber, ratio: float) -> FittedNumber:
     return replace(number, low=low, high=high)
 
 
-def fit_halves(path: Path, plant: PlantSettings) -> tuple[FittedRun, FittedRun] | None:
+def fit_halves(
+    path: Path, plant: PlantSettings, stated: Stated
+) -> tuple[FittedRun, FittedRun] | None:
     """Fit the halves of a log; None where one cannot be fitted."""
     try:
         record = record_of(path)
         middle = len(record) // 2
         parts = (record.cut_samples(0, middle, "a"), record.cut_samples(middle, len(record), "b"))
         first, second = (replace(part, t_s=part.t_s - part.t_s[0]) for part in parts)
-        return fit_record(first, plant), fit_record(second, plant)
+        return fit_record(first, plant, stated), fit_record(second, plant, stated)
     except (LogError, BadData, OSError):
         return None
 
@@ -250,10 +263,11 @@ def follow_health(
     plant: PlantSettings,
     executor: Executor | None = None,
     progress: Progress = lambda line: None,
+    stated: Stated = Stated(),
 ) -> RigHealth:
     """Fit logs, each with its time (s since the epoch), and compare them; raise `NoHealth`."""
     ordered = sorted(logs, key=lambda item: (item[1], item[0].name))
-    fit = partial(_fit_one, plant=plant)
+    fit = partial(_fit_one, plant=plant, stated=stated)
     fitted: list[FittedRun] = []
     for run in map(fit, ordered) if executor is None else executor.map(fit, ordered):
         progress(f"{len(fitted) + 1} of {len(ordered)}: {run.name} {run.refused}".rstrip())
@@ -268,7 +282,7 @@ def follow_health(
         )
     changes = find_changes(runs)
     paths = {path.name: path for path, _ in ordered}
-    halves = _fit_latest_halves(runs, paths, plant) if changes else []
+    halves = _fit_latest_halves(runs, paths, plant, stated) if changes else []
     grown = {c.name.removesuffix(MISFIT) for c in changes if c.name.endswith(MISFIT)}
     drifts = tuple(
         FollowedDrift(
@@ -282,8 +296,8 @@ def follow_health(
     )
 
 
-def _fit_one(log: tuple[Path, float], plant: PlantSettings) -> FittedRun:
-    return fit_log(*log, plant)
+def _fit_one(log: tuple[Path, float], plant: PlantSettings, stated: Stated) -> FittedRun:
+    return fit_log(*log, plant, stated)
 
 
 def find_changes(runs: Sequence[FittedRun]) -> list[NumberDrift]:
@@ -300,9 +314,9 @@ def find_changes(runs: Sequence[FittedRun]) -> list[NumberDrift]:
 
 
 def _fit_latest_halves(
-    runs: Sequence[FittedRun], paths: dict[str, Path], plant: PlantSettings
+    runs: Sequence[FittedRun], paths: dict[str, Path], plant: PlantSettings, stated: Stated
 ) -> list[tuple[FittedRun, FittedRun]]:
-    latest = [fit_halves(paths[run.name], plant) for run in runs[-LATEST_FOR_HALVES:]]
+    latest = [fit_halves(paths[run.name], plant, stated) for run in runs[-LATEST_FOR_HALVES:]]
     return [pair for pair in latest if pair is not None]
 
 

@@ -117,6 +117,8 @@ def format_good_plant(health: RigHealth) -> str:
 
 DAY_S = 86400.0
 _LONG_S = 2.0 * DAY_S
+_SHORT_S = 60.0
+"""Runs of less apart are placed by their order."""
 
 
 def write_health_page(health: RigHealth, folder: str) -> Page:
@@ -144,11 +146,13 @@ def _place_runs(runs: Sequence[FittedRun]) -> tuple[list[float], PlotAxis]:
     """Return the place of each run on the axis of all figures."""
     since_s = np.array([run.when_s - runs[0].when_s for run in runs])
     span_s = float(np.ptp(since_s))
-    # Runs of one moment, as those without a clock have, stand side by side.
-    if span_s <= 0.0:
+    # Runs of one moment, as those without a clock and copied files have, stand side by side.
+    if span_s < _SHORT_S:
         places, axis = np.arange(len(runs), dtype=np.float64), PlotAxis("run", "")
     elif span_s > _LONG_S:
         places, axis = since_s / DAY_S, PlotAxis("since the first run", "d")
+    elif span_s < 2.0 * 3600.0:
+        places, axis = since_s / 60.0, PlotAxis("since the first run", "min")
     else:
         places, axis = since_s / 3600.0, PlotAxis("since the first run", "h")
     return places.tolist(), axis

@@ -22,7 +22,7 @@ from pamctl.log.measured_signals import SignalPieces, describe_unknown_phase, fi
 from pamctl.log.reader import Scan
 from pamctl.log.reading.file_index import IndexCheck
 from pamctl.log.reading.record_walk import Hole, Loaded
-from pamctl.log.record_problems import FIRST_TICKS, RecordProblem, judge_first_tick
+from pamctl.log.record_problems import FIRST_TICKS, judge_first_tick
 from pamctl.log.schema import CUT, EVENT_TOPIC, SCHEMA_VERSION, TICK_TOPIC, unit_of_column
 from pamctl.log.wire import SEQUENCE, TickBatch, UnknownLayout
 from pamctl.signals import TICK_FIELDS
@@ -202,7 +202,12 @@ class _TickCheck:
     def end(self) -> None:
         """Report what all ticks together show."""
         for problem in self._signals.find_problems():
-            self._findings.add(_weigh(problem), problem.kind, problem.describe())
+            # A run may end before its first tick, and a rig may be at rest.
+            is_wrong = problem.is_fatal and problem.kind != "short"
+            severity = Severity.ERROR if is_wrong else Severity.WARNING
+            if problem.kind == "constant":
+                severity = Severity.NOTE
+            self._findings.add(severity, problem.kind, problem.describe())
         if self.missed:
             counted = f"{self.missed} ticks in {self.gaps} gaps were missed; the log counts them"
             self._findings.note("missed", counted)
@@ -261,13 +266,6 @@ class _TickCheck:
         if unknown is not None and "phase" not in self._findings.kinds:
             at = int(tick[(phase == unknown).argmax()])
             self._findings.error("phase", f"from tick {at} on, {describe_unknown_phase(unknown)}")
-
-
-def _weigh(problem: RecordProblem) -> Severity:
-    if problem.kind == "constant":  # a rig at rest
-        return Severity.NOTE
-    is_wrong = problem.is_fatal and problem.kind != "short"  # a run may end before its first tick
-    return Severity.ERROR if is_wrong else Severity.WARNING
 
 
 def _check_schema(scan: Scan, findings: LogFindings) -> None:

@@ -18,7 +18,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -303,7 +303,10 @@ def append_metadata(path: Path, name: str, values: Mapping[str, str]) -> None:
     before = path.stat()
     with create_new_file(path, replaces="") as stream:
         with path.open("rb") as log:
-            _copy_bytes(log, stream, data_bytes)
+            left = data_bytes
+            while left and (block := log.read(min(left, _BLOCK_BYTES))):
+                stream.write(block)
+                left -= len(block)
         stream.write(tail)
         shutil.copymode(path, stream.name)
         with suppress(OSError, AttributeError):  # only root can, and Windows has no such owners
@@ -349,9 +352,3 @@ def _add_to_summary(old: Iterable[FileRecord], index: MetadataIndex) -> dict[int
             groups[record.opcode] = groups.get(record.opcode, b"") + data
     groups[Opcode.METADATA_INDEX] = groups.get(Opcode.METADATA_INDEX, b"") + encode_record(index)
     return groups
-
-
-def _copy_bytes(source: BinaryIO, target: BinaryIO, count: int) -> None:
-    while count and (block := source.read(min(count, _BLOCK_BYTES))):
-        target.write(block)
-        count -= len(block)

@@ -93,7 +93,7 @@ def _choose_writer(destination: Path) -> Callable[[BufferedWriter, Columns, str]
         try:
             __import__("pyarrow")
         except ImportError:
-            fix = "install it with pip install '.[parquet]'"
+            fix = "install it with pip install pyarrow"
             raise ExportError(f"Parquet needs the package pyarrow; {fix}") from None
     return _WRITERS[suffix]
 

@@ -296,7 +296,9 @@ def find_output_steps(log: Log) -> OutputSteps:
     """Return the voltages on the output of a log of pamctl, with the instants at which they act."""
     applied_v: Floats = log["applied_v"]
     rig = log.metadata.get("rig", {})
-    times = _read_durations(log)
+    # Zeros for those that an old log does not have.
+    none = np.zeros(len(log))
+    times = {name: log.columns.get(name, none) for name in _DURATIONS}
     held_v = float(rig["safe_output_v"]) if "safe_output_v" in rig else None
     if not len(log):
         return OutputSteps(applied_v, None, held_v)
@@ -311,12 +313,6 @@ def find_output_steps(log: Log) -> OutputSteps:
     return OutputSteps(before_v, _find_edge_instants(log, times), held_v)
 
 
-def _read_durations(log: Log) -> Mapping[str, Floats]:
-    """Return the durations within each tick; zeros for those that an old log does not have."""
-    none = np.zeros(len(log))
-    return {name: log.columns.get(name, none) for name in _DURATIONS}
-
-
 def _find_write_instants(log: Log, times: Mapping[str, Floats]) -> Floats:
     """Return the time from the encoder's sample to the output's change, shape (n,).
 
@@ -326,7 +322,8 @@ def _find_write_instants(log: Log, times: Mapping[str, Floats]) -> Floats:
     acts_s = times["read_s"] - _find_wait_for_sample(log, times) + times["compute_s"]
     # A simulated rig changes its output first; the write's duration is the plant catching up. A
     # driver's call returns when the converter has its code.
-    if _is_simulated(log):
+    truth = log.columns.get("true_pressure_pa")
+    if truth is not None and np.isfinite(truth).any():
         return acts_s
     return np.asarray(acts_s + times["write_s"])
 
@@ -382,8 +379,3 @@ def _read_period_s(log: Log) -> float | None:
     """Return the loop's period as configured."""
     rate_hz = log.config.get("rig", {}).get("loop", {}).get("rate_hz")
     return None if rate_hz is None else round(1e9 / float(rate_hz)) * 1e-9
-
-
-def _is_simulated(log: Log) -> bool:
-    truth = log.columns.get("true_pressure_pa")
-    return truth is not None and bool(np.isfinite(truth).any())

@@ -17,10 +17,100 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+ProblemKind = Literal[
+    "frozen", "clipped", "spikes", "resampled", "missing", "infinite", "empty", "constant",
+    "duplicated", "backwards", "reversed", "gap", "jitter", "short",
+    "misnumbered", "schema", "version",
+]  # fmt: skip
+
+JITTER = 0.05
+"""Deviation from the even grid that is a problem, as a share of the period."""
+FEWEST_HELD = 20
+"""Equal samples in a row that may be a frozen sensor; fewer are a dropout."""
+CHANCE = 1e-3
+"""Chance in a whole record that noise holds a value for as long as a frozen sensor."""
+NOISE_STEPS = 0.5
+"""Noise of so many steps of the converter shows in every sample; rounding alone makes 0.29."""
+FLIPS = 0.6
+"""Share of turns in noise: a smooth motion turns seldom, white noise in 0.73 of its samples."""
+MOST_UNEVEN = 0.02
+"""Share of uneven time steps; with more, a motion looks as rough as noise."""
+BLOCK = 50
+"""Samples whose noise is taken together."""
+BESIDE = 12
+"""Samples beside a held stretch that must show the noise which it lacks."""
+STILL_PUSHED = 0.35
+"""Share of another sensor's span that no friction holds."""
+JUMP = 9.0
+"""A spike is this many usual deviations away from its neighbours."""
+MOST_SPIKES = 0.02
+"""Share of the samples; more are no single spikes, but the signal."""
+AROUND = 8
+"""Samples before and after a spike that show how busy the signal is."""
+ANSWER = 4
+"""Samples after a jump of the command in which a rig may answer it by a jump."""
+REGULAR = 0.95
+"""Share of the changes that come at one interval in a resampled column."""
+FEWEST_CHANGES = 20
+SHOWN_STRETCHES = 5
+MOST_COMPARED = 200
+"""Stretches, the longest ones, that are compared with other sensors."""
+MOST_SORTED = 100_000
+"""Samples of a long column whose levels are looked at."""
 GAP_PERIODS = 1.5
 """A longer step of the time has missed rows."""
 JUMP_SHARE = 0.2
 """Share of its span by which a command jumps."""
+
+
+class RecordColumn(NamedTuple):
+    """A column of a record."""
+
+    name: str
+    unit: str
+    values: Floats
+    """Shape (n,); NaN where nothing was measured."""
+    step: float | None = None
+    """The converter's step, in `unit`; 0 for none; None where it is to be found in the values."""
+    is_sensor: bool = True
+    """False for a command: it may hold a value, and jump, as it likes."""
+
+
+class RecordProblem(NamedTuple):
+    """One thing that is wrong with a record."""
+
+    kind: ProblemKind
+    column: str
+    text: str
+    """What is wrong, without the place."""
+    stretches: tuple[tuple[int, int], ...]
+    """Rows [start, stop), from 0, in order; all of them."""
+    from_s: float
+    """Time of the first row concerned; NaN where the time is unknown."""
+    to_s: float
+    """Time of the last row concerned."""
+    share: float
+    """Part of the record's rows that is concerned, 0 to 1."""
+    is_fatal: bool
+    """Whether nothing right can be computed from the record before this is repaired."""
+
+    def describe(self, numbers: Sequence[int] | NDArray[np.int64] | None = None) -> str:
+        """Return the problem with its place; `numbers` are those of the rows in the source."""
+        if self.share >= 1.0 or not self.stretches:
+            return f"{self.column} {self.text}"
+        shown = []
+        for start, stop in self.stretches[:SHOWN_STRETCHES]:
+            rows = [start, stop - 1] if numbers is None else [numbers[start], numbers[stop - 1]]
+            shown.append(" to ".join(str(row) for row in dict.fromkeys(rows)))
+        more = len(self.stretches) - len(shown)
+        rest = f" and {more} more" if more else ""
+        is_one = len(self.stretches) == 1 and self.stretches[0][1] - self.stretches[0][0] == 1
+        times = [f"{t_s:.6g}" for t_s in dict.fromkeys((self.from_s, self.to_s)) if t_s == t_s]
+        when = f" ({' to '.join(times)} s)" if times else ""
+        return f"{self.column} {self.text}: row{'s'[is_one:]} {', '.join(shown)}{rest}{when}"
 
 
 @np.errstate(over="ignore", invalid="ignore")  # numbers of any size may be in a file
@@ -133,98 +223,6 @@ def _judge_time(t_s: Floats, name: str) -> Iterator[RecordProblem]:
     if off.max() > JITTER:
         text = f"steps differ from {period_s:.6g} s by up to {float(off.max()):.0%}"
         yield make_problem(t_s, "jitter", name, text, [(0, len(t_s))])
-
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-
-ProblemKind = Literal[
-    "frozen", "clipped", "spikes", "resampled", "missing", "infinite", "empty", "constant",
-    "duplicated", "backwards", "reversed", "gap", "jitter", "short",
-    "misnumbered", "schema", "version",
-]  # fmt: skip
-
-JITTER = 0.05
-"""Deviation from the even grid that is a problem, as a share of the period."""
-FEWEST_HELD = 20
-"""Equal samples in a row that may be a frozen sensor; fewer are a dropout."""
-CHANCE = 1e-3
-"""Chance in a whole record that noise holds a value for as long as a frozen sensor."""
-NOISE_STEPS = 0.5
-"""Noise of so many steps of the converter shows in every sample; rounding alone makes 0.29."""
-FLIPS = 0.6
-"""Share of turns in noise: a smooth motion turns seldom, white noise in 0.73 of its samples."""
-MOST_UNEVEN = 0.02
-"""Share of uneven time steps; with more, a motion looks as rough as noise."""
-BLOCK = 50
-"""Samples whose noise is taken together."""
-BESIDE = 12
-"""Samples beside a held stretch that must show the noise which it lacks."""
-STILL_PUSHED = 0.35
-"""Share of another sensor's span that no friction holds."""
-JUMP = 9.0
-"""A spike is this many usual deviations away from its neighbours."""
-MOST_SPIKES = 0.02
-"""Share of the samples; more are no single spikes, but the signal."""
-AROUND = 8
-"""Samples before and after a spike that show how busy the signal is."""
-ANSWER = 4
-"""Samples after a jump of the command in which a rig may answer it by a jump."""
-REGULAR = 0.95
-"""Share of the changes that come at one interval in a resampled column."""
-FEWEST_CHANGES = 20
-SHOWN_STRETCHES = 5
-MOST_COMPARED = 200
-"""Stretches, the longest ones, that are compared with other sensors."""
-MOST_SORTED = 100_000
-"""Samples of a long column whose levels are looked at."""
-
-
-class RecordColumn(NamedTuple):
-    """A column of a record."""
-
-    name: str
-    unit: str
-    values: Floats
-    """Shape (n,); NaN where nothing was measured."""
-    step: float | None = None
-    """The converter's step, in `unit`; 0 for none; None where it is to be found in the values."""
-    is_sensor: bool = True
-    """False for a command: it may hold a value, and jump, as it likes."""
-
-
-class RecordProblem(NamedTuple):
-    """One thing that is wrong with a record."""
-
-    kind: ProblemKind
-    column: str
-    text: str
-    """What is wrong, without the place."""
-    stretches: tuple[tuple[int, int], ...]
-    """Rows [start, stop), from 0, in order; all of them."""
-    from_s: float
-    """Time of the first row concerned; NaN where the time is unknown."""
-    to_s: float
-    """Time of the last row concerned."""
-    share: float
-    """Part of the record's rows that is concerned, 0 to 1."""
-    is_fatal: bool
-    """Whether nothing right can be computed from the record before this is repaired."""
-
-    def describe(self, numbers: Sequence[int] | NDArray[np.int64] | None = None) -> str:
-        """Return the problem with its place; `numbers` are those of the rows in the source."""
-        if self.share >= 1.0 or not self.stretches:
-            return f"{self.column} {self.text}"
-        shown = []
-        for start, stop in self.stretches[:SHOWN_STRETCHES]:
-            rows = [start, stop - 1] if numbers is None else [numbers[start], numbers[stop - 1]]
-            shown.append(" to ".join(str(row) for row in dict.fromkeys(rows)))
-        more = len(self.stretches) - len(shown)
-        rest = f" and {more} more" if more else ""
-        is_one = len(self.stretches) == 1 and self.stretches[0][1] - self.stretches[0][0] == 1
-        times = [f"{t_s:.6g}" for t_s in dict.fromkeys((self.from_s, self.to_s)) if t_s == t_s]
-        when = f" ({' to '.join(times)} s)" if times else ""
-        return f"{self.column} {self.text}: row{'s'[is_one:]} {', '.join(shown)}{rest}{when}"
 
 
 def find_sensor_step(values: Floats) -> float:

@@ -14,7 +14,7 @@ from pydantic import (
     model_validator,
 )
 
-from hal.rig import Configured
+from hal.calibration import Configured
 from pamctl.plant.catalogue import CATALOGUE, WITH_TERMS
 from pamctl.plant.effects.description import (
     ACTUATORS,

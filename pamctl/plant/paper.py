@@ -11,7 +11,7 @@ from typing import Annotated, NamedTuple
 
 from pydantic import Field, model_validator
 
-from hal.rig import Configured
+from hal.calibration import Configured
 
 LONGEST_M = 10.0
 HIGHEST_TANK_PA = 2e6

@@ -1,8 +1,10 @@
-"""The loop process: `python -m pamctl.processes.loop_main RING [FD]`, started by the front.
+"""The loop process: `python -m pamctl.processes.loop_main RING [FD [session]]`.
 
-All it needs is in the ring's meta; marks come from the slot for orders in `FD`. The end of its
-standard input is the front's death. It says in JSON lines on standard output how the run ends:
-once when the valve is safe, and once when all is done. The last line counts.
+The front of a run starts it on the ring of that run, a daemon on the ring of its session, which
+nothing records: there each run brings another ring. All that it needs is in the ring's meta; marks
+or orders come from the slot in `FD`. The end of its standard input is the death of who started it.
+It says in JSON lines on standard output how it ends: once when the valve is safe, and once when all
+is done. The last line counts.
 """
 
 from __future__ import annotations
@@ -21,19 +23,26 @@ from pamctl.processes.backends import build_clock, build_rig, make_plant, requir
 from pamctl.processes.loop_supervisor import LoopSupervisor
 from pamctl.realtime.loop import ControlLoop
 from pamctl.realtime.orders import Orders
-from pamctl.realtime.program import CuedHelm
+from pamctl.realtime.program import CuedHelm, Program
 from pamctl.realtime.scheduling import Preparation, SchedulingError, keep_single_threaded, prepare
+from pamctl.realtime.steering import SteeredProgram
 from pamctl.realtime.tick import TickSetup
 from pamctl.realtime.tick_runner import TickCost, TickRunner, rehearse_tick_s
 from pamctl.recording.journal import (
     RingJournal,
+    SessionJournal,
     make_outcome_event,
     put_last_event,
     wait_for_recorder,
 )
 from pamctl.recording.recorder import leave_recorder
 from pamctl.recording.ring import RecorderFlag, Ring, RingError, RingFull
-from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
+from pamctl.settings.build import (
+    build_ordered_program,
+    build_program,
+    build_tick_setup,
+    nominal_zero_of,
+)
 from pamctl.settings.resolve import RunSettings, from_resolved
 from pamctl.simulate.many_ticks import find_many_ticks
 
@@ -43,18 +52,25 @@ def main() -> NoReturn:
     keep_single_threaded()
     with Ring.attach(sys.argv[1]) as ring:
         settings = from_resolved(json.dumps(ring.meta.config))
+        orders = Orders(int(sys.argv[2])) if len(sys.argv) > 2 else None
         pace, front = settings.rig.loop, sys.stdin.fileno()
-        supervisor = LoopSupervisor(ring, front, pace, patient=settings.fast)
-        ending = supervisor.name_cause(run_to_ending(partial(_run, ring, settings, supervisor)))
-        # If the ring has no room for it, the front puts it there once the recorder has made room.
-        ring.loop_done = _put_outcome(ring, ending)
-        if supervisor.may_be_last():
-            leave_recorder(ring.path)
-    report_and_exit(ending)
-
-
-def report_and_exit(ending: Ending) -> NoReturn:
-    """Tell the parent how the run ended, and exit."""
+        supervisor = LoopSupervisor(ring, front, pace, patient=settings.fast, orders=orders)
+        session = SessionJournal(ring, supervisor.watch_recording) if sys.argv[3:] else None
+        journal = session or RingJournal(ring)
+        ending = supervisor.name_cause(
+            _run_to_ending(partial(_run, ring, settings, supervisor, journal, orders))
+        )
+        recorded: Ring | None = ring
+        if session is None:
+            # If the ring has no room, the front puts it there once the recorder has made room.
+            ring.loop_done = _put_outcome(ring, ending)
+        else:
+            recorded = session.run
+            with suppress(RingFull):
+                session.end_last_run(ending)
+            ring.loop_done = 1
+        if recorded is not None and supervisor.may_be_last():
+            leave_recorder(recorded.path)
     tell_parent(ending)
     sys.exit(int(ending.code))
 
@@ -66,7 +82,7 @@ def tell_parent(ending: Ending) -> None:
         print(json.dumps({"code": int(ending.code), "reason": ending.reason}), flush=True)
 
 
-def run_to_ending(work: Callable[[], Ending]) -> Ending:
+def _run_to_ending(work: Callable[[], Ending]) -> Ending:
     """Do the work; turn every exception into an ending."""
     try:
         return work()
@@ -94,27 +110,48 @@ def _put_outcome(ring: Ring, ending: Ending) -> bool:
     return False
 
 
-def _run(ring: Ring, settings: RunSettings, supervisor: LoopSupervisor) -> Ending:
+def _run(
+    ring: Ring,
+    settings: RunSettings,
+    supervisor: LoopSupervisor,
+    journal: RingJournal,
+    orders: Orders | None,
+) -> Ending:
     supervisor.listen()
-    if (ending := _await_recorder(ring, supervisor)) is not None:
+    if isinstance(journal, SessionJournal):
+        supervisor.watch_recording(None)
+    elif (ending := _await_recorder(ring, supervisor)) is not None:
         return ending
     # Before this process is scheduled in real time: loading a driver takes long.
     require_backend(settings)
-    if not settings.fast and (ending := await_guardian(ring, supervisor)) is not None:
+    if not settings.fast and (ending := _await_guardian(ring, supervisor)) is not None:
         return ending
     with prepare("off" if settings.fast else settings.rt, settings.rig.loop.cpu) as preparation:
         setup = build_tick_setup(settings)
         tick = TickRunner(setup)
-        _record_start(ring, settings, preparation, tick.way)
+        timing = {**preparation.as_metadata(), "tick": tick.way}
+        if settings.fast:
+            timing = {"mode": "fast: no clock"}
+        journal.note_start({"event": "timing_setup", **timing})
         for event in () if settings.fast else check_rate(settings, setup, tick):
-            ring.put_event(0, ring.meta.start_mono_ns, event)
+            journal.note_start(event)
         clock = build_clock(settings, may_spin=preparation.may_spin)
         parts = build_rig(settings, clock, plant=make_plant(settings))
+        controller = settings.controller.model_dump(mode="json")
+        program: Program | SteeredProgram
+        helm: CuedHelm | SteeredProgram
+        if isinstance(journal, SessionJournal):
+            assert orders is not None
+            program_of = partial(build_ordered_program, settings)
+            program = helm = SteeredProgram(
+                orders, journal, setup, controller, program_of, preparation.defer_page_faults
+            )
+        else:
+            ring.put_gains(0, ring.meta.start_mono_ns, controller)
+            program = build_program(settings)
+            helm = CuedHelm(setup, controller, program, journal, orders)
         if settings.fast:
             wait_for_recorder(ring)
-        program = build_program(settings)
-        journal = RingJournal(ring)
-        controller = settings.controller.model_dump(mode="json")
         return ControlLoop(
             rig=parts.rig,
             clock=parts.clock,
@@ -124,16 +161,12 @@ def _run(ring: Ring, settings: RunSettings, supervisor: LoopSupervisor) -> Endin
             journal=journal,
             supervisor=supervisor,
             truth=parts.truth,
-            helm=CuedHelm(setup, controller, program, journal, _attach_orders()),
-            opened=partial(free_foreign_threads, preparation),
+            helm=helm,
+            opened=partial(_free_foreign_threads, preparation),
             tick=tick,
             many=find_many_ticks(setup, parts.rig, parts.clock),
             ended=tell_parent,
         ).run()
-
-
-def _attach_orders() -> Orders | None:
-    return Orders(int(sys.argv[2])) if len(sys.argv) > 2 else None
 
 
 def check_rate(
@@ -153,7 +186,7 @@ def check_rate(
     return [{"event": "rate_warning", "detail": warning, **cost._asdict()}]
 
 
-def free_foreign_threads(preparation: Preparation) -> list[dict[str, object]]:
+def _free_foreign_threads(preparation: Preparation) -> list[dict[str, object]]:
     """Free the threads of the rig's driver; return what to note in the log."""
     steps = preparation.free_foreign_threads()
     return [{"event": step.name, "done": step.done, "detail": step.detail} for step in steps]
@@ -168,21 +201,11 @@ def _await_recorder(ring: Ring, supervisor: LoopSupervisor) -> Ending | None:
     )
 
 
-def await_guardian(ring: Ring, supervisor: LoopSupervisor) -> Ending | None:
+def _await_guardian(ring: Ring, supervisor: LoopSupervisor) -> Ending | None:
     """Wait for the guardian: no valve may move that nobody could close."""
     return supervisor.await_start(
         "guardian", lambda: bool(ring.guardian_ready), lambda: bool(ring.guardian_lost)
     )
-
-
-def _record_start(ring: Ring, settings: RunSettings, preparation: Preparation, path: str) -> None:
-    """Record how this process is scheduled, how it runs the tick, and its first gains."""
-    setup = {**preparation.as_metadata(), "tick": path}
-    if settings.fast:
-        setup = {"mode": "fast: no clock"}
-    event = {"event": "timing_setup", **setup}
-    ring.put_event(0, ring.meta.start_mono_ns, event)
-    ring.put_gains(0, ring.meta.start_mono_ns, settings.controller.model_dump(mode="json"))
 
 
 if __name__ == "__main__":

@@ -14,9 +14,10 @@ import time
 from collections.abc import Callable
 from types import FrameType
 
-from pamctl.exit_codes import Ending, ExitCode
+from pamctl.exit_codes import EMERGENCY_STOP, Ending, ExitCode
 from pamctl.processes.interrupts import STOP_SIGNALS
 from pamctl.realtime.clock import LoopSettings, SleepWatch
+from pamctl.realtime.orders import Orders
 from pamctl.recording.journal import SILENT_RECORDER_S
 from pamctl.recording.ring import RecorderFlag, Ring
 
@@ -32,12 +33,20 @@ class LoopSupervisor:
     """Asked once a tick; in most ticks it costs a fraction of a microsecond."""
 
     def __init__(
-        self, ring: Ring, front_fd: int | None, pace: LoopSettings, *, patient: bool = False
+        self,
+        ring: Ring,
+        front_fd: int | None,
+        pace: LoopSettings,
+        *,
+        patient: bool = False,
+        orders: Orders | None = None,
     ) -> None:
         """`front_fd` is a pipe that the front holds open: the pipe's end is the front's death.
 
-        A `patient` run waits for a slow recorder instead of giving up on it.
+        A `patient` run waits for a slow recorder instead of giving up on it. An emergency stop
+        comes through `orders`.
         """
+        self._orders = orders
         self._ring = ring
         self._recorded: Ring | None = ring
         self._asked = 0
@@ -93,6 +102,7 @@ class LoopSupervisor:
     def wants_abort(self) -> bool:
         """Say whether to stop at once: a second signal, the death of a process, a PC that slept.
 
+        So does an emergency stop.
         Call it first in every tick, also during a smooth stop.
         """
         self._asked += 1
@@ -100,16 +110,22 @@ class LoopSupervisor:
         self._is_time_to_look = not self._asked % self._look_every
         if self._is_time_to_look and self._loss is None:
             self._loss = self._find_sleep() or self._find_loss()
-        return self._loss is not None or len(self._signals) > 1
+        return self._loss is not None or len(self._signals) > 1 or self._is_emergency
 
     def find_stop(self, tick: int) -> Ending | None:
         """Return why and how to stop, once there is a reason to."""
+        if self._is_emergency:
+            return Ending(ExitCode.SAFETY_TRIP, EMERGENCY_STOP)
         if self._signals:
             number = signal.Signals(self._signals[0])
             return Ending(STOP_SIGNALS[number], f"stopped by {number.name}")
         if self._loss is not None:
             return self._loss
         return self._find_recorder_trouble() if self._is_time_to_look else None
+
+    @property
+    def _is_emergency(self) -> bool:
+        return self._orders is not None and self._orders.emergency
 
     def name_cause(self, ending: Ending) -> Ending:
         """Return how a run ended: a PC that slept is the cause of whatever failed after it."""

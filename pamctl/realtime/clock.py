@@ -18,7 +18,8 @@ from typing import Annotated, NamedTuple, Protocol
 
 from pydantic import Field, model_validator
 
-from hal.rig import Configured, Edge
+from hal.calibration import Configured
+from hal.rig import Edge
 
 PHASE_NS = 300_000
 """Where in the millisecond the grid lies. The kernel's own tick (250, 300 or 1000 times a second)

@@ -53,6 +53,11 @@ class RingJournal:
         """Do what `put_row` does, up to the point where others would see it."""
         self._ring.rehearse_row(row)
 
+    def note_start(self, event: Mapping[str, object]) -> None:
+        """Put an event before the rig is open: no heartbeat begins, as a driver may be slow."""
+        self._ring.put_event(0, self._ring.meta.start_mono_ns, event)
+        self._watched.loop_beat_ns = self._now_ns()
+
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
         """Put an event. The first event, just before the first tick, starts the heartbeat."""
         self._ring.put_event(tick, t_ns, event)
@@ -165,6 +170,12 @@ class SessionJournal(RingJournal):
             ring.loop_beat_ns = session.loop_beat_ns
         if missed:
             ring.missed_ticks += missed
+
+    def note_start(self, event: Mapping[str, object]) -> None:
+        """Keep an event for the runs to come, before the rig is open."""
+        self._standing[str(event["event"])] = event
+        super().note_start(event)
+        self._session.commit(self._session.head)
 
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
         """Put an event; those that begin a log are kept for the runs to come."""

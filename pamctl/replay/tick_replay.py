@@ -150,7 +150,9 @@ class Differences:
         replayed: Floats,
         wrong: NDArray[np.bool_],
     ) -> None:
-        ticks, largest = int(wrong.sum()), _find_largest(logged[wrong], replayed[wrong])
+        with np.errstate(invalid="ignore"):
+            apart = np.abs(logged[wrong] - replayed[wrong])
+        ticks, largest = int(wrong.sum()), float(np.where(np.isnan(apart), np.inf, apart).max())
         before = self._found.get(place)
         if before is not None:
             self._found[place] = before._replace(
@@ -188,12 +190,6 @@ def find_differing(
         with np.errstate(invalid="ignore"):
             wrong &= ~(np.abs(logged - replayed) <= tolerance)
     return wrong if wrong.any() else None
-
-
-def _find_largest(logged: Floats, replayed: Floats) -> float:
-    with np.errstate(invalid="ignore"):
-        apart = np.abs(logged - replayed)
-    return float(np.where(np.isnan(apart), np.inf, apart).max())
 
 
 def _make_pairs(

@@ -64,7 +64,11 @@ a{color:var(--c0);text-decoration:none}a:hover{text-decoration:underline}
 .facts{display:grid;grid-template-columns:repeat(auto-fill,minmax(200px,1fr));gap:10px 20px;
 margin:14px 0}
 .facts dt{color:var(--dim);font-size:13px}.facts dd{margin:0;overflow-wrap:anywhere}
-.wide{overflow-x:auto;margin:12px 0}
+.wide{overflow-x:auto;margin:12px 0;background:
+linear-gradient(90deg,var(--bg) 40%,transparent) 0 0/36px 100% no-repeat local,
+linear-gradient(270deg,var(--bg) 40%,transparent) 100% 0/36px 100% no-repeat local,
+linear-gradient(90deg,var(--cm),transparent) 0 0/9px 100% no-repeat scroll,
+linear-gradient(270deg,var(--cm),transparent) 100% 0/9px 100% no-repeat scroll}
 table{border-collapse:collapse;font-size:14px;font-variant-numeric:tabular-nums}
 .caption{color:var(--dim);font-size:14px;margin:14px 0 0}.caption+.wide{margin-top:4px}
 th,td{padding:4px 14px 4px 0;text-align:left;vertical-align:top;border-bottom:1px solid var(--rule)}
@@ -111,7 +115,8 @@ td,th{padding-right:10px}td:first-child{overflow-wrap:anywhere;min-width:7em}.fa
 body{font-size:10.5pt}main{max-width:none;padding:0}nav{display:none}
 h2,h3{break-after:avoid}.callout,tr{break-inside:avoid}
 details::details-content{content-visibility:visible;display:block;height:auto}
-pre{white-space:pre-wrap}.wide{overflow:visible}@page{margin:14mm}}
+pre{white-space:pre-wrap}.wide{overflow:visible;background:none}table{font-size:9pt}
+.num,.short{white-space:normal;overflow-wrap:anywhere}@page{margin:14mm}}
 """
 STYLE = COLOURS + _PAGE
 """The style sheet of all written pages."""

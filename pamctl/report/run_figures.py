@@ -76,7 +76,7 @@ def _format_tracking(figures: dict[str, Any], law: str) -> list[str]:
         if merit["max_m"] is not None
     ]
     if not rows:
-        return ["No tracking in this run: nothing to compare with Table IV."]
+        return ["Nothing was tracked in this run."]
     rows += [(f"paper, {row['law']} on its rig", row) for row in figures["paper"]]
     width = max(30, *(len(name) + 2 for name, _ in rows))
     head = f"{'tracking error':<{width}}{'max um':>10}{'RMS um':>10}{'steady um':>11}"

@@ -443,9 +443,14 @@ class Reproduction(NamedTuple):
 
 
 def reproduce_paper(
-    parts: Sequence[str], seed: int, progress: Callable[[str], None] = lambda name: None
+    parts: Sequence[str],
+    seed: int,
+    progress: Callable[[float, float, str], object] = lambda done, of, name: None,
 ) -> Reproduction:
-    """Simulate and lay out these of `PARTS`; `progress` gets the name of each as it begins."""
+    """Simulate and lay out these of `PARTS`.
+
+    `progress` gets how many of how many are done, and the name of each as it begins.
+    """
     page = Report(
         "The paper, reproduced",
         subtitle="Modeling of Pneumatic Artificial Muscle with Kinetic Friction and Sliding Mode "
@@ -460,7 +465,7 @@ def reproduce_paper(
         )
     )
     numbers: dict[str, Any] = {"schema": SCHEMA, "version": __version__, "seed": seed}
-    for name in parts:
-        progress(name)
+    for done, name in enumerate(parts):
+        progress(done, len(parts), name)
         numbers[name] = PARTS[name](page, seed)
     return Reproduction(page, numbers)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,7 +13,6 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from hal.rig import RigError
 from pamctl.exit_codes import ExitCode
 
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -42,7 +42,8 @@ def explain_error(error: Exception) -> tuple[ExitCode, str] | None:
     code = getattr(error, "exit_code", None)
     if isinstance(code, ExitCode):
         return code, str(error)
-    if isinstance(error, RigError):
+    rig = sys.modules.get("hal.rig")  # no help waits for the models that it loads
+    if rig is not None and isinstance(error, rig.RigError):
         return ExitCode.UNAVAILABLE, str(error)
     if isinstance(error, OSError) and error.errno in _NO_MORE_FILES:
         return ExitCode.UNAVAILABLE, f"{error.strerror}; raise the limit with `ulimit -n 4096`"
@@ -66,13 +67,13 @@ def translate_errors() -> Iterator[None]:
         raise PamctlError(known[1], known[0]) from error
 
 
-def require_package(name: str, extra: str = "") -> Any:
+def require_package(name: str) -> Any:
     """Return a package that not everybody needs; raise `PamctlError` where it is not installed."""
     try:
         return import_module(name)
     except ImportError:
-        fix = f"install it with pip install 'pamctl[{extra or name}]'"
-        raise PamctlError(f"this needs the package {name}; {fix}", ExitCode.USAGE) from None
+        reason = f"this needs the package {name}; install it with pip install {name}"
+        raise PamctlError(reason, ExitCode.USAGE) from None
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeVar
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
-from hal.rig import Configured
+from hal.calibration import Configured
 from pamctl.control.experiment import ExperimentSettings
 from pamctl.control.filters import HIGHEST_PER_RATE
 from pamctl.control.law_registry import (

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from pydantic import Field, create_model, model_validator
 
 from hal.backend import Backend, find_backends, get_backend
-from hal.calibration import CalibrationSettings
+from hal.calibration import CalibrationSettings, Configured
 from hal.faulty import FaultSettings
-from hal.rig import Configured
 from pamctl.control.homing import HomingSettings
 from pamctl.realtime.clock import LoopSettings
 from pamctl.safety import LimitSettings

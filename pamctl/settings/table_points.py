@@ -32,10 +32,24 @@ def read_points(table: dict[str, Any], path: Path) -> None:
 def _put_points(table: dict[str, Any], path: Path) -> None:
     columns = _read_columns(path)
     quantity, unit = _QUANTITIES[table["kind"]]
-    time = _choose_column(columns, TIME, table.get("time_column"), None, "time_column")
-    value = _choose_column(
-        columns, quantity, table.get("value_column"), table.get("unit"), "value_column"
+    wanted = (
+        (TIME, table.get("time_column"), None),
+        (
+            quantity,
+            table.get("value_column"),
+            table.get("unit"),
+        ),
     )
+    found, lacks = [], []
+    for one in wanted:
+        try:
+            found.append(_choose_column(columns, *one))
+        except _Unclear as unclear:
+            lacks.append(str(unclear))
+    if lacks:  # all at once
+        listed = ", ".join(one.name for one in columns.columns)
+        raise ValueError(f"{'; '.join(lacks)}; the columns are {listed}")
+    time, value = found
     every = table.get("every", 1)
     step = every if isinstance(every, int) and every > 0 else 1
     t_s = _read_numbers(time[0]) * UNITS[TIME][time[1]]
@@ -70,20 +84,24 @@ def _read_columns(path: Path) -> MeasuredTable:
     return read_table(path)
 
 
+class _Unclear(ValueError):
+    """A column that nothing names; the message says what to give."""
+
+
 def _choose_column(
-    columns: MeasuredTable, quantity: str, wanted: str | None, unit: str | None, key: str
+    columns: MeasuredTable, quantity: str, wanted: str | None, unit: str | None
 ) -> tuple[TableColumn, str]:
-    """Return the column of a quantity and its unit; raise ValueError where it is not clear."""
-    units = UNITS[quantity]
+    """Return the column of a quantity and its unit; raise `_Unclear` where it is not clear."""
+    units, is_time = UNITS[quantity], quantity == TIME
     if unit is not None and unit not in units:
-        raise ValueError(f"the unit {unit!r} is none of {', '.join(units)}")
+        raise _Unclear(f"the unit {unit!r} is none of {', '.join(units)}")
     if wanted is not None:
         column = columns.find(wanted)
         named = parse_column_name(wanted)
         if unit is None and named is not None and named.quantity == quantity:
             return column, named.unit
-        if unit is None and quantity != TIME:
-            raise ValueError(f"the name of {wanted!r} states no unit; give unit")
+        if unit is None and not is_time:
+            raise _Unclear(f"the name of {wanted!r} states no unit; give unit")
         return column, unit or "s"
     named_so = [
         (one, parse_column_name(one.name) or parse_column_name(one.called))
@@ -91,9 +109,11 @@ def _choose_column(
     ]
     found = [(one, said.unit) for one, said in named_so if said and said.quantity == quantity]
     if len(found) != 1:
-        listed = ", ".join(one.name for one in columns.columns)
+        what = "a time" if is_time else f"this quantity with its unit ({', '.join(units)})"
         how_many = "no column's name states" if not found else "more than one column's name states"
-        raise ValueError(f"{how_many} this quantity with its unit: {listed}; give {key}")
+        give = "time_column" if is_time else "value_column"
+        needs_unit = unit is None and not is_time and not found
+        raise _Unclear(f"{how_many} {what}; give {give}{' and unit' if needs_unit else ''}")
     return found[0] if unit is None else (found[0][0], unit)
 
 

@@ -109,3 +109,17 @@ def test_a_printed_command_can_be_typed(where: str, command: str) -> None:
     for option, value in pairwise(words):
         if option in SHIPPED and not value.endswith((".yaml", ".py")) and "FILLED" not in value:
             assert find_config_file(SHIPPED[option], value).is_file()
+
+
+def test_what_to_install_is_a_package_of_the_index_and_never_ours() -> None:
+    """The name pamctl on the public index is not ours, and `.` is a checkout only by chance."""
+    for package in (pamctl, hal):
+        for path in sorted(Path(str(package.__file__)).parent.rglob("*")):
+            if path.suffix in (".py", ".md"):
+                assert not re.search(r"pip install '?(pamctl|\.)\[", path.read_text()), path
+
+
+@pytest.mark.parametrize("verb", ["diagnose", "health"])
+def test_a_verb_that_judges_data_takes_what_its_refusals_advise(verb: str) -> None:
+    options = {name for parameter in find_verb([verb])[0].params for name in parameter.opts}
+    assert {"--accept", "--noise"} <= options

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import pytest
 
-from pamctl.cli.analyse.audit_text import format_audit
+from pamctl.cli.audit import format_audit
 from pamctl.diagnose.audit import Audit, BlindSpot, Inseparable
 from pamctl.plant.catalogue import CATALOGUE
 

@@ -11,7 +11,7 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from pamctl.cli.app import app
-from pamctl.commissioning import sensor_scales
+from pamctl.commissioning import calibrations
 from pamctl.exit_codes import ExitCode
 
 PANELS = ("Run", "Daemon", "Analyse", "Tune", "Rig", "Logs", "Other")
@@ -112,8 +112,8 @@ def test_a_shell_can_complete_verbs(shell: str) -> None:
 @pytest.mark.parametrize(
     ("what", "points_kpa"),
     [
-        ("pressure", sensor_scales.PRESSURE_POINTS_KPA),
-        ("encoder", sensor_scales.ENCODER_POINTS_KPA),
+        ("pressure", calibrations.PRESSURE_POINTS_KPA),
+        ("encoder", calibrations.ENCODER_POINTS_KPA),
     ],
 )
 def test_the_pressures_of_a_calibration_are_shown(what: str, points_kpa: tuple[float]) -> None:

@@ -117,6 +117,12 @@ def test_a_mat_file_is_a_table_too(tmp_path: Path) -> None:
         ("time_s,position_mm\n0,8\n", {}, "has 1 row; a table needs two"),
         ("time_s,position_mm\n0,8\n2,9\n1,9\n", {}, "points.csv:4: time must rise, but 1 s"),
         ("time_s,position_kPa\n0,8\n2,9\n", {}, "give value_column"),
+        (
+            "a,b\n0,8\n2,9\n",
+            {},
+            "states a time; give time_column; no column's name states this quantity with its unit "
+            "(m, mm, cm, um, in); give value_column and unit; the columns are a, b",
+        ),
         ("time_s,x\n0,8\n2,9\n", {"value_column": "x"}, "states no unit; give unit"),
         ("time_s,x\n0,8\n2,9\n", {"value_column": "x", "unit": "ft"}, "'ft' is none of m, mm"),
         ("time_s,x\n0,8\n2,9\n", {"value_column": "y", "unit": "mm"}, "no column 'y'"),

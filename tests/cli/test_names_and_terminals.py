@@ -138,3 +138,13 @@ def test_a_result_is_printed_where_the_terminal_lacks_characters(tmp_path: Path)
             check=False,
         )
         assert done.returncode == 0, done.stderr.decode()
+
+
+def test_help_is_shown_where_there_is_no_locale_and_keeps_its_brackets() -> None:
+    plain = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "COLUMNS": "120"}
+    done = subprocess.run(
+        [sys.executable, "-m", "pamctl", "log", "import", "--help"],
+        env={**os.environ, **plain}, capture_output=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr.decode()[-2000:]
+    assert b"`Position [mm]`" in done.stdout

@@ -26,6 +26,13 @@ from hal.calibration import CalibrationSettings
 from hal.faulty import FaultSettings, FaultyRig
 from hal.sim import SimRig, SimSettings, peek_v, sensor_chain
 from pamctl.commissioning.bench import Bench, LimitError
+from pamctl.commissioning.calibrations import (
+    calibrate_encoder_by_hand,
+    calibrate_encoder_by_muscle,
+    calibrate_pressure,
+    calibrate_valve,
+    slope,
+)
 from pamctl.commissioning.guided import (
     CalibrationError,
     CalibrationOutcome,
@@ -33,13 +40,6 @@ from pamctl.commissioning.guided import (
     PreparedAnswers,
     insert_values,
 )
-from pamctl.commissioning.sensor_scales import (
-    calibrate_encoder_by_hand,
-    calibrate_encoder_by_muscle,
-    calibrate_pressure,
-    slope,
-)
-from pamctl.commissioning.valve_null import calibrate_valve
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.processes.backends import SHARED_MEMORY, ao_path

@@ -132,12 +132,6 @@ def test_a_hint_names_the_backend_s_own_keys_and_none_where_there_are_none() -> 
     assert "nidaq" not in "".join(finding.fix for finding in without.values())
 
 
-def test_a_broken_wire_is_a_fault_that_names_the_wire() -> None:
-    found = examine_bench(simulated(fault("broken_wire")), actuate=False)
-    assert found["sensor.voltage"].level == "fault"
-    assert "broken wire" in found["sensor.voltage"].fix
-
-
 def test_an_encoder_that_stands_while_the_muscle_moves_is_found_unplugged() -> None:
     found = examine_bench(simulated(fault("stuck_encoder")))
     assert found["encoder.rest"].level == "ok"  # at rest nobody can tell
@@ -467,20 +461,6 @@ def test_terminals_that_the_37_pin_card_lacks_are_a_fault(card: Card, has_37_pin
         assert "nidaq.encoder_b_pfi" in found.fix
         assert "PFI7" in found.wanted
         assert "PFI8" not in found.wanted
-
-
-def test_an_unplugged_encoder_is_found_once_the_muscle_moves(card: Card, wired) -> None:
-    card.registers.encoder_is_unplugged = 1
-    found = examine_bench(wired())
-    assert found["encoder.rest"].level == "ok"
-    assert found["encoder.alive"].level == "fault"
-
-
-def test_a_reversed_valve_on_the_card_is_found(card: Card, wired) -> None:
-    card.registers.driver_gain = -1.0
-    found = examine_bench(wired())
-    assert found["valve.sign"].level == "fault"
-    assert "REVERSED" in found["valve.sign"].fix
 
 
 def test_slow_calls_of_the_driver_are_found_and_the_slow_one_is_named(card: Card, wired) -> None:

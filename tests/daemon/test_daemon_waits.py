@@ -21,7 +21,7 @@ from pamctl.settings.resolve import resolve
 
 DIES_WITH_ITS_SECOND_RUN = """
 import os, sys
-if "pamctl.processes.session_main" in sys.orig_argv:
+if "pamctl.processes.loop_main" in sys.orig_argv:
     from pamctl.realtime.steering import SteeredProgram
     begin, begun = SteeredProgram._begin_run, []
 

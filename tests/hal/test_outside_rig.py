@@ -41,7 +41,7 @@ from pathlib import Path
 
 from hal.backend import Backend, BuiltRig, RigKeys
 from hal.calibration import Zero, calibration, encoder_counts, sensor_v, valve_v
-from hal.rig import Configured
+from hal.calibration import Configured
 from hal.calibration import Converter, make_output, nearest_output_v
 from hal.rig import RawSample, RigError, RigIdentity
 

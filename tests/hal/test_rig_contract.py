@@ -15,12 +15,12 @@ import pytest
 from standin.standin import PERMIT, here, here_behind_comedi
 
 from hal.backend import _SHIPPED, GROUP, BuiltRig, RigRequest
-from hal.calibration import CalibrationSettings
+from hal.calibration import CalibrationSettings, Configured
 from hal.comedi.comedi_backend import COMEDI, ComediSettings
 from hal.faulty import FaultSettings, FaultyRig
 from hal.nidaq.card_settings import NidaqSettings
 from hal.nidaq.nidaq_backend import NIDAQ
-from hal.rig import Configured, RawSample, Rig, RigError, RigIdentity, open_rig
+from hal.rig import RawSample, Rig, RigError, RigIdentity, open_rig
 from hal.rig_contract import (
     RIG_CONTRACT,
     MakeBench,

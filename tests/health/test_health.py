@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ from pamctl.health.follow_health import (
     find_drift,
     fit_record,
 )
-from pamctl.health.health_words import describe_drift, list_rivals
+from pamctl.health.health_words import _place_runs, describe_drift, list_rivals
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
 from pamctl.settings.resolve import read_section_file
@@ -140,3 +141,15 @@ def test_a_folder_without_runs_is_refused(tmp_path: Path) -> None:
     assert done.returncode == 65
     assert "two are needed" in done.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_runs_of_one_moment_stand_side_by_side_and_later_ones_on_an_axis_of_their_size() -> None:
+    axes = {}
+    for apart_s in (0.007, 600.0, 86_400.0, 30 * 86_400.0):
+        runs = [SimpleNamespace(when_s=1e9 + k * apart_s) for k in range(3)]
+        places, axis = _place_runs(runs)  # type: ignore[arg-type]
+        axes[apart_s] = axis.title
+        assert np.ptp(places) >= 1.0
+    assert [*axes.values()] == [
+        "run", "since the first run, min", "since the first run, h", "since the first run, d"
+    ]  # fmt: skip

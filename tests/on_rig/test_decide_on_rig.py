@@ -16,7 +16,7 @@ from support.patience import PATIENCE_S
 from support.processes.daemons import daemon
 
 import pamctl
-from pamctl.cli.analyse.on_rig import OnRigTask, diagnose_on_rig, end_on_signals
+from pamctl.cli.diagnose import DiagnoseOptions, diagnose_on_rig, end_on_signals
 from pamctl.diagnose import Verdict
 from pamctl.diagnose.deciding_program import ProgramTrial
 from pamctl.diagnose.evidence.weigh import prepare_weigher
@@ -182,12 +182,8 @@ def test_a_daemon_that_ends_within_a_program_takes_no_round_with_it(
 
         ending = threading.Thread(target=end_in_motion)
         ending.start()
-        task = OnRigTask(
-            [given], tmp_path / "out", PlantSettings(), "diagnosis", 3, 2.0, up.socket,
-            dry_run=False, yes=True,
-        )  # fmt: skip
         with pytest.raises(typer.Exit) as left:
-            diagnose_on_rig(task, as_json=False)
+            diagnose_on_rig(ask(given, tmp_path / "out", up.socket), PlantSettings())
         ending.join()
         up.process.wait(PATIENCE_S)
         assert up.is_safe()
@@ -196,6 +192,12 @@ def test_a_daemon_that_ends_within_a_program_takes_no_round_with_it(
     document = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert [each["verdict"] for each in document["on_rig"]["rounds"]] == ["described"]
     assert document["on_rig"]["stopped"].startswith("the run failed")
+
+
+def ask(log: Path, out: Path, socket: Path | None) -> DiagnoseOptions:
+    asked = {"logs": [log], "out": out, "experiment": "diagnosis", "runs": 3, "minutes": 2.0}
+    more = {"socket": socket, "dry_run": False, "yes": True, "as_json": False}
+    return DiagnoseOptions(None, asked | more)
 
 
 def test_signals_are_as_before_after_the_rounds() -> None:
@@ -221,12 +223,8 @@ def test_a_fault_of_the_program_leaves_the_document_as_far_as_it_is(
     monkeypatch.setattr("pamctl.session.daemon_rig.connect", lambda _: rig)
     monkeypatch.setattr(rig, "close", lambda: None)
     monkeypatch.setattr("pamctl.on_rig.decide_on_rig._choose_next", fail)
-    task = OnRigTask(
-        [given], tmp_path / "out", PlantSettings(), "diagnosis", 3, 2.0, None,
-        dry_run=False, yes=True,
-    )  # fmt: skip
     with pytest.raises(ZeroDivisionError):
-        diagnose_on_rig(task, as_json=False)
+        diagnose_on_rig(ask(given, tmp_path / "out", None), PlantSettings())
     document = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert document["on_rig"]["stopped"] == "the program failed: ZeroDivisionError: a fault"
     assert document["next_experiment"]["do"] == "pamctl start next-experiment.yaml"

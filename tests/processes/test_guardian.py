@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from support.made_up import meta
+from support.made_up import START_MONO_NS, meta
 from support.patience import PATIENCE_S
 
 from hal.rig import RigError
@@ -30,6 +30,7 @@ from pamctl.processes.guardian import (
 )
 from pamctl.processes.guardian_handle import Guardianship
 from pamctl.realtime.clock import LoopSettings
+from pamctl.recording.journal import SessionJournal
 from pamctl.recording.ring import LoopStage, Ring
 from pamctl.settings.resolve import ConfigError, resolve
 
@@ -252,3 +253,14 @@ def test_a_device_error_that_the_loop_has_told_stays_the_reason_of_its_end(ring:
     assert ending.code == ExitCode.UNAVAILABLE
     assert ending.reason.startswith("device error -201003; the loop was ")
     assert ending.reason.count("its guardian did nothing") == 1
+
+
+def test_a_session_whose_driver_opens_slowly_is_not_taken_for_silent(tmp_path: Path) -> None:
+    with Ring.create(tmp_path / "a.ring", meta(tmp_path / "a.mcap"), 64) as ring:
+        journal = SessionJournal(ring, lambda recorded: None)
+        journal.note_start({"event": "timing_setup"})
+        before_s = patience_ns(ring.loop_stage, False, 50_000_000) * 1e-9
+        journal.put_event(0, START_MONO_NS, {"event": "rig"})
+        after_s = patience_ns(ring.loop_stage, False, 50_000_000) * 1e-9
+    assert before_s > 10.0
+    assert after_s == 0.05

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from pydantic import BaseModel, Field, TypeAdapter, ValidationError, model_validator
 from typer.testing import CliRunner
 
-from hal.rig import Configured
+from hal.calibration import Configured
 from pamctl.cli.app import app
 from pamctl.settings.config_files import DEFAULT_NAMES, config_dir, find_config_file, list_shipped
 from pamctl.settings.problems import ConfigError

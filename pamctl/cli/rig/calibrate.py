@@ -70,11 +70,11 @@ def pressure(
 ) -> None:
     """Find the pressure sensor's zero at the atmosphere, and its gain against a reference gauge."""
     require_linux()
-    from pamctl.commissioning.guided import CalibrationTask, check_answers
-    from pamctl.commissioning.sensor_scales import (
+    from pamctl.commissioning.calibrations import (
         PRESSURE_POINTS_KPA,
         calibrate_pressure,
     )
+    from pamctl.commissioning.guided import CalibrationTask, check_answers
 
     settings, names = resolve_options(backend, rig, overrides, fast=False)
     points = () if zero_only else tuple(points_kpa or PRESSURE_POINTS_KPA)
@@ -116,12 +116,12 @@ def encoder(
 ) -> None:
     """Find the encoder's scale and sign against known displacements, moved by hand or muscle."""
     require_linux()
-    from pamctl.commissioning.guided import CalibrationTask, check_answers
-    from pamctl.commissioning.sensor_scales import (
+    from pamctl.commissioning.calibrations import (
         ENCODER_POINTS_KPA,
         calibrate_encoder_by_hand,
         calibrate_encoder_by_muscle,
     )
+    from pamctl.commissioning.guided import CalibrationTask, check_answers
 
     points = tuple(points_kpa or ENCODER_POINTS_KPA)
     known_mm = tuple(displacements_mm or ())
@@ -163,8 +163,8 @@ def valve(
 ) -> None:
     """Find the valve's sign, null voltage and dead band, and the supply pressure."""
     require_linux()
+    from pamctl.commissioning.calibrations import calibrate_valve
     from pamctl.commissioning.guided import CalibrationTask
-    from pamctl.commissioning.valve_null import calibrate_valve
 
     settings, names = resolve_options(backend, rig, overrides, fast=False)
     task = CalibrationTask(

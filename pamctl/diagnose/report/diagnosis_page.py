@@ -10,9 +10,8 @@ from typing import Any
 from pamctl.diagnose.diagnosis import Diagnosis, HeldOutGap
 from pamctl.diagnose.evidence.ladder import Finding
 from pamctl.diagnose.evidence.run_pieces import Runs
-from pamctl.diagnose.mend import SOURCES, ChannelNoise
 from pamctl.diagnose.plant_numbers import FittedNumber, look_up_parameter
-from pamctl.diagnose.record import Record
+from pamctl.diagnose.record import SOURCES, ChannelNoise, Record
 from pamctl.diagnose.report.diagnosis_document import (
     build_diagnosis_document,
     find_masked_shares,
@@ -83,7 +82,7 @@ def build_diagnosis_page(
 def _write_head(page: Page, diagnosis: Diagnosis) -> None:
     """Write the verdict, the gap and the next steps."""
     words = choose_words(diagnosis)
-    page.note(words.explanation, kind=words.kind)
+    page.note(f"{words.why} {words.body}", kind=words.kind)
     stages = list_stages(diagnosis)
     if stages:
         page.grid(
@@ -135,27 +134,25 @@ _SURE = {
 
 
 def write_setup(page: Page, diagnosis: Diagnosis) -> None:
-    """Write what is wrong about the set-up, and how to mend it."""
-    faults = list_faults(diagnosis)
-    if not faults:
-        return
-    page.section("The set-up")
-    page.table(
-        ["what is wrong", "value", "90 % interval", "unit", "not told from"],
+    """Write what is wrong about the set-up; how to mend it stands in the head."""
+    rows = [
         [
-            [
-                fault.text,
-                f"{fault.value:.5g}",
-                f"{fault.ci90[0]:.5g} to {fault.ci90[1]:.5g}",
-                fault.unit,
-                ", ".join(map(spell_names, fault.cannot_be_told_from)) or "-",
-            ]
-            for fault in faults
-        ],
-        caption="Each is a number of the plant file or a column of the records. It was asked "
-        "together with the effects, and by the same rule.",
-    )
-    page.points(*(f"To mend it: {fault.how_to_mend}." for fault in faults))
+            fault.text,
+            f"{fault.value:.5g}",
+            f"{fault.ci90[0]:.5g} to {fault.ci90[1]:.5g}",
+            fault.unit,
+            ", ".join(map(spell_names, fault.cannot_be_told_from)) or "-",
+        ]
+        for fault in list_faults(diagnosis)
+    ]
+    if rows:
+        page.section("The set-up")
+        page.table(
+            ["what is wrong", "value", "90 % interval", "unit", "not told from"],
+            rows,
+            caption="Each is a number of the plant file or a column of the records. It was asked "
+            "together with the effects, and by the same rule.",
+        )
 
 
 def write_findings(page: Page, diagnosis: Diagnosis) -> None:
@@ -231,19 +228,17 @@ def _draw_rivals(finding: Finding) -> Levels:
 def _explain_rivals(finding: Finding) -> str:
     if not finding.judged:
         return "No rival came near enough to be fitted in its place."
-    shown = finding.judged[:MOST_RIVALS]
-    near = sum(not j.is_beaten and not j.is_freer for j in shown)
-    mimics = sum(not j.is_beaten and j.is_freer for j in shown)
-    left = f"{near} of these cannot be ruled out." if near else ""
+    open_ones = [j for j in finding.judged[:MOST_RIVALS] if not j.is_beaten]
+    near = sum(not j.is_freer for j in open_ones)
+    left = f" {near} of these cannot be ruled out." if near else ""
     freer = (
-        "The grey bar is a freer law of the same place: it can always mimic a name, and counts "
+        " The grey bar is a freer law of the same place: it can always mimic a name, and counts "
         "only where it does better."
-        if mimics
-        else ""
     )
     return (
         "Each rival was fitted in its place, beside the rest of the model. A rival is beaten if it "
-        f"surely loses a tenth of what is lost without the finding. {left} {freer}".rstrip()
+        f"surely loses a tenth of what is lost without the finding.{left}"
+        f"{freer if near < len(open_ones) else ''}"
     )
 
 
@@ -268,32 +263,21 @@ def _list_recalibrated(diagnosis: Diagnosis) -> Iterator[Sequence[str]]:
 
 
 def write_blind_spots(page: Page, diagnosis: Diagnosis) -> None:
-    """List what these records cannot show, and pairs that they do not tell apart."""
-    audit = diagnosis.audit
-    if audit is None or not (audit.blind_spots or audit.inseparable):
+    """List what these records cannot show."""
+    spots = diagnosis.audit.blind_spots if diagnosis.audit else ()
+    if not spots:
         return
     page.section("What these data cannot show")
-    if audit.blind_spots:
-        page.table(
-            ["effect", "why", "experiment that shows it"],
-            [
-                [
-                    spell_names(s.name),
-                    f"{s.why}; {s.visibility}",
-                    advise_experiment(diagnosis, s.experiment),
-                ]
-                for s in audit.blind_spots
-            ],
-            caption="An effect in this list may be present although it is not named.",
-        )
-    if audit.inseparable:
-        page.table(
-            ["effects not told apart", "experiment that tells them apart", "why"],
-            [
-                [spell_names(*p.names), advise_experiment(diagnosis, p.experiment), p.why]
-                for p in audit.inseparable
-            ],
-        )
+    rows = [
+        [
+            spell_names(s.name),
+            f"{s.why}; {s.visibility}",
+            advise_experiment(diagnosis, s.experiment),
+        ]
+        for s in spots
+    ]
+    caption = "An effect in this list may be present although it is not named."
+    page.table(["effect", "why", "experiment that shows it"], rows, caption=caption)
 
 
 def write_compared_runs(page: Page, diagnosis: Diagnosis, records: Sequence[Record]) -> None:
@@ -334,10 +318,7 @@ def write_compared_runs(page: Page, diagnosis: Diagnosis, records: Sequence[Reco
 
 def _describe_simulation(runs: Runs) -> str:
     if runs.imposed:
-        return (
-            "Something else moves this axis: the equation of motion gives the force for the "
-            "measured motion."
-        )
+        return "Something else moves this axis: its equation gives the force for this motion."
     if runs.actuator == "direct":
         how = "in short windows, each from the measured state" if runs.windowed else "freely"
         return f"The motion is simulated from the measured force, {how}."
@@ -351,20 +332,13 @@ def write_measured_runs(page: Page, records: Sequence[Record]) -> None:
     for record in records:
         plots = []
         for channel in record.channels:
-            factor, unit = _UNITS[channel]
+            display = SIGNAL_DISPLAYS.get(channel)
+            factor, unit = (display.factor, display.unit) if display else (1.0, "V")
             axis = PlotAxis(channel.split("_")[0], unit)
             plot = SvgPlot(channel, PlotAxis("time", "s", tight=True), axis, height_px=110)
             plots.append(plot.line(record.t_s, factor * record[channel]))
         mark_moments(plots, record.moments)
         page.figure(*plots, caption=f"{record.name} as given.")
-
-
-_UNITS = {
-    "valve_v": (1.0, "V"),
-    "pressure_pa": (1e-3, "kPa"),
-    "position_m": (1e3, "mm"),
-    "force_n": (1.0, "N"),
-}
 
 
 def _record_row(record: Record, use: str) -> list[str]:

@@ -54,6 +54,24 @@ _SHOWN: Mapping[str, tuple[float, str]] = {
     "m": (1e3, "mm"), "Pa": (1e-3, "kPa"), "V": (1.0, "V"), "m/s": (1e3, "mm/s"), "s": (1.0, "s"),
     "N": (1.0, "N"), "1": (100.0, "%"), "kg/s": (1e6, "mg/s"), "m3": (1e6, "cm3"),
 }  # fmt: skip
+_LAWS: Mapping[str, tuple[str, str]] = {
+    "constant": ("is always there", "1"),
+    "gain": ("grows in proportion to {signal}", "{q} / Q"),
+    "curve": ("follows {signal} along a curve", "h({q})"),
+    "beyond": ("begins beyond {width} of {signal} and grows from there", "max({q} - w, 0) / Q"),
+    "wave": ("repeats itself every {width} of {signal}", "sin(2 pi {q} / w + phase)"),
+    "onset": ("begins {width} after the start", "[{q} > w]"),
+    "dead_zone": ("takes away what is within {width} of zero", "-clip({q}, -w, w) / Q"),
+    "saturation": ("ends at {width}", "(clip({q}, -w, w) - {q}) / Q"),
+    "lag": ("remembers {signal} for {width}", "(z - {q}) / Q,  w z' = {q} - z"),
+    "play": ("follows with a play of {width}", "(z - {q}) / Q,  |z - {q}| <= w / 2"),
+    "slew": ("follows no faster than {rate}", "(z - {q}) / Q,  |z'| <= w"),
+    "hysteresis": (
+        "remembers the last reversal of {signal} over {width}",
+        "z,  dz = (sign(d{q}) - z) |d{q}| / w",
+    ),
+}
+"""What a law does, in words and as an equation, by operator; w is its width, Q a reference."""
 MOST_IN_SENTENCE = 3
 """Members of a set in a sentence; the document has all."""
 _BOTH_WAYS = ("wave", "hysteresis")
@@ -252,23 +270,11 @@ class FreeTerm:
     def _describe_memory(self) -> str:
         signal, unit = _SIGNALS[self.driver], DRIVER_UNITS[self.driver]
         inner = self.values.get("inner", 1.0)
-        width = spell_quantity(inner, unit)
+        width = spell_quantity(inner, "s" if self.operator == "lag" else unit)
         if self.operator == "wave" and self.driver == "time":
             return f"that swings every {width}"
-        return {
-            "constant": "that is always there",
-            "gain": f"in proportion to {signal}",
-            "curve": f"that follows {signal} along a curve",
-            "beyond": f"that begins beyond {width} of {signal} and grows from there",
-            "wave": f"that repeats itself every {width} of {signal}",
-            "onset": f"that begins {width} after the start",
-            "dead_zone": f"that takes away what is within {width} of zero",
-            "saturation": f"that ends at {width}",
-            "lag": f"that remembers {signal} for {spell_quantity(inner, 's')}",
-            "play": f"that follows with a play of {width}",
-            "slew": f"that follows no faster than {inner:.3g} {unit}/s",
-            "hysteresis": f"that remembers the last reversal of {signal} over {width}",
-        }[self.operator]
+        words, _ = _LAWS[self.operator]
+        return f"that {words.format(signal=signal, width=width, rate=f'{inner:.3g} {unit}/s')}"
 
     def _describe_size(self) -> str:
         unit, size = self.location.unit, self.values["size"]
@@ -285,23 +291,8 @@ class FreeTerm:
     @property
     def equation(self) -> str:
         """Its equation, in the symbols of its numbers."""
-        q = {"command": "u", "position": "x", "pressure": "P_g", "velocity": "v", "time": "t"}[
-            self.driver
-        ]
-        law = {
-            "constant": "1",
-            "gain": f"{q} / Q",
-            "curve": f"h({q})",
-            "beyond": f"max({q} - w, 0) / Q",
-            "wave": f"sin(2 pi {q} / w + phase)",
-            "onset": f"[{q} > w]",
-            "dead_zone": f"-clip({q}, -w, w) / Q",
-            "saturation": f"(clip({q}, -w, w) - {q}) / Q",
-            "lag": f"(z - {q}) / Q,  w z' = {q} - z",
-            "play": f"(z - {q}) / Q,  |z - {q}| <= w / 2",
-            "slew": f"(z - {q}) / Q,  |z'| <= w",
-            "hysteresis": f"z,  dz = (sign(d{q}) - z) |d{q}| / w",
-        }[self.operator]
+        symbols = {"command": "u", "position": "x", "pressure": "P_g", "velocity": "v", "time": "t"}
+        law = _LAWS[self.operator][1].format(q=symbols[self.driver])
         place = self.location.name.replace("_", " ")
         return f"{place} (1 + size {law})" if self.location.unit == "1" else f"{place} + size {law}"
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from pamctl.diagnose.diagnosis import Diagnosis, Verdict
 from pamctl.diagnose.evidence.fit import WeighedModel
-from pamctl.diagnose.evidence.run_pieces import Runs
 from pamctl.diagnose.record import Array
 from pamctl.diagnose.report.verdict_words import SIGNAL_DISPLAYS
 from pamctl.log.run_meta import Moment
@@ -71,38 +70,28 @@ def show_runs(diagnosis: Diagnosis, stages: Sequence[ModelStage]) -> list[ShownR
         return []
     weigher = evidence.weigher
     runs = weigher.held_out or weigher.train
-    counted = np.where(_flatten(runs.masked), np.nan, 1.0)
-    shown = _flatten(runs.shown)
-    simulated = {
-        s.key: _flatten(runs.simulate({**weigher.base, **s.model.values}, min(runs.steps_s)))
-        for s in stages
-    }
     noise = np.array([evidence.noise_rms[c] for c in runs.channels])
     most = MOST_NOISE * noise[:, None]
-    left = {k: np.clip(shown - row, -most, most) for k, row in simulated.items()}
-    return list(_cut_pieces(diagnosis, runs, shown, left, counted, noise))
-
-
-def _flatten(blocks: np.ndarray) -> np.ndarray:
-    return blocks.reshape(len(blocks), -1)
-
-
-def _cut_pieces(
-    diagnosis: Diagnosis, runs: Runs, shown: Array, left: dict[str, Array], counted: Array,
-    noise: Array,
-) -> Iterator[ShownRun]:  # fmt: skip
-    when_s, at = runs.when_s.ravel(), 0
+    shown: Array = runs.shown.reshape(len(runs.channels), -1)
+    counted, left = np.where(runs.masked.reshape(shown.shape), np.nan, 1.0), {}
+    for s in stages:
+        rows = runs.simulate({**weigher.base, **s.model.values}, min(runs.steps_s))
+        left[s.key] = np.clip(shown - rows.reshape(shown.shape), -most, most)
+    when_s, at, found = runs.when_s.ravel(), 0, []
     moments = {r.name: r.moments for r in (*diagnosis.train, *diagnosis.holdout)}
     for piece, size in zip(runs.stretches, runs.sizes, strict=True):
         n = min(size, piece.shown.shape[1])
         part = slice(at, at + n)
         command = piece.inputs.get("valve_v")
-        yield ShownRun(
-            piece.name, piece.begin_s + when_s[part], None if command is None else command[:n],
-            runs.channels, shown[:, part], {k: rows[:, part] for k, rows in left.items()},
-            counted[:, part], noise, moments.get(piece.name, ()),
+        found.append(
+            ShownRun(
+                piece.name, piece.begin_s + when_s[part], None if command is None else command[:n],
+                runs.channels, shown[:, part], {k: rows[:, part] for k, rows in left.items()},
+                counted[:, part], noise, moments.get(piece.name, ()),
+            )
         )  # fmt: skip
         at += size
+    return found
 
 
 def write_traces(page: Page, diagnosis: Diagnosis) -> None:

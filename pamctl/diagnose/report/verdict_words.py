@@ -1,13 +1,11 @@
-"""What every verdict says: title, finding, explanation and advice, one function a verdict."""
+"""What every verdict says: title, body, why and advice; and the phrases that they share."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
 
 from pamctl.diagnose.diagnosis import LEFT_TIMES, Diagnosis, Verdict
-from pamctl.diagnose.evidence.ladder import Finding
 from pamctl.diagnose.evidence.pool import CHAIN
 from pamctl.diagnose.plant_numbers import FittedNumber
 from pamctl.diagnose.report.finding_words import (
@@ -32,213 +30,176 @@ _BY_BLOCKS = (
 _AGAIN = "`pamctl diagnose next.mcap --plant plant.yaml --out next`"
 
 
-@dataclass(frozen=True)
-class VerdictWords:
+class VerdictWords(NamedTuple):
     """The words of one verdict, in one case."""
 
     title: str
-    finding: str
-    """A few sentences that complete the title on a terminal."""
-    explanation: str
-    """A few sentences for a reader who was not there."""
+    body: str
+    """Some sentences with the figures; they complete the title."""
+    why: str
+    """What the verdict means, for a reader who was not there; it stands before the body."""
     advice: tuple[str, ...]
     """What to do next, the first thing first."""
-    kind: str = "note"
+    kind: str = "good"
     """How the page marks it: `good`, `bad` or `note`."""
-
-
-def choose_words(diagnosis: Diagnosis) -> VerdictWords:
-    """Return the words of the diagnosis's verdict."""
-    return _WORDS[diagnosis.verdict](diagnosis)
 
 
 def sentence(diagnosis: Diagnosis) -> str:
     """Say what was found, in a few sentences."""
     words = choose_words(diagnosis)
-    return " ".join(p for p in (f"{words.title}.", _say_setup(diagnosis), words.finding) if p)
-
-
-def _say_setup(diagnosis: Diagnosis) -> str:
-    parts = []
+    parts = [f"{words.title}."]
     for fault in list_faults(diagnosis):
         others = spell_set(fault.cannot_be_told_from)
         apart = f" These data cannot tell it from {others}." if others else ""
         parts.append(f"Set-up: {fault.text}.{apart}")
-    return " ".join(parts)
+    return " ".join([*parts, words.body]).rstrip()
+
+
+def choose_words(diagnosis: Diagnosis) -> VerdictWords:
+    """Return the words of the diagnosis's verdict.
+
+    What is sure of each finding stands in the title: its name, or its kind and place, or its place,
+    or the set of what it may be. A number at an end of its range stands there too.
+    """
+    names = spell_findings(diagnosis, "name")
+    others = spell_findings(diagnosis, "kind", "place")
+    gap, ended = describe_gap(diagnosis), describe_bounds(diagnosis)
+    parts = (describe_sizes(diagnosis), gap, describe_rest(diagnosis))
+    body = " ".join(part for part in parts if part)
+    match diagnosis.verdict:
+        case Verdict.BAD_DATA:
+            again = f": `{_RECORD}`." if runs_here(diagnosis) else "."
+            return VerdictWords(
+                "These data cannot be diagnosed",
+                diagnosis.reason,
+                "Nothing was fitted, and nothing is concluded. The reason:",
+                (
+                    "Repair what the reason names. `pamctl log check LOG` examines a log.",
+                    f"Or record again, starting {words_of_rig(diagnosis).begin}{again}",
+                ),
+                "bad",
+            )
+        case Verdict.NO_DISCREPANCY:
+            return VerdictWords(
+                f"The model explains the measurement{ended}",
+                f"Nothing is missing that these data could show. {gap}",
+                f"No explanation that was asked gains anything that counts. {_BY_BLOCKS}",
+                ("Go on with the model that you have.",),
+            )
+        case Verdict.MISCALIBRATED:
+            faults = list_faults(diagnosis)
+            what = "the set-up is not as it is said to be" if faults else "its numbers are off"
+            return VerdictWords(
+                f"Nothing is missing from the model, but {what}{ended}",
+                f"Changed: {list_shifts(diagnosis)}. {gap}",
+                "With other numbers the model explains the measurement. It needs no further "
+                "effect.",
+                ("Go on with plant.yaml: the same model with the new numbers.",),
+            )
+        case Verdict.NAMED:
+            return VerdictWords(
+                f"Missing from the model: {names}{ended}",
+                body,
+                "The model does not explain the measurement, not even with those values of its own "
+                f"numbers that fit best. With {names} it does, and nothing else that was asked "
+                f"does as well. {_BY_BLOCKS}",
+                _advise_after_naming(diagnosis),
+            )
+        case Verdict.DESCRIBED:
+            return VerdictWords(
+                f"Missing from the model, and without a name: {others}{ended}",
+                body,
+                "No name is sure: either several laws of that place do as well, or a law without a "
+                "name does better than every effect of the catalogue. This says where and how "
+                "something acts. What it is, the rig must show.",
+                (
+                    "Look at the rig at that place. plant.yaml has the law that fits best: it "
+                    "predicts what was measured, and `pamctl run`, `tune`, `compare` and a next "
+                    "`diagnose` take it.",
+                ),
+            )
+        case Verdict.AMBIGUOUS:
+            sets = "; and ".join(map(spell_set, list_ambiguous(diagnosis)))
+            settled = spell_findings(diagnosis, "name", "kind", "place")
+            beside = f" beside {settled}" if settled else ""
+            return VerdictWords(
+                f"Something is missing{beside}, and these data do not tell which it is: {sets}"
+                f"{ended}",
+                body,
+                "More than one explanation fits the measurement, at more than one place. "
+                "plant.yaml has the first of them. It predicts what was measured. The cause stays "
+                "open.",
+                (
+                    "Do not repair the rig on this evidence. Run the experiment that separates "
+                    "them.",
+                ),
+                "note",
+            )
+        case Verdict.PARTIAL:
+            has_names = f"{names}; and" if names else "at least"
+            return VerdictWords(
+                f"Missing from the model: {has_names}, without a name, {others}{ended}",
+                body,
+                f"Sure by name: {names or 'what is said of the set-up'}. Of the rest the place is "
+                "sure, or place and kind. The numbers of what is named rest on the law that stands "
+                "for the rest.",
+                (
+                    "Look at the rig there. plant.yaml has all of it. The next diagnosis may start "
+                    f"from it: {_AGAIN}.",
+                ),
+                "note",
+            )
+        case Verdict.NONE_KNOWN:
+            return VerdictWords(
+                f"Something is missing, and nothing that was asked explains it{ended}",
+                gap,
+                "After recalibration, no effect, no fault of the set-up and no law without a name "
+                "explains what is left on stretches that it was not fitted to.",
+                (
+                    "Look at the residual below, and at the rig: "
+                    f"{words_of_rig(diagnosis).suspects}. Record the same experiment twice: it "
+                    "shows how far the rig repeats itself. plant.yaml has the recalibrated "
+                    "numbers.",
+                ),
+                "bad",
+            )
 
 
 def advise_next_steps(diagnosis: Diagnosis) -> Iterator[str]:
     """Say what to do next, the first thing first."""
     yield from choose_words(diagnosis).advice
     yield from (f"Set-up: {fault.how_to_mend}." for fault in list_faults(diagnosis))
-    experiment = choose_next_experiment(diagnosis)
-    if experiment:
-        yield _describe_experiment(experiment, is_command=runs_here(diagnosis))
-        done = {"diagnosis"} >= {record.experiment for record in diagnosis.train}
-        if diagnosis.deciding is not None and runs_here(diagnosis):
-            yield f"Its file is in the folder of this page. {_ON_RIG}"
-        elif runs_here(diagnosis) and not done and experiment["name"] != "diagnosis":
-            yield f"The experiment `diagnosis` contains them all: `{_RECORD}`."
-
-
-def _describe_experiment(experiment: Mapping[str, Any], *, is_command: bool) -> str:
+    experiment, is_command = choose_next_experiment(diagnosis), runs_here(diagnosis)
+    if not experiment:
+        return
     effects = experiment["separates"]
     apart = f", which tells {' from '.join(map(spell_names, effects))}" if len(effects) > 1 else ""
     do = f"`{experiment['do']}`" if is_command else experiment["do"]
-    return f"Next experiment: {do}{apart}. Why: {experiment['why']}."
+    yield f"Next experiment: {do}{apart}. Why: {experiment['why']}."
+    done = {"diagnosis"} >= {record.experiment for record in diagnosis.train}
+    if diagnosis.deciding is not None and is_command:
+        yield f"Its file is in the folder of this page. {_ON_RIG}"
+    elif is_command and not done and experiment["name"] != "diagnosis":
+        yield f"The experiment `diagnosis` contains them all: `{_RECORD}`."
 
 
-def _join(*sentences: str) -> str:
-    return " ".join(s for s in sentences if s)
-
-
-def _word_bad_data(diagnosis: Diagnosis) -> VerdictWords:
-    return VerdictWords(
-        "These data cannot be diagnosed",
-        diagnosis.reason,
-        f"Nothing was fitted, and nothing is concluded. The reason: {diagnosis.reason}",
-        (
-            "Repair what the reason names. `pamctl log check LOG` examines a log.",
-            f"Or record again, starting {words_of_rig(diagnosis).begin}"
-            + (f": `{_RECORD}`." if runs_here(diagnosis) else "."),
-        ),
-        "bad",
-    )
-
-
-def _word_no_discrepancy(diagnosis: Diagnosis) -> VerdictWords:
-    gap = describe_gap(diagnosis)
-    return VerdictWords(
-        f"The model explains the measurement{describe_bounds(diagnosis)}",
-        f"Nothing is missing that these data could show. {gap}",
-        f"No explanation that was asked gains anything that counts. {_BY_BLOCKS} {gap}",
-        ("Go on with the model that you have.",),
-        "good",
-    )
-
-
-def _word_miscalibrated(diagnosis: Diagnosis) -> VerdictWords:
-    faults = len(list_faults(diagnosis))
-    what = "the set-up is not as it is said to be" if faults else "its numbers are off"
-    shifts, gap = list_shifts(diagnosis), describe_gap(diagnosis)
-    return VerdictWords(
-        f"Nothing is missing from the model, but {what}{describe_bounds(diagnosis)}",
-        f"Changed: {shifts}. {gap}",
-        "With other numbers the model explains the measurement. It needs no further effect. "
-        f"Changed: {shifts}. {gap}",
-        ("Go on with plant.yaml: the same model with the new numbers.",),
-        "good",
-    )
-
-
-def _word_named(diagnosis: Diagnosis) -> VerdictWords:
-    names = spell_findings(diagnosis, "name")
-    body = _join(describe_sizes(diagnosis), describe_gap(diagnosis), describe_rest(diagnosis))
-    return VerdictWords(
-        f"Missing from the model: {names}{describe_bounds(diagnosis)}",
-        body,
-        "The model does not explain the measurement, not even with those values of its own numbers "
-        f"that fit best. With {names} it does, and nothing else that was asked does as well. "
-        f"{_BY_BLOCKS} {body}",
-        (*_advise_calibration(diagnosis), _advise_after_naming(diagnosis)),
-        "good",
-    )
-
-
-def _advise_calibration(diagnosis: Diagnosis) -> Iterator[str]:
-    if runs_here(diagnosis) and any(f.name == "null_offset" for f in diagnosis.findings):
-        yield "The null of the valve is measured by `pamctl calibrate valve --out rig.yaml`."
-
-
-def _advise_after_naming(diagnosis: Diagnosis) -> str:
+def _advise_after_naming(diagnosis: Diagnosis) -> tuple[str, ...]:
     if diagnosis.nominal.actuator != "muscle":
-        return f"Go on with plant.yaml, which has what was found: {_AGAIN} asks whether it holds."
-    return (
+        return (
+            f"Go on with plant.yaml, which has what was found: {_AGAIN} asks whether it holds.",
+        )
+    go_on = (
         "Go on with plant.yaml, which has what was found. In the folder of this page: "
         "`pamctl tune --law qsmc --plant plant.yaml --out gains.yaml`, then "
         "`pamctl run --controller gains.yaml --plant plant.yaml`."
     )
+    if runs_here(diagnosis) and any(f.name == "null_offset" for f in diagnosis.findings):
+        null = "The null of the valve is measured by `pamctl calibrate valve --out rig.yaml`."
+        return null, go_on
+    return (go_on,)
 
 
-def _word_described(diagnosis: Diagnosis) -> VerdictWords:
-    what = spell_findings(diagnosis, "kind", "place")
-    body = _join(describe_gap(diagnosis), describe_rest(diagnosis))
-    return VerdictWords(
-        f"Missing from the model, and without a name: {what}{describe_bounds(diagnosis)}",
-        body,
-        f"What is sure is this much: {what}. No name is: either several laws of that place do as "
-        f"well, or a law without a name does better than every effect of the catalogue. {body} "
-        "This says where and how something acts. What it is, the rig must show.",
-        (
-            "Look at the rig at that place. plant.yaml has the law that fits best: it predicts "
-            "what was measured, and `pamctl run`, `tune`, `compare` and a next `diagnose` take it.",
-        ),
-        "good",
-    )
-
-
-def _word_ambiguous(diagnosis: Diagnosis) -> VerdictWords:
-    sets = "; and ".join(map(spell_set, list_ambiguous(diagnosis)))
-    settled = spell_findings(diagnosis, "name", "kind", "place")
-    beside = f" beside {settled}" if settled else ""
-    body = _join(describe_sizes(diagnosis), describe_gap(diagnosis), describe_rest(diagnosis))
-    return VerdictWords(
-        f"Something is missing{beside}, and these data do not tell which it is: {sets}"
-        f"{describe_bounds(diagnosis)}",
-        body,
-        "The model does not explain the measurement with the best values of its own numbers. More "
-        f"than one explanation does, at more than one place: {sets}. plant.yaml has the first of "
-        f"them. It predicts what was measured. The cause stays open. {body}",
-        ("Do not repair the rig on this evidence. Run the experiment that separates them.",),
-    )
-
-
-def _word_partial(diagnosis: Diagnosis) -> VerdictWords:
-    names = spell_findings(diagnosis, "name")
-    others = spell_findings(diagnosis, "kind", "place")
-    has_names = f"{names}; and" if names else "at least"
-    body = _join(describe_sizes(diagnosis), describe_gap(diagnosis), describe_rest(diagnosis))
-    return VerdictWords(
-        f"Missing from the model: {has_names}, without a name, {others}"
-        f"{describe_bounds(diagnosis)}",
-        body,
-        f"Sure by name: {names or 'what is said of the set-up'}. Sure by its place only, or by "
-        f"place and kind: {others}. {body} The numbers of what is named rest on the law that "
-        "stands for the rest.",
-        (
-            f"Look at the rig there. plant.yaml has all of it. The next diagnosis may start from "
-            f"it: {_AGAIN}.",
-        ),
-    )
-
-
-def _word_none_known(diagnosis: Diagnosis) -> VerdictWords:
-    gap = describe_gap(diagnosis)
-    return VerdictWords(
-        f"Something is missing, and nothing that was asked explains it{describe_bounds(diagnosis)}",
-        gap,
-        "After recalibration, no effect, no fault of the set-up and no law without a name explains "
-        f"what is left on stretches that it was not fitted to. {gap}",
-        (
-            "Look at the residual below, and at the rig: "
-            f"{words_of_rig(diagnosis).suspects}. Record the same experiment twice: it shows how "
-            "far the rig repeats itself. plant.yaml has the recalibrated numbers.",
-        ),
-        "bad",
-    )
-
-
-_WORDS: Mapping[Verdict, Callable[[Diagnosis], VerdictWords]] = {
-    Verdict.BAD_DATA: _word_bad_data,
-    Verdict.NO_DISCREPANCY: _word_no_discrepancy,
-    Verdict.MISCALIBRATED: _word_miscalibrated,
-    Verdict.NAMED: _word_named,
-    Verdict.DESCRIBED: _word_described,
-    Verdict.AMBIGUOUS: _word_ambiguous,
-    Verdict.PARTIAL: _word_partial,
-    Verdict.NONE_KNOWN: _word_none_known,
-}
-
+# --- phrases with numbers: a figure is one of the document, in the unit of a reader --------------
 
 LEAST_SHIFT = 2e-3
 """A number that is off by a smaller share is not mentioned in a sentence."""
@@ -305,17 +266,12 @@ def spell_number(number: FittedNumber) -> str:
     return f"{name} {size} (90 %: {format_interval(number.low, number.high)})"
 
 
-def list_said(diagnosis: Diagnosis) -> list[Finding]:
-    """Return the findings that are said; what only mends the model is not."""
-    return [f for f in diagnosis.findings if f.level != "rest"]
-
-
 def spell_findings(diagnosis: Diagnosis, *levels: str) -> str:
     """Return the findings of these levels as a list of nouns."""
     return join_words(
         [
             spell_finding(diagnosis, f)
-            for f in list_said(diagnosis)
+            for f in diagnosis.findings
             if f.level in levels and (f.level != "name" or f.hypothesis.setup is None)
         ]
         or [""]
@@ -326,7 +282,7 @@ def describe_sizes(diagnosis: Diagnosis) -> str:
     """Return the numbers of the named effects; empty where none is named."""
     parts = [
         f"{spell_names(f.hypothesis.family)}: {', '.join(map(spell_number, list_numbers(f)))}"
-        for f in list_said(diagnosis)
+        for f in diagnosis.findings
         if f.level == "name" and f.hypothesis.setup is None
     ]
     return f"{'; '.join(parts)}." if parts else ""

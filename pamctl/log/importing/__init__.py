@@ -1,9 +1,9 @@
 """Import measurements of other systems: each column is converted to SI.
 
-    file_formats -> table_rows, cell_texts, lab_tables, matlab_tables: a table of any file
+    file_formats -> table_rows, cell_texts, parsed_tables: a table of any file
     -> column_roles, column_map: which column is what
     -> plausibility: whether that can be
-    -> pipeline, import_page: the log, and the answer
+    -> pipeline: the log, and the answer
 
 Read `pipeline.py` first.
 """

@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
-from hal.calibration import CalibrationSettings
-from hal.rig import Configured
+from hal.calibration import CalibrationSettings, Configured
 from pamctl.json_text import to_json
 from pamctl.units import find_units
 

@@ -135,7 +135,8 @@ def understand_header(name: str, unit: str = "") -> HeaderMeaning | None:
     None if the words name none of our quantities, or another thing.
     """
     label, said, found = _split_unit(name, unit)
-    words = _split_words(label)
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", label).lower().translate(_LETTERS)
+    words = set(re.findall(r"[^\W\d_]+", spaced))  # numbers count for nothing
     named = [quantity for quantity, its in _NAMES.items() if its & words]
     if found is not None and found.quantity in named:
         named = [found.quantity]
@@ -162,12 +163,6 @@ def _split_unit(name: str, unit: str) -> tuple[str, str, SaidQuantity | None]:
             return match[1], match[2], found
     bracketed = _BRACKETED.fullmatch(name.strip())
     return (bracketed[1], bracketed[2], None) if bracketed else (name, "", None)
-
-
-def _split_words(label: str) -> set[str]:
-    """Return the words of a label in small letters; numbers count for nothing."""
-    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", label)
-    return set(re.findall(r"[^\W\d_]+", spaced.lower().translate(_LETTERS)))
 
 
 def _tell_gauge(found: SaidQuantity | None, words: set[str]) -> bool | None:

@@ -50,19 +50,19 @@ class _Format(NamedTuple):
     """What `pip` calls the package that reads it; empty for one that is always there."""
 
 
-_MAT = _Format("MAT", "matlab_tables:parse_mat")
-_HDF5 = _Format("HDF5 (MAT -v7.3)", "matlab_tables:parse_hdf5", "h5py")
-_EXCEL = _Format("Excel", "lab_tables:parse_excel", "openpyxl")
-_NUMPY = _Format("NPZ", "lab_tables:parse_npz")
-_TDMS = _Format("TDMS", "lab_tables:parse_tdms", "nptdms")
-_LVM = _Format("LVM", "lab_tables:parse_lvm", "lvm-read")
+_MAT = _Format("MAT", "parse_mat")
+_HDF5 = _Format("HDF5 (MAT -v7.3)", "parse_hdf5", "h5py")
+_EXCEL = _Format("Excel", "parse_excel", "openpyxl")
+_NUMPY = _Format("NPZ", "parse_npz")
+_TDMS = _Format("TDMS", "parse_tdms", "nptdms")
+_LVM = _Format("LVM", "parse_lvm", "lvm-read")
 _PARSED = {
     b"MATLAB 5.0": _MAT,
     b"MATLAB 7.3": _HDF5,
     b"\x89HDF\r\n\x1a\n": _HDF5,
     b"TDSm": _TDMS,
     b"LabVIEW Measurement": _LVM,
-    b"PAR1": _Format("Parquet", "lab_tables:parse_parquet", "pyarrow"),
+    b"PAR1": _Format("Parquet", "parse_parquet", "pyarrow"),
     b"\x93NUMPY": _NUMPY,
 }
 _BY_ENDING = {".mat": _MAT, ".tdms": _TDMS, ".lvm": _LVM, ".xlsx": _EXCEL, ".xlsm": _EXCEL}
@@ -239,9 +239,8 @@ def main() -> None:
 def _parse_here(path: Path, kind: _Format, hints: TextHints) -> MeasuredTable | str:
     """Return the table, or why there is none."""
     _limit_memory()
-    module, _, function = kind.function.partition(":")
     try:
-        parse: Any = getattr(import_module(f"pamctl.log.importing.{module}"), function)
+        parse: Any = getattr(import_module("pamctl.log.importing.parsed_tables"), kind.function)
         table: MeasuredTable = parse(path, hints)
         return table
     except ImportRefused as refusal:

@@ -8,7 +8,7 @@ the source.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,6 @@ from pamctl.log.importing.column_roles import (
     understand_column,
 )
 from pamctl.log.importing.file_formats import read_table
-from pamctl.log.importing.import_page import ImportedColumn, describe_column
 from pamctl.log.importing.measured_table import Floats, ImportRefused, Ints, MeasuredTable
 from pamctl.log.importing.plausibility import judge_clock, judge_record, judge_units
 from pamctl.log.record_problems import GAP_PERIODS, nominal_period_s
@@ -106,7 +105,10 @@ def import_log(
     rows = table.rows[kept]
     t_s, quantities = _convert_to_si(chosen, rows, kept)
     if t_s is None:
-        t_s = _make_even_time(quantities, import_map.time.rate_hz)
+        if import_map.time.rate_hz is None or not quantities:
+            nothing = "no column of a measured quantity is named; there is nothing to import"
+            raise ImportRefused(nothing)
+        t_s = np.arange(len(next(iter(quantities.values())))) / import_map.time.rate_hz
         _judge_own_time(table, kept, rows, findings)
     time_name = chosen.columns[TIME].name if TIME in chosen.columns else "rate_hz"
     judge_record(t_s, quantities, rows, findings, time_name)
@@ -190,12 +192,6 @@ def _convert_to_si(
             raise ImportRefused(f"{detail}: too large for a number in SI")
         found[quantity] = values
     return found.pop(TIME, None), found
-
-
-def _make_even_time(quantities: Mapping[str, Floats], rate_hz: float | None) -> Floats:
-    if rate_hz is None or not quantities:
-        raise ImportRefused("no column of a measured quantity is named; there is nothing to import")
-    return np.arange(len(next(iter(quantities.values())))) / rate_hz
 
 
 def _judge_own_time(table: MeasuredTable, kept: slice, rows: Ints, findings: LogFindings) -> None:
@@ -343,10 +339,12 @@ def _tell_story(
     resample_hz: float | None,
 ) -> dict[str, str]:
     """Return the metadata record `import`: the source, and how the log was made from it."""
+    with source.open("rb") as file:
+        checksum = hashlib.file_digest(file, "sha256").hexdigest()
     left_out = {f"{c.number} {c.name}": c.left_out for c in columns if c.left_out}
     return {
         "source": escape_name(source.name),
-        "sha256": _hash_file(source),
+        "sha256": checksum,
         "rows": str(rows),
         "first_t_s": repr(float(t_s[0])),
         "map": write_map(chosen.map.as_keys(), {}),
@@ -354,11 +352,6 @@ def _tell_story(
         "resampled_hz": "" if resample_hz is None else repr(resample_hz),
         "report": to_json([finding._asdict() for finding in findings.summarise()]).decode(),
     }
-
-
-def _hash_file(source: Path) -> str:
-    with source.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 CHUNK_TICKS = 2048
@@ -408,3 +401,94 @@ def _build_table(t_s: Floats, quantities: Mapping[str, Floats], layout: TickLayo
     for name in layout.names:
         table[name] = columns[name]
     return table
+
+
+_BARS = (
+    "\N{LOWER ONE EIGHTH BLOCK}\N{LOWER ONE QUARTER BLOCK}\N{LOWER THREE EIGHTHS BLOCK}"
+    "\N{LOWER HALF BLOCK}\N{LOWER FIVE EIGHTHS BLOCK}\N{LOWER THREE QUARTERS BLOCK}"
+    "\N{LOWER SEVEN EIGHTHS BLOCK}\N{FULL BLOCK}"
+)
+_PLOT_WIDTH = 32
+_PIECES = 100
+"""Parts of the record in which a column rests or not."""
+_STILL = 0.002
+"""A column whose mean moves by less than this share of its span from part to part rests."""
+
+
+@dataclass(frozen=True)
+class ImportedColumn:
+    """A column of the file, and what became of it."""
+
+    number: int
+    name: str
+    read_as: str
+    """Quantity and unit; empty for a column that is left out."""
+    left_out: str
+    """Why; empty for a column that is used."""
+    lowest: float | None
+    """In the unit of the file."""
+    highest: float | None
+    missing: int
+    rests: float | None
+    """Share of the record in which it hardly moves."""
+    plot: str
+    """Its course in blocks, from its lowest to its highest value."""
+
+
+def describe_column(
+    number: int, name: str, values: Floats, *, read_as: str = "", left_out: str = ""
+) -> ImportedColumn:
+    """Return what the page says of a column, values of shape (n,) as the file has them."""
+    good = values[np.isfinite(values)]
+    plot, rests = "", None
+    if read_as and len(good) and not read_as.startswith(TIME):
+        moves = np.abs(np.diff(_average(values, max(min(_PIECES, len(values) // 10), 1))))
+        rests = float(np.mean(moves <= _STILL * np.ptp(good))) if len(moves) else None
+        plot = draw_course(values, _PLOT_WIDTH)
+    low, high = (float(good.min()), float(good.max())) if len(good) else (None, None)
+    missing = len(values) - len(good)
+    return ImportedColumn(number, name, read_as, left_out, low, high, missing, rests, plot)
+
+
+def draw_course(values: Floats, width: int) -> str:
+    """Return the course of values of shape (n,) in so many characters; a space where none are."""
+    heights = _average(values, min(width, len(values)))
+    low, span = np.nanmin(heights), np.nanmax(heights) - np.nanmin(heights)
+    levels = np.nan_to_num((heights - low) / (span or 1.0) * (len(_BARS) - 1) + 0.5)
+    return "".join(
+        " " if np.isnan(height) else _BARS[int(level)]
+        for height, level in zip(heights, levels, strict=True)
+    )
+
+
+def _average(values: Floats, count: int) -> Floats:
+    """Return the means of so many pieces, shape (count,); NaN for one without values."""
+    pieces = [piece[np.isfinite(piece)] for piece in np.array_split(values, count)]
+    return np.array([piece.mean() if len(piece) else np.nan for piece in pieces])
+
+
+def format_page(
+    head: str, columns: tuple[ImportedColumn, ...], findings: tuple[LogFinding, ...], map_text: str
+) -> Iterator[str]:
+    """Yield the lines of the page."""
+    yield head
+    name_width = min(max((len(column.name) for column in columns), default=0), 28)
+    role_width = min(max((len(column.read_as) for column in columns), default=0), 40)
+    yield f"  {'':>3} {'column':<{name_width}}  {'read as':<{role_width}}  from .. to"
+    for column in columns:
+        name = f"  {column.number:>3} {column.name:<{name_width}}"
+        if column.left_out:
+            yield f"{name}  left out: {column.left_out}"
+            continue
+        ends = "no values"
+        if column.lowest is not None and column.highest is not None:
+            ends = f"{column.lowest:.6g} .. {column.highest:.6g}"
+        rests = f", rests {column.rests:.0%}" if column.rests else ""
+        gone = f", {column.missing} missing" if column.missing else ""
+        plot = f"{column.plot:<{_PLOT_WIDTH}}"
+        yield f"{name}  {column.read_as:<{role_width}}  {plot}  {ends}{rests}{gone}"
+    for finding in findings:
+        yield f"  {finding.severity:<8} {finding.kind:<11} {finding.message}"
+    if map_text:
+        yield "With --map FILE, which may say:"
+        yield from (f"  {line}" for line in map_text.splitlines())

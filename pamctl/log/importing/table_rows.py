@@ -129,7 +129,9 @@ def _find_names(above: Sequence[Row], width: int) -> tuple[list[str], list[str]]
         cells = [" ".join(str(cell).split()) for cell in row.cells[:width]]
         if all(tell_kind(cell) == "m" for cell in cells):
             continue
-        if not any(units) and _are_units(cells):
+        stated = [cell for cell in cells if cell.strip("[]()- ")]
+        are_units = bool(stated) and 2 * sum(map(_may_be_unit, stated)) >= len(stated)
+        if not any(units) and are_units:
             units = [cell if _may_be_unit(cell) else "" for cell in cells]
         elif _has_no_number(cells):
             names = cells
@@ -138,11 +140,6 @@ def _find_names(above: Sequence[Row], width: int) -> tuple[list[str], list[str]]
             break
     names = names or [""] * width
     return [name or str(number) for number, name in enumerate(names, 1)], units
-
-
-def _are_units(cells: Sequence[str]) -> bool:
-    stated = [cell for cell in cells if cell.strip("[]()- ")]
-    return bool(stated) and 2 * sum(map(_may_be_unit, stated)) >= len(stated)
 
 
 def _may_be_unit(cell: str) -> bool:

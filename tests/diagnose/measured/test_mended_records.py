@@ -6,10 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import butter, filtfilt
 from support.made_records import measured
 
 from pamctl.diagnose import Record
-from pamctl.diagnose.mend import AROUND, find_outliers, find_regular_times, mend_records, remove_hum
+from pamctl.diagnose.mend import (
+    AROUND,
+    find_outliers,
+    find_regular_times,
+    is_filtered,
+    mend_records,
+    remove_hum,
+)
 
 
 def test_a_sound_record_stays_as_it_is() -> None:
@@ -125,3 +133,13 @@ def test_a_slow_motion_between_two_counts_is_not_held() -> None:
     t_s = np.arange(6000) * 1e-3
     position_m = np.round(0.02 * np.sin(2.0 * t_s) / 3e-6) * 3e-6
     assert not np.any(find_outliers(Record("slow", t_s, position_m=position_m), "position_m"))
+
+
+def test_a_filter_is_found_by_the_noise_of_the_rest() -> None:
+    record = measured("fit", 4)
+    assert not any(is_filtered(record, c) for c in ("pressure_pa", "position_m"))
+    smoothed = filtfilt(*butter(2, 0.06), record["pressure_pa"])
+    (_,), faults = mend_records([replace(record, pressure_pa=smoothed)])
+    assert [(f.channel, f.kind) for f in faults] == [("pressure_pa", "filtered")]
+    walk = 1e5 + np.cumsum(np.random.default_rng(6).normal(0.0, 10.0, len(record)))
+    assert not is_filtered(replace(record, pressure_pa=walk), "pressure_pa")

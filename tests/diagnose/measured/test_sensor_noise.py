@@ -9,8 +9,7 @@ import pytest
 from support.made_records import all_but, measured
 
 from pamctl.diagnose import diagnose
-from pamctl.diagnose.mend import parse_noise, pool_stated_noise
-from pamctl.diagnose.record import estimate_white_noise, record_of
+from pamctl.diagnose.record import estimate_white_noise, parse_noise, pool_stated_noise, record_of
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.log.importing.column_map import ImportMap
 from pamctl.log.importing.pipeline import import_log

@@ -1,20 +1,25 @@
-"""Tables of the files of other programs, each through the package made for it.
+"""The formats that packages parse: TDMS, LVM, Excel, NPZ, Parquet, MAT and HDF5.
 
-    TDMS       channels with their units; what changes from segment to segment is followed
-    LVM        LabVIEW's text, its segments one after the other
-    Excel      the one sheet that holds rows of numbers
-    NPZ, NPY, Parquet    as `pamctl log export` writes them, and others do
+A MAT or HDF5 file may hold arrays, matrices, structs, and Simulink's "structure with time":
 
-They run in a process of their own: see `file_formats`.
+    position_m            an array, 1 x n or n x 1
+    yout(:,2), yout(2,:)  a column of a matrix, a row of one that is wider than high
+    run.position_m        a field of a struct
+    scope.time, scope     a structure with time, and its one signal; scope(2) is its second
+
+The label of a Simulink signal serves as its name if it states a quantity and a unit.
 """
 
 from __future__ import annotations
 
 import datetime as dt
 import logging
+import zipfile
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import islice
+from logging.handlers import BufferingHandler
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +36,7 @@ from pamctl.log.importing.measured_table import (
     make_columns,
     refuse_bomb,
 )
+from pamctl.log.importing.table_rows import HEAD_ROWS, Row, TableBuilder, find_layout
 
 
 def number_rows(columns: list[TableColumn], form: str, notes: list[str]) -> MeasuredTable:
@@ -42,17 +48,6 @@ def number_rows(columns: list[TableColumn], form: str, notes: list[str]) -> Meas
 # TDMS.
 
 
-class _Complaints(logging.Handler):
-    """Keeps what the parser says of a damaged file."""
-
-    def __init__(self) -> None:
-        super().__init__(logging.WARNING)
-        self.texts: list[str] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self.texts.append(record.getMessage())
-
-
 History = dict[str, list[tuple[int, dict[str, Any]]]]
 """By channel: the first value for which properties hold, and these properties."""
 
@@ -61,7 +56,8 @@ def parse_tdms(path: Path, hints: TextHints) -> MeasuredTable:
     """Return the channels; raise ImportRefused where a unit or a scale changes within one."""
     from nptdms import TdmsFile
 
-    complaints = _Complaints()
+    complaints = BufferingHandler(1000)
+    complaints.setLevel(logging.WARNING)
     for name in ("nptdms.reader", "nptdms.tdms_segment"):
         logging.getLogger(name).addHandler(complaints)
     history = _record_properties()
@@ -85,7 +81,7 @@ def parse_tdms(path: Path, hints: TextHints) -> MeasuredTable:
             length = len(columns[-1].values)
             if "wf_increment" in said and length and columns[-1].unit != "s":
                 times.append((name, _follow_time(changes, length)))
-    notes = [f"the file is damaged: {text}" for text in complaints.texts[:3]]
+    notes = [f"the file is damaged: {one.getMessage()}" for one in complaints.buffer[:3]]
     columns = _add_times(columns, times, notes)
     if not any(len(column.values) for column in columns):
         raise ImportRefused(f"{path} holds no channels of numbers")
@@ -141,7 +137,8 @@ def _follow_time(changes: list[tuple[int, dict[str, Any]]], length: int) -> Floa
     before: Any = None
     for at, properties in changes:
         offset_s = float(properties.get("wf_start_offset", 0.0))
-        start = _as_datetime(properties.get("wf_start_time"))
+        start: Any = properties.get("wf_start_time")
+        start = start.as_datetime64("ns") if hasattr(start, "as_datetime64") else start
         begin_s = t_s[at - 1] + step_s if at else offset_s
         step_s = float(properties.get("wf_increment", step_s))
         if start is not None:
@@ -153,21 +150,14 @@ def _follow_time(changes: list[tuple[int, dict[str, Any]]], length: int) -> Floa
     return t_s
 
 
-def _as_datetime(stamp: Any) -> Any:
-    return stamp.as_datetime64("ns") if hasattr(stamp, "as_datetime64") else stamp
-
-
 def _add_times(
     columns: list[TableColumn], times: list[tuple[str, Floats]], notes: list[str]
 ) -> list[TableColumn]:
     """Put the times of the waveforms before the columns, each once."""
     each: list[tuple[str, Floats]] = []
     for name, t_s in times:
-        if (
-            len(t_s) > 1
-            and t_s[1] > t_s[0]
-            and not any(np.array_equal(t_s, one) for _, one in each)
-        ):
+        is_new = not any(np.array_equal(t_s, one) for _, one in each)
+        if len(t_s) > 1 and t_s[1] > t_s[0] and is_new:
             each.append((name, t_s))
     if len(each) > 1:
         listed = ", ".join(f"{name} {len(t)} every {t[1] - t[0]:g} s" for name, t in each[:5])
@@ -215,9 +205,8 @@ def _read_lvm_segment(path: Path, segment: dict[str, Any]) -> dict[str, Floats]:
         values = table[:, index] if name != "Comment" else np.zeros(0)
         if name == "X_Value" and is_time:
             # LabVIEW may leave the column empty but for its interval.
-            t_s = (
-                values if np.isfinite(values).all() else _count_lvm_time(path, segment, len(table))
-            )
+            is_full = np.isfinite(values).all()
+            t_s = values if is_full else _count_lvm_time(path, segment, len(table))
             if not np.array_equal(columns.setdefault(TIME_S, t_s), t_s):
                 raise ImportRefused(
                     f"{path}: its channels have different times; save them with one"
@@ -256,14 +245,9 @@ def _find_lvm_start(segment: dict[str, Any]) -> float:
 
 def parse_excel(path: Path, hints: TextHints) -> MeasuredTable:
     """Return the table; raise ImportRefused if no sheet, or more than one, has rows of numbers."""
-    import zipfile
-
     from openpyxl import load_workbook
 
-    from pamctl.log.importing.table_rows import HEAD_ROWS, TableBuilder, find_layout
-
-    with zipfile.ZipFile(path) as archive:
-        refuse_bomb(path, sum(part.file_size for part in archive.infolist()))
+    _refuse_zip_bomb(path)
     book = load_workbook(path, read_only=True, data_only=True)
     heads = [list(islice(_read_sheet(sheet), HEAD_ROWS)) for sheet in book.worksheets]
     found = [
@@ -285,10 +269,13 @@ def parse_excel(path: Path, hints: TextHints) -> MeasuredTable:
     return builder.finish(f"Excel, sheet {sheet.title}")
 
 
+def _refuse_zip_bomb(path: Path) -> None:
+    with zipfile.ZipFile(path) as archive:
+        refuse_bomb(path, sum(part.file_size for part in archive.infolist()))
+
+
 def _read_sheet(sheet: Any) -> Iterator[Any]:
     """Return the rows that are not empty, all as wide as the widest so far."""
-    from pamctl.log.importing.table_rows import Row
-
     width = 0
     for number, values in enumerate(sheet.iter_rows(values_only=True), 1):
         cells = [_read_cell(value) for value in values]
@@ -318,11 +305,8 @@ def _read_cell(value: Any) -> str | float:
 
 def parse_npz(path: Path, hints: TextHints) -> MeasuredTable:
     """Return the arrays of an NPZ or NPY file; a structured one is taken apart."""
-    import zipfile
-
     if zipfile.is_zipfile(path):
-        with zipfile.ZipFile(path) as archive:
-            refuse_bomb(path, sum(part.file_size for part in archive.infolist()))
+        _refuse_zip_bomb(path)
     content = np.load(path, allow_pickle=False)
     arrays = dict(content) if hasattr(content, "files") else {path.stem: content}
     columns: list[TableColumn] = []
@@ -359,3 +343,177 @@ def _make_typed(name: str, values: Any, unit: str = "") -> list[TableColumn]:
     if kind not in "fiub":
         return [TableColumn(name, np.zeros(0), is_text=True)]
     return make_columns([(name, values)], {name: unit})
+
+
+MOST_BYTES = 2 << 30
+"""Of one array."""
+_DEEPEST = 16
+_NUMBERS = {b"", b"double", b"single", b"logical"} | {
+    f"{sign}int{bits}".encode() for sign in ("", "u") for bits in (8, 16, 32, 64)
+}
+"""MATLAB's classes of numbers; nothing where another program wrote the file."""
+
+
+def parse_mat(path: Path, hints: TextHints) -> MeasuredTable:
+    """Return the table of a MAT file to version 7."""
+    from scipy.io import loadmat
+
+    try:
+        with path.open("rb") as file:  # given a path, loadmat hides why it cannot open the file
+            content = loadmat(file, struct_as_record=True, squeeze_me=False)
+    # A parser may raise anything for a file that is not a MAT file.
+    except Exception as error:
+        raise ImportRefused(f"{path} is not a complete MAT file: {error}") from error
+    return _make_table(path, {k: v for k, v in content.items() if not k.startswith("__")}, "MAT")
+
+
+def parse_hdf5(path: Path, hints: TextHints) -> MeasuredTable:
+    """Return the table of a MAT file of version 7.3, or of another program's HDF5 file."""
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            is_matlab = file.userblock_size > 0
+            content = {
+                name: _read_node(path, file, file[name], 0, is_matlab)
+                for name in file
+                if not name.startswith("#")
+                and isinstance(file.get(name, getlink=True), h5py.HardLink)
+            }
+    except (OSError, KeyError, ValueError, RuntimeError) as error:
+        fix = "save it again, from MATLAB with save(name, ..., '-v7')"
+        raise ImportRefused(f"{path} is a damaged HDF5 file: {error}; {fix}") from None
+    return _make_table(path, content, "MAT -v7.3" if is_matlab else "HDF5")
+
+
+def _make_table(path: Path, content: dict[str, Any], form: str) -> MeasuredTable:
+    columns: list[TableColumn] = []
+    for name, value in content.items():
+        try:
+            columns += _read_columns(name, value)
+        except (ValueError, TypeError, IndexError) as error:
+            detail = f"the variable {name} has a form that is not understood ({error})"
+            raise ImportRefused(f"{path}: {detail}; save arrays, or structure with time") from error
+    if not any(len(column.values) for column in columns):
+        detail = "no arrays of numbers: save timeseries objects as structure with time"
+        raise ImportRefused(f"{path} holds {detail}")
+    return number_rows(columns, form, [])
+
+
+def _read_columns(name: str, value: Any) -> Iterator[TableColumn]:
+    """Yield the columns of a variable or of a field; an object or a text has no numbers."""
+    from scipy.io.matlab import MatlabOpaque
+
+    if not isinstance(value, np.ndarray) or isinstance(value, MatlabOpaque):
+        yield TableColumn(name, np.zeros(0), is_text=True, says="an object that MATLAB alone reads")
+    elif value.dtype.names is not None and value.size == 1:
+        yield from _read_struct(name, value.reshape(-1)[0])
+    elif value.dtype.names is not None:
+        columns = {f"{name}.{field}": value[field] for field in value.dtype.names}
+        flat = {key: v.reshape(-1) for key, v in columns.items() if v.dtype.kind in "fiub"}
+        yield from make_columns(flat)
+    elif value.dtype.kind in "fiub" and value.ndim <= 2:
+        yield from _read_array(name, value)
+    else:
+        yield TableColumn(name, np.zeros(0), is_text=True)
+
+
+def _read_array(name: str, value: Any) -> Iterator[TableColumn]:
+    if value.size < 2:  # it may claim a thousand million columns of nothing
+        return
+    outer, _, leaf = name.rpartition(".")
+    called = TIME_S if leaf == "tout" else leaf if outer else ""
+    is_one = value.ndim < 2 or 1 in value.shape
+    for column in make_columns([(name, value)]):
+        yield replace(column, called=called) if is_one else column
+
+
+def _read_struct(name: str, record: Any) -> Iterator[TableColumn]:
+    fields = {field.lower(): field for field in record.dtype.names}
+    if "time" in fields and "signals" in fields:
+        time, signals = record[fields["time"]], record[fields["signals"]]
+        yield from _read_structure_with_time(name, time, signals)
+    elif "time" in fields and "data" in fields:
+        leaf = name.rpartition(".")[2] if "." in name else ""
+        yield TableColumn(f"{name}.time", _flatten(record[fields["time"]]), called=TIME_S)
+        yield TableColumn(name, _flatten(record[fields["data"]]), called=leaf)
+    else:
+        for field in record.dtype.names:
+            yield from _read_columns(f"{name}.{field}", record[field])
+
+
+def _read_structure_with_time(name: str, time: Any, signals: Any) -> Iterator[TableColumn]:
+    if np.size(time) > 1:
+        yield TableColumn(f"{name}.time", _flatten(time), called=TIME_S)
+    each = signals.reshape(-1)
+    for index, signal in enumerate(each):
+        values = signal["values"]
+        label = signal["label"] if "label" in signal.dtype.names else ""
+        called = f"{name}({index + 1})" if len(each) > 1 else name
+        if values.ndim == 2 and 1 not in values.shape:
+            yield from _read_array(called, values)
+        else:
+            said = str(np.asarray(label).reshape(-1)[0]) if np.size(label) else ""
+            leaf = called.rpartition(".")[2] if "." in called else ""
+            yield TableColumn(called, _flatten(values), called=said or leaf)
+
+
+def _flatten(value: Any) -> Floats:
+    return np.asarray(value, np.float64).reshape(-1)
+
+
+# HDF5 into what scipy makes of older MAT files.
+
+
+def _read_node(path: Path, file: Any, node: Any, depth: int, is_matlab: bool) -> Any:
+    import h5py
+
+    if depth > _DEEPEST:
+        raise ImportRefused(f"{path}: {node.name} is nested too deeply")
+    kind = node.attrs.get("MATLAB_class", b"")
+    if isinstance(node, h5py.Group):
+        return _read_group(path, file, node, depth, is_matlab)
+    size = node.size * node.dtype.itemsize
+    if size > MOST_BYTES:
+        raise ImportRefused(f"{path}: {node.name} takes {size / 2**30:.1f} GB; save it in parts")
+    refuse_bomb(path, size)
+    if "MATLAB_empty" in node.attrs:
+        return None
+    if kind == b"char":
+        return np.array(["".join(map(chr, node[()].reshape(-1, order="F")))])
+    if node.dtype.names is None and (node.dtype.kind not in "fiub" or kind not in _NUMBERS):
+        return None  # an object, a cell
+    values = node[()]
+    if not is_matlab:
+        return np.asarray(values)
+    # MATLAB stores the columns one after the other: HDF5 shows the transposed array.
+    return np.atleast_2d(values.T) if values.ndim else np.array([[values]])
+
+
+def _read_group(path: Path, file: Any, group: Any, depth: int, is_matlab: bool) -> Any:
+    """Return a struct, or an array of structs, as a record array of shape (1, n)."""
+    fields = [name for name in group if not name.startswith("#")]
+    if not fields:
+        return None
+    length = max((group[n].size if _is_list(group[n]) else 1 for n in fields), default=1)
+    records = np.empty((1, length), [(name, object) for name in fields])
+    for name in fields:
+        node = group[name]
+        if _is_list(node):
+            for index, reference in enumerate(node[()].reshape(-1)):
+                record = _read_node(path, file, file[reference], depth + 1, is_matlab)
+                records[name][0, index] = record
+        else:
+            records[name][0, 0] = _read_node(path, file, node, depth + 1, is_matlab)
+    return records
+
+
+def _is_list(node: Any) -> bool:
+    """Return whether a field has one value for each struct of an array: references to them."""
+    import h5py
+
+    return (
+        isinstance(node, h5py.Dataset)
+        and h5py.check_ref_dtype(node.dtype) is h5py.Reference
+        and "MATLAB_class" not in node.attrs
+    )

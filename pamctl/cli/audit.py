@@ -1,14 +1,76 @@
-"""The audit for people: what is seen, what is not, and a matrix of what looks alike."""
+"""`pamctl audit`: what can an excitation not see, and not tell apart?"""
 
 from __future__ import annotations
 
 import string
 import textwrap
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+import typer
+
+from pamctl.cli.options import PlantOptions, argument, flag, verb
+from pamctl.cli.output import print_json
+from pamctl.cli.settings_from_options import find_argument_file
+from pamctl.settings.resolve import resolve
+
 if TYPE_CHECKING:
+    from pamctl.diagnose import Record
     from pamctl.diagnose.audit import Audit, Inseparable
+
+
+class AuditOptions(PlantOptions):
+    """`pamctl audit`."""
+
+    what: str = argument(
+        "EXPERIMENT|LOG", "Name of an experiment, experiment file (.yaml) or log (.mcap)"
+    )
+    verbose: bool = flag("--verbose", "Say why each effect cannot be shown")
+
+
+@verb
+def audit(asked: AuditOptions) -> None:
+    """Show which effects an experiment or a log cannot show, before anything is fitted.
+
+    An experiment is simulated with the default controller and the simulated rig's sensors.
+    """
+    plant = asked.read_plant()
+    from pamctl.diagnose.audit import audit_run
+    from pamctl.diagnose.report.next_experiment import write_advice
+
+    record = _make_record(asked.what, asked.plant)
+    found = audit_run(record, plant)
+    runs_here = plant.actuator == "muscle" and not record.is_imported
+    if asked.as_json:
+        print_json(found.as_dict())
+    else:
+        advise = partial(write_advice, actuator=plant.actuator, runs_here=runs_here)
+        typer.echo("\n".join(format_audit(found, advise, verbose=asked.verbose)))
+
+
+def _make_record(what: str, plant: str | None) -> Record:
+    if Path(what).suffix == ".mcap":
+        from pamctl.diagnose.record import record_of
+
+        return record_of(what)
+    find_argument_file("experiment", what)  # its error names what the user typed
+    from pamctl.diagnose import Record
+    from pamctl.simulate.closed_loop import simulate_run
+
+    run = simulate_run(resolve(experiment=what, plant=plant))
+    return Record(
+        Path(what).stem,
+        run.t_s,
+        valve_v=run["valve_v"],
+        pressure_pa=run["pressure_pa"],
+        position_m=run["position_m"],
+        experiment=what,
+    )
+
+
+# --- the words --------------------------------------------------------------------------------
 
 _WIDTH = 100
 _NONE = "x"

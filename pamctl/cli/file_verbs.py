@@ -1,24 +1,98 @@
-"""`pamctl plant`: a plant file from a datasheet, and a plant file as an FMU."""
+"""The verbs of the files that a user writes: `pamctl config` and `pamctl plant`."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 from pamctl.cli.failure import Failed
-from pamctl.cli.options import JsonOption
+from pamctl.cli.options import Options, argument, flag, option, verb
 from pamctl.cli.output import print_json
+from pamctl.cli.settings_from_options import SettingsOptions, find_argument_file
 from pamctl.exit_codes import ExitCode
 from pamctl.new_file import require_place, write_files
+from pamctl.settings.config_files import config_dir
+from pamctl.settings.problems import ConfigError, Problem
+from pamctl.settings.resolve import (
+    SECTIONS,
+    build_config_schema,
+    check_config_file,
+    read_section_file,
+    settings_to_json,
+    settings_to_yaml,
+    shorten_path,
+)
+from pamctl.settings.table_file import read_tables
 
 if TYPE_CHECKING:
     from pamctl.plant.model import PlantSettings
 
+config_app = typer.Typer(
+    no_args_is_help=True, help="Check, show and describe the configuration files."
+)
 plant_app = typer.Typer(
     no_args_is_help=True, help="Make and export plant files, which describe a rig."
 )
+
+
+class FilesOptions(Options):
+    """`pamctl config check`."""
+
+    files: list[Path] = argument("[FILE]...", "Files to check", None, shown="the shipped files")
+
+
+@config_app.command("check")
+@verb
+def check_files(asked: FilesOptions) -> None:
+    """Validate files, each by itself: one line per file, or one per problem."""
+    shipped = (path for kind in SECTIONS for path in sorted((config_dir() / kind).glob("*.yaml")))
+    checked = [(path, *_check_file(path)) for path in asked.files or shipped]
+    if asked.as_json:
+        print_json(
+            [
+                {
+                    "file": shorten_path(path),
+                    "kind": kind or None,
+                    "ok": not problems,
+                    "problems": [problem._asdict() for problem in problems],
+                }
+                for path, kind, problems in checked
+            ]
+        )
+    else:
+        for path, kind, problems in checked:
+            lines = map(str, problems) if problems else [f"{shorten_path(path)}: ok ({kind})"]
+            typer.echo("\n".join(lines))
+    if any(problems for _, _, problems in checked):
+        raise typer.Exit(ExitCode.BAD_CONFIG)
+
+
+def _check_file(path: Path) -> tuple[str, tuple[Problem, ...]]:
+    """Return the kind of a valid file, or the problems of another."""
+    try:
+        return check_config_file(path, read_tables), ()
+    except ConfigError as error:
+        return "", error.problems
+
+
+@config_app.command("show")
+@verb
+def show(asked: SettingsOptions) -> None:
+    """Print the configuration a run with the same options would use, defaults included."""
+    settings, _ = asked.resolve()
+    typer.echo(settings_to_json(settings) if asked.as_json else settings_to_yaml(settings).rstrip())
+
+
+@config_app.command("schema")
+def print_schema() -> None:
+    """Print the JSON schema that editors complete and check the files with."""
+    typer.echo(json.dumps(build_config_schema(), indent=2))
+
+
+# --- plants -----------------------------------------------------------------------------------
 
 _ACTUATORS = ("muscle", "direct", "chamber", "cylinder")
 
@@ -28,38 +102,38 @@ def _group() -> None:
     """Make and export plant files, which describe a rig."""
 
 
+class NewPlantOptions(Options):
+    """`pamctl plant new`."""
+
+    out: Path = option("--out FILE.yaml", "New plant file", ...)
+    actuator: str = option(
+        f"--actuator {'|'.join(_ACTUATORS)}", "What moves, or is filled", "muscle"
+    )
+    given: list[str] = option(
+        "--value NAME=NUMBER",
+        "A number with its unit, such as rest_length_m='200 mm'; can be repeated",
+        shown="a usual one, to edit in the file",
+    )
+
+
 @plant_app.command("new")
-def make_plant(
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.yaml", help="New plant file")],
-    actuator: Annotated[
-        str,
-        typer.Option("--actuator", metavar="|".join(_ACTUATORS), help="What moves, or is filled"),
-    ] = "muscle",
-    given: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--value",
-            metavar="NAME=NUMBER",
-            help="A number with its unit, such as rest_length_m='200 mm'; can be repeated",
-            show_default="a usual one, to edit in the file",
-        ),
-    ] = None,
-    as_json: JsonOption = False,
-) -> None:
+@verb
+def make_plant(asked: NewPlantOptions) -> None:
     """Write a plant file to edit: every number in SI with what it means, and which are fitted."""
+    out, actuator = asked.out, asked.actuator
     require_place(out)
     if actuator not in _ACTUATORS:
         which = f"{actuator!r} is not one of {', '.join(_ACTUATORS)}"
         raise typer.BadParameter(which, param_hint="--actuator")
     from pamctl.settings.datasheet.plant_file import build_plant, format_new_plant
 
-    texts = _split_given(given or [], actuator)
+    texts = _split_given(asked.given, actuator)
     values = _collect_numbers(actuator, texts)
     plant = build_plant(actuator, values)
     names = _list_fitted(plant)
     fitted = ", ".join(names) or "nothing"
     write_files({out: format_new_plant(actuator, values, texts, fitted)})
-    if as_json:
+    if asked.as_json:
         print_json({"plant": str(out), "actuator": actuator, "numbers": values, "fitted": names})
     else:
         typer.echo(
@@ -69,32 +143,32 @@ def make_plant(
         )
 
 
+class ExportPlantOptions(Options):
+    """`pamctl plant export`."""
+
+    plant: str = argument("NAME|FILE", "Plant file to export")
+    out: Path = argument("OUT.fmu", "New file")
+    sources_only: bool = flag(
+        "--sources-only", "Compile nothing: the importer compiles the sources inside"
+    )
+
+
 @plant_app.command("export")
-def export_plant(
-    plant: Annotated[str, typer.Argument(metavar="NAME|FILE", help="Plant file to export")],
-    out: Annotated[Path, typer.Argument(metavar="OUT.fmu", help="New file")],
-    sources_only: Annotated[
-        bool,
-        typer.Option(
-            "--sources-only", help="Compile nothing: the importer compiles the sources inside"
-        ),
-    ] = False,
-    as_json: JsonOption = False,
-) -> None:
+@verb
+def export_plant(asked: ExportPlantOptions) -> None:
     """Write a plant as an FMU (FMI 3.0, co-simulation) for Simulink and other simulators.
 
     It needs a C compiler, and runs on this kind of computer.
     """
+    out = asked.out
     if out.suffix.lower() != ".fmu":
         raise typer.BadParameter(f"{str(out)!r} must end with .fmu", param_hint="OUT.fmu")
-    from pamctl.cli.settings_from_options import find_argument_file
     from pamctl.fmu.archive import write_fmu
-    from pamctl.settings.resolve import read_section_file
 
-    settings = read_section_file("plant", find_argument_file("plant", plant))
-    platform = write_fmu(settings, out, sources_only=sources_only)
-    if as_json:
-        print_json({"plant": plant, "fmu": str(out), "platform": platform or None})
+    settings = read_section_file("plant", find_argument_file("plant", asked.plant))
+    platform = write_fmu(settings, out, sources_only=asked.sources_only)
+    if asked.as_json:
+        print_json({"plant": asked.plant, "fmu": str(out), "platform": platform or None})
     else:
         typer.echo(f"{out}: FMI 3.0 for co-simulation, {platform or 'sources only'}")
 

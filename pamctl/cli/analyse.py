@@ -1,0 +1,297 @@
+"""The verbs that judge logs against code and model: report, replay, compare, health."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import nullcontext
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from pamctl.cli.options import (
+    CONTROLLER_FROM,
+    INTERACTIVE,
+    JOBS,
+    NO_CHANGES,
+    DataOptions,
+    Options,
+    argument,
+    flag,
+    option,
+    verb,
+)
+from pamctl.cli.output import PAGE_BEGIN, print_json, print_result
+from pamctl.exit_codes import ExitCode
+from pamctl.new_file import NewFileError, require_empty_folder, require_place, write_files
+from pamctl.plain_text import escape_name
+
+if TYPE_CHECKING:
+    from pamctl.log import Log
+
+
+class ReportOptions(Options):
+    """`pamctl report`."""
+
+    paths: list[Path] = argument("LOG...", "Logs to report on")
+    out: Path | None = option("--out FILE.html", "HTML page to write", shown="beside the first log")
+    interactive: bool = INTERACTIVE
+
+
+@verb
+def report(asked: ReportOptions) -> None:
+    """Write one self-contained HTML page with figures and plots of these logs."""
+    from pamctl.log.reader import read_some
+    from pamctl.report.html_page import write_html
+    from pamctl.report.reported_run import REPORT_FIELDS
+    from pamctl.report.run_page import compose_report, find_doubts
+
+    logs = [read_some(path, REPORT_FIELDS) for path in asked.paths]
+    doubts = [find_doubts(log) for log in logs]
+    for path, found in zip(asked.paths, doubts, strict=True):
+        for doubt in found:
+            typer.echo(f"warning: {escape_name(str(path))}: {doubt}", err=True)
+    target = asked.out or asked.paths[0].with_suffix(".html")
+    require_place(target, replaces=PAGE_BEGIN)
+    html = write_html(compose_report(logs, doubts), interactive=asked.interactive)
+    write_files({target: html}, replaces=PAGE_BEGIN)
+    if asked.as_json:
+        print_json({"page": str(target), "bytes": len(html.encode()), "logs": asked.paths})
+    else:
+        typer.echo(f"report: {target}")
+
+
+# --- replay -----------------------------------------------------------------------------------
+
+_OTHER_CPU = "default-for-other-cpu"
+
+
+class ReplayOptions(Options):
+    """`pamctl replay`."""
+
+    path: Path = argument("LOG", "Log to replay")
+    from_s: float | None = option(
+        "--from SECONDS", "Start at the last frozen state before this time", low=0.0,
+        shown="the beginning",
+    )  # fmt: skip
+    tolerance: str | None = option(
+        f"--tolerance {_OTHER_CPU}", "Permit the rounding of another CPU or C library",
+        shown="none, bit for bit",
+    )  # fmt: skip
+    plain: bool = flag("--plain", "Run the tick in plain Python, as the loop does")
+    controller: str | None = option(
+        "--controller NAME|FILE", "What-if: show what this control law would have commanded",
+        shown="the log's own",
+    )  # fmt: skip
+    controller_from: str | None = CONTROLLER_FROM
+    overrides: list[str] = option(
+        "--set KEY=VALUE",
+        "What-if: gain to change, such as controller.eta=0; can be repeated",
+        shown=NO_CHANGES,
+    )
+    csv: Path | None = option(
+        "--csv FILE", "What-if: new file with both commands, tick by tick", shown="no file"
+    )
+
+
+@verb
+def replay(asked: ReplayOptions) -> None:
+    """Run the tick over a log's raw samples, and compare every stage with the log.
+
+    With --controller or --set it shows what other gains would have commanded.
+    That is open loop: the muscle did not follow them.
+
+    A log whose law is not installed ends with exit code 65, and names the package or the file.
+    """
+    is_what_if = asked.controller is not None or bool(asked.overrides)
+    if asked.csv is not None and not is_what_if:
+        message = "belongs to a what-if: with --controller or --set"
+        raise typer.BadParameter(message, param_hint="--csv")
+    if asked.tolerance is not None and is_what_if:
+        message = "belongs to a comparison: without --controller and --set"
+        raise typer.BadParameter(message, param_hint="--tolerance")
+    if asked.tolerance not in (None, _OTHER_CPU):
+        message = f"must be {_OTHER_CPU}; files of tolerances are gone"
+        raise typer.BadParameter(message, param_hint="--tolerance")
+    if asked.csv is not None:
+        require_place(asked.csv)
+    from pamctl.log.measured_signals import judge_description
+    from pamctl.log.reader import read_paged
+    from pamctl.settings.resolve import use_law_file
+
+    if asked.controller_from is not None:
+        use_law_file(asked.controller_from)
+    log = read_paged(asked.path)
+    for doubt in judge_description(log):
+        typer.echo(f"warning: {escape_name(str(asked.path))}: {doubt}", err=True)
+    work = _run_what_if if is_what_if else _compare_with_log
+    raise typer.Exit(work(log, asked))
+
+
+def _compare_with_log(log: Log, asked: ReplayOptions) -> ExitCode:
+    from pamctl.replay import replay_log
+    from pamctl.replay.replay_text import format_replay, make_replay_document
+    from pamctl.replay.tick_replay import EXACT, OTHER_CPU
+
+    tolerances = EXACT if asked.tolerance is None else OTHER_CPU
+    found = replay_log(log, from_s=asked.from_s, plain=asked.plain, tolerances=tolerances)
+    if asked.as_json:
+        print_json(make_replay_document(found, asked.tolerance))
+    else:
+        typer.echo(format_replay(found))
+    return ExitCode.OK if found.is_equal else ExitCode.CHECK_FAILED
+
+
+def _run_what_if(log: Log, asked: ReplayOptions) -> ExitCode:
+    from pamctl.replay import read_replay_source
+    from pamctl.replay.replay_text import format_what_if, make_what_if_document
+    from pamctl.replay.what_if import replace_law, run_what_if
+
+    settings = replace_law(read_replay_source(log).settings, asked.controller, asked.overrides)
+    answer = run_what_if(log, settings, from_s=asked.from_s)
+    failure = None
+    if asked.csv is not None:
+        try:
+            answer.write_csv(asked.csv)
+        except NewFileError as error:
+            failure = error
+    saved = None if asked.csv is None or failure else str(asked.csv)
+    print_result(
+        {**make_what_if_document(log, settings, answer), "csv": saved},
+        lambda: format_what_if(asked.controller or "the changed law", answer),
+        failure,
+        as_json=asked.as_json,
+    )
+    return ExitCode.OK
+
+
+# --- compare ----------------------------------------------------------------------------------
+
+
+class CompareOptions(Options):
+    """`pamctl compare`."""
+
+    paths: list[Path] = argument("LOG...", "Logs that the models are held to, one by one")
+    plants: list[str] = option(
+        "--plant NAME|FILE", "Plant file with a model to compare; can be repeated",
+        shown="the log's own, else paper",
+    )  # fmt: skip
+    plot: Path | None = option("--plot FILE", "HTML page with plots to write", shown="no page")
+    interactive: bool = INTERACTIVE
+
+
+@verb
+def compare(asked: CompareOptions) -> None:
+    """Drive models by the logged command, and compare them with the measurement."""
+    plot = asked.plot
+    if plot is not None and len(asked.paths) > 1:
+        raise typer.BadParameter("a page is of one log; leave out the others", param_hint="--plot")
+    if asked.interactive and plot is None:
+        raise typer.BadParameter("there is no page; give --plot too", param_hint="--interactive")
+    if plot is not None:
+        require_place(plot, replaces=PAGE_BEGIN)
+    from pamctl.compare.comparison import compare_plants
+    from pamctl.compare.comparison_report import report_comparison
+    from pamctl.log.measured_signals import SIGNAL_FIELDS, judge_ticks
+    from pamctl.log.reader import read, read_some
+    from pamctl.report.html_page import write_html
+    from pamctl.report.progress_line import WorkProgress
+    from pamctl.report.report import format_terminal
+
+    found, count = [], len(asked.paths)
+    with WorkProgress("compare") as progress:
+        for number, path in enumerate(asked.paths):
+            progress(number, count, f"reading {path.name}")
+            log = read_some(path, SIGNAL_FIELDS)
+            for doubt in judge_ticks(log):
+                typer.echo(f"warning: {escape_name(str(path))}: {doubt}", err=True)
+            begun = partial(_show_plant, progress, number, count)
+            found.append((path, compare_plants(log, asked.plants, begun)))
+        whole = None if plot is None else read(asked.paths[0])
+        reports = [report_comparison(path, models, whole) for path, models in found]
+    if len(reports) > 1:
+        if asked.as_json:
+            print_json([{**one.document, "plot": None} for one in reports])
+        else:
+            typer.echo("\n\n".join(map(format_terminal, reports)))
+        return
+    (one,) = reports
+    failure = None
+    if plot is not None:
+        try:
+            page = write_html(one, interactive=asked.interactive)
+            write_files({plot: page}, replaces=PAGE_BEGIN)
+        except NewFileError as error:
+            failure = error
+    saved = None if plot is None or failure else str(plot)
+    end = f"\nplots: {saved}" if saved else ""
+    document = {**one.document, "plot": saved}
+    print_result(document, lambda: format_terminal(one) + end, failure, as_json=asked.as_json)
+
+
+def _show_plant(
+    progress: Callable[[float, float, str], None], log: int, logs: int, done: float, of: float,
+    doing: str,
+) -> None:  # fmt: skip
+    progress(log + done / of, logs, doing)
+
+
+# --- health -----------------------------------------------------------------------------------
+
+
+class HealthOptions(DataOptions):
+    """`pamctl health`."""
+
+    folder: Path = argument("DIR", "Folder with the logs of one rig")
+    out: Path = option("--out DIR", "Folder for the results, new or empty", ...)
+    last: int | None = option("--last N", "Newest logs to fit", shown="all", low=2)
+    jobs: int | None = JOBS
+
+
+@verb
+def health(asked: HealthOptions) -> None:
+    """Fit the plant's numbers to every run of a folder, and say which of them drift.
+
+    DIR of --out gets health.json, report.html and plant.yaml, the last good state.
+    A number is compared with its 90 % intervals; steps and trends are told apart.
+    """
+    require_empty_folder(asked.out)
+    plant = asked.read_plant()
+    from pamctl.cluster.worker_processes import start_workers
+    from pamctl.diagnose.refuse import read_acceptances
+    from pamctl.health.follow_health import Stated, follow_health
+    from pamctl.health.health_words import (
+        build_health_document,
+        describe_health,
+        format_good_plant,
+        write_health_page,
+    )
+    from pamctl.json_text import to_json
+    from pamctl.runs.run_index import RunIndex
+    from pamctl.runs.run_row import UNREADABLE
+
+    stated = Stated(read_acceptances(asked.accept), asked.read_noise())
+    folder = asked.folder
+    with RunIndex(folder) as index:
+        index.refresh()
+        rows = [row for row in index.select(with_gains=False) if row.ending != UNREADABLE]
+    logs = [(folder / row.path, row.when_s) for row in rows][-asked.last if asked.last else 0 :]
+    with start_workers(asked.jobs) if asked.jobs != 1 else nullcontext() as executor:
+        found = follow_health(
+            logs, plant, executor, lambda line: typer.echo(line, err=True), stated
+        )
+    document = build_health_document(found)
+    files = {
+        "health.json": to_json(document).decode() + "\n",
+        "report.html": write_health_page(found, folder.name or str(folder)).html(),
+    }
+    if found.plant is not None:
+        files["plant.yaml"] = format_good_plant(found)
+    failure = None
+    try:
+        write_files({asked.out / name: content for name, content in files.items()})
+    except NewFileError as error:
+        failure = error
+    text = "\n".join([*describe_health(found), f"{asked.out}: {', '.join(files)}"])
+    print_result(document, lambda: text, failure, as_json=asked.as_json)

@@ -1,0 +1,353 @@
+"""`pamctl log`: look into logs, check, recover, cut, export and import them; on every system."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from pamctl.cli.failure import print_error
+from pamctl.cli.options import Options, argument, flag, option, verb
+from pamctl.cli.output import print_json
+from pamctl.exit_codes import ExitCode
+from pamctl.plain_text import escape_name
+from pamctl.settings.problems import ConfigError
+
+if TYPE_CHECKING:
+    from pamctl.log.check import LogCheckReport
+    from pamctl.log.edit import CutLog
+    from pamctl.log.importing.column_map import ImportMap
+    from pamctl.log.recover import Recovery
+
+log_app = typer.Typer(
+    no_args_is_help=True, help="Look into logs, mend, cut, export and import them."
+)
+
+# --- info -------------------------------------------------------------------------------------
+
+
+class InfoOptions(Options):
+    """`pamctl log info`."""
+
+    path: Path = argument("LOG", "Log to look into")
+
+
+@log_app.command("info")
+@verb
+def show_info(asked: InfoOptions) -> None:
+    """Show what a log holds: run, ticks, gaps, phases, channels, outcome.
+
+    Of a damaged or unfinished log it shows what stands before the damage, and exits with 3.
+    """
+    from pamctl.log import info
+    from pamctl.log.run_meta import CHANGES, spell_controller
+
+    found = info(asked.path)
+    if asked.as_json:
+        print_json(found)
+    else:
+        found["path"] = escape_name(found["path"])
+        if found["outcome"]:
+            found["outcome"] = f"{found['outcome']['code']}: {found['outcome']['reason']}"
+        if str(found["start"]).startswith("1970-01-01"):
+            found["start"] = "none (simulated without a clock)"
+        changes = found.pop(CHANGES)
+        found["controller"] = spell_controller({**found, CHANGES: changes}) or None
+        typer.echo(
+            "\n".join(
+                f"{name.replace('_', ' '):<16}{_format_value(value)}"
+                for name, value in found.items()
+                if value not in (None, {}, [], "")
+            )
+        )
+    if not found["complete"]:
+        fix = f"save all that is whole with `pamctl log recover {asked.path} DESTINATION`"
+        print_error(f"{asked.path} is damaged, or not finished: {fix}")
+        raise typer.Exit(ExitCode.CHECK_FAILED)
+
+
+def _format_value(value: object) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {_format_value(part)}" for name, part in value.items())
+    if isinstance(value, list):
+        return " ".join(map(str, value))
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+# --- check ------------------------------------------------------------------------------------
+
+
+class LogCheckOptions(Options):
+    """`pamctl log check`."""
+
+    paths: list[Path] = argument("LOG...", "Logs to check")
+
+
+@log_app.command("check")
+@verb
+def check_logs(asked: LogCheckOptions) -> None:
+    """Check files, checksums, indexes, tick numbers, times, signals, units and configuration.
+
+    Exits with 3 if there is an error in any of them, 65 if a file is no log at all.
+    """
+    reports = [_check_log(path) for path in asked.paths]
+    if asked.as_json:
+        print_json([report for _, report in reports])
+    else:
+        typer.echo("\n".join(line for _, report in reports for line in _format_report(report)))
+    raise typer.Exit(max(code for code, _ in reports))
+
+
+def _check_log(path: Path) -> tuple[ExitCode, dict[str, Any]]:
+    from pamctl.log import LogError
+    from pamctl.log.check import check_log
+
+    try:
+        report: LogCheckReport = check_log(path, _find_config_problems)
+    except LogError as error:
+        return ExitCode.BAD_DATA, {"path": str(path), "ok": False, "reason": str(error)}
+    return ExitCode.OK if report.ok else ExitCode.CHECK_FAILED, {
+        "path": report.path,
+        "ok": report.ok,
+        "ticks": report.ticks,
+        "findings": [finding._asdict() for finding in report.findings],
+    }
+
+
+def _find_config_problems(text: str) -> list[str]:
+    """Return why this version cannot use the configuration in a log; empty if it can."""
+    from pamctl.settings.resolve import from_resolved
+
+    try:
+        from_resolved(text, "config.json")
+    except ConfigError as error:
+        return [str(problem) for problem in error.problems]
+    return []
+
+
+def _format_report(report: dict[str, Any]) -> list[str]:
+    name = escape_name(report["path"])
+    if "reason" in report:
+        return [f"{name}: no log", f"  error    {report['reason']}"]
+    verdict = f"{'ok' if report['ok'] else 'not ok'}, {report['ticks']} ticks"
+    kinds = {f["kind"] for f in report["findings"] if f["severity"] == "error"}
+    fixes = dict.fromkeys(fix for kind, fix in _FIXES.items() if kind in kinds)
+    return [
+        f"{name}: {verdict}",
+        *(f"  {f['severity']:<9}{f['kind']:<12}{f['message']}" for f in report["findings"]),
+        *(f"  way on   {fix.format(name)}" for fix in fixes),
+    ]
+
+
+_RECOVER = "save all that is whole: pamctl log recover {} NEW.mcap"
+_CUT = "cut a sound part out: pamctl log cut {} --out PART.mcap --from-s ... --to-s ..."
+_ANEW = "make a log of what was measured anew: pamctl log export {} T.csv, then log import"
+_FIXES = {
+    **dict.fromkeys(("damage", "index", "summary", "chunk", "order"), _RECOVER),
+    **dict.fromkeys(("backwards", "duplicated", "phase", "empty", "missing"), _CUT),
+    **dict.fromkeys(("tick-order", "clock", "gap", "sequence", "reversed", "columns"), _ANEW),
+    "schema": "export the ticks for other tools: pamctl log export {} NEW.csv",
+    "config": "replay it with the version that wrote it, which pamctl log info {} names",
+}
+"""What to do about errors, by their kind."""
+
+# --- recover ----------------------------------------------------------------------------------
+
+
+class RecoverOptions(Options):
+    """`pamctl log recover`."""
+
+    source: Path = argument("IN", "Damaged log")
+    destination: Path = argument("OUT", "New log")
+
+
+@log_app.command("recover")
+@verb
+def recover_log(asked: RecoverOptions) -> None:
+    """Save all that is whole of a damaged log into a new file; exits with 3 if anything is lost."""
+    from pamctl.log.recover import recover_file
+
+    recovery = recover_file(asked.source, asked.destination)
+    if asked.as_json:
+        print_json(asdict(recovery))
+    else:
+        typer.echo("\n".join(_format_recovery(recovery)))
+    raise typer.Exit(ExitCode.OK if recovery.lossless else ExitCode.CHECK_FAILED)
+
+
+def _format_recovery(recovery: Recovery) -> list[str]:
+    saved = ", ".join(f"{count} of {topic}" for topic, count in recovery.messages.items())
+    lines = [f"{escape_name(recovery.destination)}: saved {saved}"]
+    lines += [f"  damage   {what}" for what in recovery.damage]
+    if not recovery.lossless:
+        lines.append(f"  lost     {recovery.bytes_lost} bytes that nothing could be made of")
+    if recovery.unverified:
+        lines.append(
+            f"  doubtful no checksum vouches for the metadata {', '.join(recovery.unverified)}"
+        )
+    return lines
+
+
+# --- export -----------------------------------------------------------------------------------
+
+
+class ExportOptions(Options):
+    """`pamctl log export`."""
+
+    source: Path = argument("LOG", "Log to export")
+    destination: Path = argument("OUT", "New file: .csv, .mat or .parquet")
+    fields: str | None = option(
+        "--fields NAME,...", "Columns to export, in this order", shown="all columns"
+    )
+    from_s: float | None = option(
+        "--from SECONDS", "First time to export, by t_s", shown="the beginning"
+    )
+    to_s: float | None = option("--to SECONDS", "Last time to export, by t_s", shown="the end")
+    every: int = option("--every N", "Export every N-th tick, unfiltered", 1, low=1)
+
+
+@log_app.command("export")
+@verb
+def export_log(asked: ExportOptions) -> None:
+    """Write the ticks for other tools; names carry the units, floats are exact."""
+    from pamctl.log.export import export_ticks
+
+    names = None
+    if asked.fields is not None:
+        names = [name.strip() for name in asked.fields.split(",") if name.strip()]
+        if not names:
+            raise typer.BadParameter(f"{asked.fields!r} names no column", param_hint="--fields")
+    done = export_ticks(
+        asked.source,
+        asked.destination,
+        fields=names,
+        from_s=asked.from_s,
+        to_s=asked.to_s,
+        every=asked.every,
+    )
+    if asked.as_json:
+        print_json(asdict(done))
+    else:
+        typer.echo(
+            f"{escape_name(done.destination)}: {done.ticks} ticks, {len(done.fields)} columns"
+        )
+
+
+# --- cut --------------------------------------------------------------------------------------
+
+_WHOLE = "the whole log"
+
+
+class CutOptions(Options):
+    """`pamctl log cut`."""
+
+    source: Path = argument("LOG", "Log to cut")
+    destination: Path = option(
+        "--out NEW.mcap", "New log; with --at-gaps NEW-1.mcap, NEW-2.mcap and so on", ...
+    )
+    from_s: float | None = option("--from-s SECONDS", "First time, by t_s", low=0.0, shown=_WHOLE)
+    to_s: float | None = option(
+        "--to-s SECONDS", "End by t_s, itself not included", low=0.0, shown=_WHOLE
+    )
+    from_row: int | None = option("--from-row ROW", "First row, from 0", low=0, shown=_WHOLE)
+    to_row: int | None = option("--to-row ROW", "End, itself not included", low=0, shown=_WHOLE)
+    at_gaps: bool = flag("--at-gaps", "Write a file for each stretch between gaps")
+
+
+@log_app.command("cut")
+@verb
+def cut_file(asked: CutOptions) -> None:
+    """Write a piece of a log as a new log, by time, by rows, or a file for each stretch.
+
+    Ticks keep their numbers and times. The new log names the log that it was cut from.
+    """
+    limits = {
+        "from_s": asked.from_s,
+        "to_s": asked.to_s,
+        "from_row": asked.from_row,
+        "to_row": asked.to_row,
+    }
+    if not asked.at_gaps and all(limit is None for limit in limits.values()):
+        raise typer.BadParameter(
+            "say what to cut: --from-s, --to-s, --from-row, --to-row or --at-gaps",
+            param_hint="--out",
+        )
+    from pamctl.log.edit import cut_log
+
+    given: Any = limits
+    done = cut_log(asked.source, asked.destination, **given, at_gaps=asked.at_gaps)
+    if asked.as_json:
+        print_json(asdict(done))
+    else:
+        typer.echo("\n".join(_format_cut(done)))
+
+
+def _format_cut(done: CutLog) -> list[str]:
+    lines = [
+        f"{escape_name(piece.destination)}: {piece.last_row - piece.first_row + 1} rows, "
+        f"{piece.first_row} to {piece.last_row} of {done.rows}, "
+        f"{piece.from_s:.6g} to {piece.to_s:.6g} s"
+        for piece in done.pieces
+    ]
+    if done.left_out:
+        rows = ", ".join(map(str, done.left_out[:10]))
+        lines.append(f"left out, alone between two gaps: row {rows}")
+    return lines
+
+
+# --- import -----------------------------------------------------------------------------------
+
+
+class ImportOptions(Options):
+    """`pamctl log import`."""
+
+    source: Path = argument("IN", "Measurement: text, MAT, TDMS, LVM, Excel, HDF5, NPZ")
+    destination: Path = argument("OUT", "New log")
+    map_path: Path | None = option(
+        "--map FILE", "File that says what the columns hold", shown="by their names"
+    )
+    resample_hz: float | None = option(
+        "--resample HZ", "Rate of an even time grid to resample to, Hz", shown="not resampled",
+        low=1e-3,
+    )  # fmt: skip
+    accept_units: bool = flag("--accept-units", "Import even if a unit looks wrong")
+
+
+@log_app.command("import")
+@verb
+def import_file(asked: ImportOptions) -> None:
+    """Import a measurement: time, valve command, pressure, position, force.
+
+    A header says quantity and unit: position_mm, pressure_gauge_kpa, `Position [mm]`.
+    Errors stop the import (65); warnings go into the log.
+    """
+    from pamctl.log.importing.pipeline import format_page, import_log
+
+    done = import_log(
+        asked.source,
+        asked.destination,
+        _read_map(asked.map_path) if asked.map_path else None,
+        resample_hz=asked.resample_hz,
+        accept_units=asked.accept_units,
+    )
+    if asked.as_json:
+        print_json({**asdict(done), "findings": [finding._asdict() for finding in done.findings]})
+    else:
+        head = f"{done.source}: not imported; {done.form}"
+        if done.written:
+            rate = f"one every {done.period_s:.6g} s, over {done.lasts_s:.6g} s"
+            head = f"{done.destination}: {done.ticks} ticks, {rate}; {done.form}"
+        page = format_page(head, done.columns, done.findings, done.map_text)
+        typer.echo("\n".join(page))
+    raise typer.Exit(ExitCode.OK if done.written else ExitCode.BAD_DATA)
+
+
+def _read_map(path: Path) -> ImportMap:
+    from pydantic import TypeAdapter
+
+    from pamctl.log.importing.column_map import ImportMap
+    from pamctl.settings.resolve import RawSettings, validate_settings
+
+    return validate_settings(TypeAdapter(ImportMap), RawSettings.read(path))

@@ -21,9 +21,8 @@ _HOMES = {
         "Move Multisine Pause Ramps Random Repeats RoundedSquare Sine Square Staircase Steps Table "
         "Tracking Triangle ValveChirp ValveMove ValveMultisine ValveRamps ValveRandom "
         "ValveRoundedSquare ValveSine ValveStaircase ValveTable ValveTriangle",
-        "model_search": "find_gains find_missing_effects",
         "pamctl_error": "PamctlError",
-        "run": "Run RunMetrics",
+        "run": "Run RunMetrics find_gains find_missing_effects",
         "simulated_rig": "SimulatedRig simulate",
         "steered_rig": "SteeredRig",
     }.items()

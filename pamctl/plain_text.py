@@ -30,6 +30,9 @@ _UNSEEN = re.compile(
 
 LONGEST_REMARK = 2000
 """Characters of a mark."""
+LONGEST_NOTE = 2000
+LONGEST_NAME = 200
+MOST_TAGS = 64
 _BREAKS = re.compile("[\t\n\v\f\r\x1c-\x1f\x85\u2028\u2029]+")
 _CONTROLS = frozenset({"Cc", "Cf", "Cs"})
 """Control and format characters (bidirectional ones are among them), halves of characters."""

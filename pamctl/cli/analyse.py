@@ -268,6 +268,7 @@ def health(asked: HealthOptions) -> None:
         write_health_page,
     )
     from pamctl.json_text import to_json
+    from pamctl.report.html_page import write_html
     from pamctl.runs.run_index import RunIndex
     from pamctl.runs.run_row import UNREADABLE
 
@@ -284,7 +285,7 @@ def health(asked: HealthOptions) -> None:
     document = build_health_document(found)
     files = {
         "health.json": to_json(document).decode() + "\n",
-        "report.html": write_health_page(found, folder.name or str(folder)).html(),
+        "report.html": write_html(write_health_page(found, folder.name or str(folder))),
     }
     if found.plant is not None:
         files["plant.yaml"] = format_good_plant(found)

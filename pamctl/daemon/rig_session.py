@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,7 +22,7 @@ from pamctl import __version__
 from pamctl.daemon.protocol import RequestRefusedError, order
 from pamctl.daemon.session_life import SessionLife
 from pamctl.exit_codes import EMERGENCY_STOP
-from pamctl.plain_text import LONGEST_REMARK, clean_text
+from pamctl.plain_text import LONGEST_NAME, LONGEST_NOTE, LONGEST_REMARK, MOST_TAGS, clean_text
 
 if TYPE_CHECKING:
     from pamctl.daemon.requested_settings import GainEdit
@@ -44,7 +44,6 @@ def _refuse_many(swept: Any) -> Any:
 
 
 DEFAULT_RAMP_S = 0.5
-LONGEST_NOTE, LONGEST_NAME, MOST_TAGS = 2000, 200, 64
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,60}$")]
 Ramp = Annotated[float, Field(ge=0, le=60, description="Time over which the gains change")]
@@ -159,7 +158,7 @@ class RigSession(SessionLife):
         note: Annotated[str, Field(max_length=LONGEST_NOTE)] = "",
         operator: Annotated[str, Field(max_length=LONGEST_NAME)] = "",
         sample: Annotated[str, Field(max_length=LONGEST_NAME)] = "",
-        tags: Annotated[Sequence[str], Field(max_length=MOST_TAGS)] = (),
+        tags: Annotated[list[str], Field(max_length=MOST_TAGS)] = [],  # noqa: B006
         sweep: Annotated[dict[str, str] | None, BeforeValidator(_refuse_many)] = None,
     ) -> dict[str, str]:
         """Run an experiment; home first if the muscle is not homed."""

@@ -205,11 +205,13 @@ class ProgramTrial:
 
 
 PROGRAMS = 100
+"""That are drawn anew."""
 FINALISTS = 6
 """Programs of each rough order whose separation is computed, with a refit by one step."""
 BEST = 6
 """The best of them; their blocks are mixed anew."""
 MIXED = 24
+"""Programs of mixed blocks."""
 MOST_SURE = 5.0
 """A pair that is surer counts no more: the others need the time."""
 FORECAST = 3

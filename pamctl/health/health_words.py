@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from pamctl.health.follow_health import MISFIT, FittedRun, FollowedDrift, RigHealth
-from pamctl.report.drawing.svg import PlotAxis, SvgPlot
-from pamctl.report.html_page import Page
+from pamctl.report.figure import Plot, PlotAxis
+from pamctl.report.report import Figure, Report, ReportTable, Section, Text
 from pamctl.settings.yaml12 import dump_yaml
 
 SCHEMA = 1
@@ -121,24 +121,26 @@ _SHORT_S = 60.0
 """Runs of less apart are placed by their order."""
 
 
-def write_health_page(health: RigHealth, folder: str) -> Page:
+def write_health_page(health: RigHealth, folder: str) -> Report:
     """Return the page."""
     first, last = health.runs[0], health.runs[-1]
     span = f"{format_day(first.when_s)} to {format_day(last.when_s)}"
-    page = Page(f"Health of {folder}", f"{len(health.runs)} runs, {span}")
-    page.section("What changed")
+    page = Report(f"Health of {folder}", subtitle=f"{len(health.runs)} runs, {span}")
+    page.add(Section("What changed"))
     kind = "bad" if health.drifts else "good"
     for sentence in describe_health(health):
-        page.note(sentence, kind=kind)
-    page.section("Numbers")
+        page.add(Text(sentence, kind))
+    page.add(Section("Numbers"))
     names = dict.fromkeys(name for run in health.runs for name in run.numbers)
-    page.figure(
-        *(_draw_number(health, name) for name in names),
-        caption="A dot is a run; the band is its 90 % interval. Steps are marked.",
+    page.add(
+        Figure(
+            [*(_draw_number(health, name) for name in names)],
+            "A dot is a run; the band is its 90 % interval. Steps are marked.",
+        )
     )
     if health.refused:
-        page.section("Logs left out")
-        page.table(["log", "why"], [[run.name, run.refused] for run in health.refused])
+        page.add(Section("Logs left out"))
+        page.add(ReportTable(["log", "why"], [[run.name, run.refused] for run in health.refused]))
     return page
 
 
@@ -158,12 +160,12 @@ def _place_runs(runs: Sequence[FittedRun]) -> tuple[list[float], PlotAxis]:
     return places.tolist(), axis
 
 
-def _draw_number(health: RigHealth, name: str) -> SvgPlot:
+def _draw_number(health: RigHealth, name: str) -> Plot:
     places, axis = _place_runs(health.runs)
     having = [k for k, run in enumerate(health.runs) if name in run.numbers]
     x = [places[k] for k in having]
     numbers = [health.runs[k].numbers[name] for k in having]
-    plot = SvgPlot(name, axis, PlotAxis(name, numbers[0].unit))
+    plot = Plot(name, axis, PlotAxis(name, numbers[0].unit))
     plot.band(x, [n.low for n in numbers], [n.high for n in numbers])
     plot.line(x, [n.value for n in numbers])
     plot.points(x, [n.value for n in numbers])

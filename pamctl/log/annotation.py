@@ -14,16 +14,13 @@ from datetime import UTC, datetime
 
 from pamctl.exit_codes import ExitCode
 from pamctl.log.run_meta import RunMeta
-from pamctl.plain_text import clean_text
+from pamctl.plain_text import LONGEST_NAME, LONGEST_NOTE, MOST_TAGS, clean_text
 
 ANNOTATION = "annotation"
 """Name of the metadata record."""
 SWEEP = "sweep"
 """Name of the metadata record that places a run in a sweep."""
 
-LONGEST_NOTE = 2000
-LONGEST_NAME = 200
-MOST_TAGS = 64
 _TAG = re.compile(r"[\w][\w.:+@-]{0,63}")
 
 

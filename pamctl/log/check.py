@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.json_text import from_json
+from pamctl.log.file_index import IndexCheck
 from pamctl.log.framing import LogError
 from pamctl.log.measured_signals import SignalPieces, describe_unknown_phase, find_unknown_phase
 from pamctl.log.reader import Scan
-from pamctl.log.reading.file_index import IndexCheck
-from pamctl.log.reading.record_walk import Hole, Loaded
 from pamctl.log.record_problems import FIRST_TICKS, judge_first_tick
+from pamctl.log.record_walk import Hole, Loaded
 from pamctl.log.schema import CUT, EVENT_TOPIC, SCHEMA_VERSION, TICK_TOPIC, unit_of_column
 from pamctl.log.wire import SEQUENCE, TickBatch, UnknownLayout
 from pamctl.signals import TICK_FIELDS

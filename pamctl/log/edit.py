@@ -40,7 +40,7 @@ from pamctl.log.framing import (
     translate_parse_errors,
 )
 from pamctl.log.reader import Log, read_some
-from pamctl.log.reading.record_walk import parse_messages, walk_records
+from pamctl.log.record_walk import parse_messages, walk_records
 from pamctl.log.recover import LogCopy
 from pamctl.log.schema import CUT, GAINS_TOPIC, JSON_SCHEMAS, KEYFRAME_TOPIC, TICK_TOPIC
 from pamctl.log.writer import LogWriter

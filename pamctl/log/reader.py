@@ -33,7 +33,8 @@ from pamctl.log.framing import (
     release_pages,
     translate_parse_errors,
 )
-from pamctl.log.reading.record_walk import (
+from pamctl.log.record_problems import RecordProblem, judge_schema
+from pamctl.log.record_walk import (
     MOST_SILENT_BYTES,
     Hole,
     Loaded,
@@ -44,7 +45,6 @@ from pamctl.log.reading.record_walk import (
     read_chunk_content,
     walk_messages,
 )
-from pamctl.log.record_problems import RecordProblem, judge_schema
 from pamctl.log.run_meta import CHANGES, describe_running_changes
 from pamctl.log.schema import (
     CUT,

@@ -21,6 +21,7 @@ from mcap.records import Attachment, Metadata
 from numpy.typing import NDArray
 
 from pamctl.kept_memory import keep_freed_memory
+from pamctl.log.file_index import DESCRIPTIONS
 from pamctl.log.framing import (
     MAGIC,
     NO_CHECKSUM,
@@ -33,8 +34,7 @@ from pamctl.log.framing import (
     read_summary,
     translate_parse_errors,
 )
-from pamctl.log.reading.file_index import DESCRIPTIONS
-from pamctl.log.reading.record_walk import (
+from pamctl.log.record_walk import (
     Hole,
     Loaded,
     MessageRun,

@@ -22,7 +22,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from pamctl.log.framing import FRAME, LogError
-from pamctl.log.reading.record_walk import BODY_AT, message_type
+from pamctl.log.record_walk import BODY_AT, message_type
 from pamctl.log.schema import TICK_MESSAGE, tick_descriptor
 from pamctl.signals import Field
 

@@ -29,9 +29,9 @@ from numpy.typing import NDArray
 
 import pamctl
 from pamctl.json_text import to_json
+from pamctl.log.file_index import DESCRIPTIONS, FileIndex
 from pamctl.log.framing import FRAME, MAGIC, FileRecord, encode_record, encode_summary, record_at
-from pamctl.log.reading.file_index import DESCRIPTIONS, FileIndex
-from pamctl.log.reading.record_walk import Loaded, MessageRun, Part, walk_messages
+from pamctl.log.record_walk import Loaded, MessageRun, Part, walk_messages
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import (
     JSON_SCHEMAS,

@@ -8,6 +8,7 @@ The sums go on from run to run; a window never reaches over a gap, nor into homi
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from pamctl.diagnose.record import Record
+from pamctl.diagnose.record import Array, Record
 from pamctl.log.measured_signals import Signals, signals
 from pamctl.log.reader import Log
 from pamctl.monitor.judge_window import (
@@ -135,21 +136,16 @@ class BlockReport:
     alarm: MisfitAlarm | None
 
 
-@dataclass(frozen=True)
-class _Piece:
-    record: Record
-    start_s: float
-
-
 class RunWatch:
     """The model of a rig against its measurement; one for the life of a daemon."""
 
     def __init__(self, plant: PlantSettings) -> None:
         self._plant = plant
+        self._stated = {**plant.noise.stated} if plant.noise else {}
         self._noises: dict[str, SensorNoise] | None = None
         self._sums = MisfitSums()
-        self._kept: deque[_Piece] = deque()
-        """Consecutive pieces without a gap between them."""
+        self._kept: deque[Record] = deque()
+        """Consecutive pieces without a gap between them, on the clock of `take`."""
         self._judged_to_s = -np.inf
         self._silent: dict[str, int] = {}
         self._first_ratios: dict[str, list[float]] = {}
@@ -209,19 +205,14 @@ class RunWatch:
         if end - first < 2:
             return None
         cut = record.cut_samples(first, end, name)
-        return replace(cut, t_s=cut.t_s - cut.t_s[0], stated_noise=self._state_noise())
+        return replace(cut, t_s=cut.t_s - cut.t_s[0], stated_noise=self._stated)
 
-    def _state_noise(self) -> dict[str, float]:
-        stated = self._plant.noise.stated if self._plant.noise else {}
-        return {**stated}
-
-    def _add(self, piece: _Piece) -> None:
-        if self._kept:
-            last = self._kept[-1]
-            if piece.start_s - last.start_s - _length_s(last.record) > LONGEST_GAP_S:
-                self.begin_run()
+    def _add(self, piece: Record) -> None:
+        start_s = piece.t_s[0]
+        if self._kept and start_s - self._kept[-1].t_s[-1] > LONGEST_GAP_S:
+            self.begin_run()
         self._kept.append(piece)
-        while len(self._kept) > 1 and piece.start_s - self._kept[1].start_s > KEEP_S:
+        while len(self._kept) > 1 and start_s - self._kept[1].t_s[0] > KEEP_S:
             self._kept.popleft()
 
     def _learn(self) -> bool:
@@ -231,32 +222,31 @@ class RunWatch:
         record = _join(self._kept)
         if record.duration_s < LEARN_S:
             return False
-        record = replace(record, stated_noise=self._state_noise())
+        record = replace(record, stated_noise=self._stated)
         self._noises = {name: read_sensor_noise(record, name) for name in CHANNELS}
         return True
 
-    def _next_window(self) -> _Piece | None:
+    def _next_window(self) -> Record | None:
+        """Return the next window with its run-in, once it is whole."""
         if not self._kept:
             return None
-        first_s, last = self._kept[0].start_s, self._kept[-1]
-        end_s = last.start_s + _length_s(last.record)
-        begin_s = max(first_s, self._judged_to_s - RUN_IN_S)
-        if end_s < begin_s + RUN_IN_S + JUDGED_S:
+        begin_s = max(float(self._kept[0].t_s[0]), self._judged_to_s - RUN_IN_S)
+        end_s = begin_s + RUN_IN_S + JUDGED_S
+        if self._kept[-1].t_s[-1] < end_s:
             return None
-        near = [p for p in self._kept if p.start_s + _length_s(p.record) >= begin_s]
-        record = _join(near)
-        a, b = np.searchsorted(record.t_s, [begin_s, begin_s + RUN_IN_S + JUDGED_S])
-        self._judged_to_s = begin_s + RUN_IN_S + JUDGED_S
-        return _Piece(record.cut_samples(int(a), int(b), "window"), begin_s + RUN_IN_S)
+        record = _join([p for p in self._kept if p.t_s[-1] >= begin_s])
+        a, b = np.searchsorted(record.t_s, [begin_s, end_s])
+        self._judged_to_s = end_s
+        return record.cut_samples(int(a), int(b), "window")
 
-    def _judge(self, window: _Piece) -> dict[str, BlockReport]:
+    def _judge(self, window: Record) -> dict[str, BlockReport]:
         assert self._noises is not None
         self.windows += 1
         changed = {}
-        for misfit in WindowJudge(self._plant, self._noises).judge(window.record, self.windows):
+        for misfit in WindowJudge(self._plant, self._noises).judge(window, self.windows):
             block = misfit.block
             misfit = self._raise_floor(misfit)
-            self._sums.take(misfit, window.start_s)
+            self._sums.take(misfit, self._judged_to_s - JUDGED_S)
             self._silent[block] = 0 if misfit.shows else self._silent.get(block, 0) + 1
             alarm = self._sums.find_alarm(block)
             state = "off" if alarm else "cannot tell" if self._silent[block] >= SILENT else "fits"
@@ -292,11 +282,7 @@ def _find_clean_start(record: Record, first: int) -> int:
     return first + int(np.argmin(off))
 
 
-def _length_s(record: Record) -> float:
-    return float(record.t_s[-1] - record.t_s[0])
-
-
-def _cut_usable(signals: Signals, start_s: float) -> list[_Piece]:
+def _cut_usable(signals: Signals, start_s: float) -> list[Record]:
     """Cut signals into stretches without homing, stop ramp, failed writes and gaps."""
     if signals.valve_v is None or signals.pressure_pa is None or signals.position_m is None:
         return []
@@ -309,36 +295,33 @@ def _cut_usable(signals: Signals, start_s: float) -> list[_Piece]:
     pieces = []
     for first, end in zip([0, *(cuts + 1)], [*(cuts + 1), len(usable)], strict=True):
         if end - first > 1 and usable[first]:
-            begin_s = start_s + float(signals.t_s[first] - signals.t_s[0])
-            pieces.append(_Piece(_record_of(signals[int(first) : int(end)], begin_s), begin_s))
+            part = signals[int(first) : int(end)]
+            pieces.append(
+                Record(
+                    "piece",
+                    part.t_s - signals.t_s[0] + start_s,
+                    part.valve_v,
+                    part.pressure_pa,
+                    part.position_m,
+                    acts_after_s=part.acts_after_s,
+                    held_v=part.held_v,
+                )
+            )
     return pieces
 
 
-def _record_of(part: Signals, begin_s: float) -> Record:
-    return Record(
-        "piece",
-        part.t_s - part.t_s[0] + begin_s,
-        valve_v=part.valve_v,
-        pressure_pa=part.pressure_pa,
-        position_m=part.position_m,
-        acts_after_s=part.acts_after_s,
-        held_v=part.held_v,
-    )
+def _join(records: Sequence[Record]) -> Record:
+    def join(name: str) -> Array:
+        columns = ((getattr(r, name), len(r)) for r in records)
+        return np.concatenate([np.zeros(n) if c is None else c for c, n in columns])
 
-
-def _join(pieces: deque[_Piece] | list[_Piece]) -> Record:
-    records = [piece.record for piece in pieces]
-    acts = None
-    if any(record.acts_after_s is not None for record in records):
-        acts = np.concatenate(
-            [np.zeros(len(r)) if r.acts_after_s is None else r.acts_after_s for r in records]
-        )
+    acts = any(record.acts_after_s is not None for record in records)
     return Record(
         "run",
-        np.concatenate([record.t_s for record in records]),
-        valve_v=np.concatenate([record["valve_v"] for record in records]),
-        pressure_pa=np.concatenate([record["pressure_pa"] for record in records]),
-        position_m=np.concatenate([record["position_m"] for record in records]),
-        acts_after_s=acts,
+        join("t_s"),
+        join("valve_v"),
+        join("pressure_pa"),
+        join("position_m"),
+        acts_after_s=join("acts_after_s") if acts else None,
         held_v=records[0].held_v,
     )

@@ -25,7 +25,7 @@ from pamctl.diagnose.report.diagnosis_page import write_diagnosis
 from pamctl.diagnose.report.finding_words import spell_names
 from pamctl.diagnose.report.verdict_words import sentence
 from pamctl.on_rig.rig_plan import BETWEEN_S, FULL_PROGRAM, RigPlan, require_inside
-from pamctl.report.html_page import Page
+from pamctl.report.report import Points, Report, ReportTable, Section
 from pamctl.session.pamctl_error import PamctlError, translate_errors
 from pamctl.session.steered_rig import SteeredRig
 from pamctl.settings.config_files import find_config_file
@@ -318,25 +318,27 @@ def write_investigation(investigation: Investigation, out: Path) -> list[str]:
     )
 
 
-def tell_rounds(page: Page, investigation: Investigation) -> None:
+def tell_rounds(page: Report, investigation: Investigation) -> None:
     """Tell round by round what was run, why, what was expected and what came of it."""
-    page.section("On the rig, round by round")
-    page.table(
-        ["round", "program", "on the rig", "verdict", "explanations left"],
-        [
+    page.add(Section("On the rig, round by round"))
+    page.add(
+        ReportTable(
+            ["round", "program", "on the rig", "verdict", "explanations left"],
             [
-                str(each.number),
-                each.program or "given logs",
-                f"{each.rig_time_s:.0f} s",
-                each.diagnosis.verdict.value.replace("_", " "),
-                "; ".join(map(spell_names, each.left)) or "-",
-            ]
-            for each in investigation.rounds
-        ],
-        caption=f"{investigation.rig_time_s:.0f} s on the rig. It stopped there because "
-        f"{investigation.stopped}.",
+                [
+                    str(each.number),
+                    each.program or "given logs",
+                    f"{each.rig_time_s:.0f} s",
+                    each.diagnosis.verdict.value.replace("_", " "),
+                    "; ".join(map(spell_names, each.left)) or "-",
+                ]
+                for each in investigation.rounds
+            ],
+            f"{investigation.rig_time_s:.0f} s on the rig. It stopped there because "
+            f"{investigation.stopped}.",
+        )
     )
-    page.points(*map(_tell_round, investigation.rounds))
+    page.add(Points([*map(_tell_round, investigation.rounds)]))
 
 
 def _tell_round(each: RigRound) -> str:

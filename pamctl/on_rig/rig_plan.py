@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pamctl.control.experiment import Experiment, plan_experiment
+from pamctl.diagnose.deciding_program import MIXED, PROGRAMS
 from pamctl.diagnose.drawn_programs import ProgramRun, RigLimits, read_rig_limits, sample_levels
 from pamctl.exit_codes import ExitCode
 from pamctl.log.run_meta import file_safe_name
@@ -76,8 +77,8 @@ class RigPlan:
             yield f"first program: {self.first_name}, {self.first_s:.1f} s{self._say_demand()}"
         more = budget.runs if self.first is None else budget.runs - 1
         yield (
-            f"then: up to {more} more of 5 to 10 s, each the one of 200 that best separates what "
-            "is left; all begin with the same strokes, which shows drift"
+            f"then: up to {more} more of 5 to 10 s, each the one of {PROGRAMS + MIXED} that best "
+            "separates what is left; all begin with the same strokes, which shows drift"
         )
         yield (
             f"budget: {budget.runs} programs and {budget.minutes:g} min on the rig; between two, "

@@ -61,23 +61,13 @@ def clamp_bristles(
     )
 
 
-def add(one: Bristles, other: Bristles) -> Bristles:
-    """Return the sum of two sets of forces, bristle by bristle."""
+def add(one: Bristles, other: Bristles, times: float = 1.0) -> Bristles:
+    """Return the sum of two sets of forces, the second `times` over, bristle by bristle."""
     return Bristles(
-        one.first_n + other.first_n,
-        one.second_n + other.second_n,
-        one.third_n + other.third_n,
-        one.fourth_n + other.fourth_n,
-    )
-
-
-def subtract(more: Bristles, less: Bristles) -> Bristles:
-    """Return the difference of two sets of forces, bristle by bristle."""
-    return Bristles(
-        more.first_n - less.first_n,
-        more.second_n - less.second_n,
-        more.third_n - less.third_n,
-        more.fourth_n - less.fourth_n,
+        one.first_n + times * other.first_n,
+        one.second_n + times * other.second_n,
+        one.third_n + times * other.third_n,
+        one.fourth_n + times * other.fourth_n,
     )
 
 

@@ -157,15 +157,10 @@ def _effects_of(part: Part) -> dict[str, Any]:
 
 
 TimingEffects = _make_group("TimingEffects", _effects_of("timing"))
-"""Parameters of the effects on the time at which a command arrives."""
 ValveEffects = _make_group("ValveEffects", _effects_of("valve"))
-"""Parameters of the effects between the command and the valve's opening."""
 AirEffects = _make_group("AirEffects", _effects_of("air"))
-"""Parameters of the effects on the air's flow and pressure."""
 MechanicsEffects = _make_group("MechanicsEffects", _effects_of("mechanics"))
-"""Parameters of the effects on forces and friction."""
 SensorEffects = _make_group("SensorEffects", _effects_of("sensors"))
-"""Parameters of the effects on the sensors' readings."""
 
 
 class Effects(NamedTuple):
@@ -195,10 +190,9 @@ def order_entries(place: str) -> tuple[tuple[str, EffectEntry], ...]:
     return tuple((name, entries[name]) for name in TopologicalSorter(before).static_order())
 
 
-@cache
-def _list_memories(part: Part) -> dict[str, Callable[[float, float], Any]]:
+def _make_memories(part: Part, position_m: float, pressure_pa: float) -> dict[str, Any]:
     return {
-        name: entry.memory.at_rest
+        name: entry.memory.at_rest(position_m, pressure_pa)
         for place, its in PLACES.items()
         if its.part == part
         for name, entry in order_entries(place)
@@ -206,28 +200,19 @@ def _list_memories(part: Part) -> dict[str, Callable[[float, float], Any]]:
     }
 
 
-def _make_memories(part: Part, position_m: float, pressure_pa: float) -> dict[str, Any]:
-    return {
-        name: at_rest(position_m, pressure_pa) for name, at_rest in _list_memories(part).items()
-    }
-
-
 ValveMemory = _make_group("ValveMemory", _make_memories("valve", 0.0, nan))
-"""Memories of the effects on command and opening."""
 MechanicsMemory = _make_group("MechanicsMemory", _make_memories("mechanics", 0.0, nan))
-"""Memories of the effects on forces and friction."""
 SensorMemory = _make_group("SensorMemory", _make_memories("sensors", 0.0, nan))
-"""Memories of the effects on the readings."""
 
 
 @lru_cache(maxsize=256)
 def make_rest_memories(position_m: float, pressure_pa: float) -> tuple[Any, Any, Any]:
     """Return the memories of valve, mechanics and sensors after a long rest."""
-    return (
-        ValveMemory(**_make_memories("valve", position_m, pressure_pa)),
-        MechanicsMemory(**_make_memories("mechanics", position_m, pressure_pa)),
-        SensorMemory(**_make_memories("sensors", position_m, pressure_pa)),
+    groups: Any = {"valve": ValveMemory, "mechanics": MechanicsMemory, "sensors": SensorMemory}
+    valve, mechanics, sensors = (
+        group(**_make_memories(part, position_m, pressure_pa)) for part, group in groups.items()
     )
+    return valve, mechanics, sensors
 
 
 def change_numbers(numbers: Any, values: Mapping[str, float]) -> Any:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.catalogue import pass_volume
+from pamctl.plant.catalogue import add_flow, pass_volume
 from pamctl.plant.effects.air import (
     COLDEST,
     HOTTEST,
@@ -27,14 +27,18 @@ from pamctl.plant.effects.air import (
     polytropic_volume,
     resistance_at_drop,
     restricts,
+    ripple_pa,
 )
 from pamctl.plant.effects.mechanics import stretch_ratio
 from pamctl.plant.effects.places import lag_weights
 from pamctl.plant.effects.valve import leak_area_m2
 from pamctl.plant.paper import orifice_flow, volume_m3
-from pamctl.plant.parameters import AirNow, AirState, PlantParameters
-from pamctl.plant.term_kernels import pass_volume_term
+from pamctl.plant.parameters import AirState, PlantParameters
+from pamctl.plant.terms import FLOW_AT, NO_MEMORY, SUPPLY_AT, VOLUME_AT, TermDrivers, push_of
 
+LEAST_SHARE = 0.05
+"""A term takes no more of the volume than this leaves."""
+LOWEST_SUPPLY_PA = 1e3
 SOLVED_PA = 1e-3
 """Tolerance of a pressure that is found by iteration."""
 
@@ -53,11 +57,19 @@ class AirBegin(NamedTuple):
     step_s: float
 
 
-class Ports(NamedTuple):
-    """Open areas during a step, m^2."""
+class AirNow(NamedTuple):
+    """What acts on the air over one step."""
 
+    extra_kg_per_s: float
+    """Extra flow into the muscle, from effects and terms."""
+    tank_pa: float
+    """Absolute pressure of the supply, before it droops."""
     tank_m2: float
+    """Open area to the supply."""
     atmosphere_m2: float
+    """Open area to the room."""
+    air: AirState
+    """At the begin of the step."""
 
 
 class MuscleFeed(NamedTuple):
@@ -71,13 +83,24 @@ class MuscleFeed(NamedTuple):
     """Flow through the valve into the node."""
 
 
-def port_areas(p: PlantParameters, opening_v: float) -> Ports:
-    """Return the open areas for the valve's opening (V of command) and its leaks."""
+def find_air_now(
+    p: PlantParameters, begin: AirBegin, pressure_pa: float, position_m: float, age_s: float
+) -> AirNow:
+    """Return what acts on the air, with the extra flow at a point of the step."""
+    opening_v, effects = begin.opening_v, p.effects.air
+    extra = add_flow(effects, 0.0, opening_v, pressure_pa, position_m, age_s)
+    tank_pa = p.paper.tank_pressure_pa + ripple_pa(effects.supply_ripple, age_s)
+    tank_pa = max(tank_pa, LOWEST_SUPPLY_PA)
+    if p.terms is not None:
+        gauge_pa = pressure_pa - p.paper.atmospheric_pressure_pa
+        now = TermDrivers(opening_v, position_m, gauge_pa, 0.0, age_s)
+        extra += push_of(p.terms.air, FLOW_AT, NO_MEMORY, now)
+        tank_pa = max(tank_pa + push_of(p.terms.air, SUPPLY_AT, NO_MEMORY, now), LOWEST_SUPPLY_PA)
     area = p.paper.valve_gain_m2_per_v * abs(opening_v)
-    leak = leak_area_m2(p.effects.air.valve_leak, opening_v)
+    leak = leak_area_m2(effects.valve_leak, opening_v)
     if opening_v > 0.0:
-        return Ports(area + leak, leak)
-    return Ports(leak, area + leak)
+        return AirNow(extra, tank_pa, area + leak, leak, begin.air)
+    return AirNow(extra, tank_pa, leak, area + leak, begin.air)
 
 
 def port_flow(p: PlantParameters, source_pa: float, pressure_pa: float) -> float:
@@ -93,15 +116,13 @@ def port_flow(p: PlantParameters, source_pa: float, pressure_pa: float) -> float
     return sign * orifice_flow(p.paper, upstream, downstream)
 
 
-def flow_through_ports(
-    p: PlantParameters, open_to: Ports, supply_pa: float, node_pa: float
-) -> float:
+def flow_through_ports(p: PlantParameters, now: AirNow, supply_pa: float, node_pa: float) -> float:
     """Return the mass flow into the node, kg/s."""
     flow = 0.0
-    if open_to.tank_m2 > 0.0:
-        flow = open_to.tank_m2 * port_flow(p, supply_pa, node_pa)
-    if open_to.atmosphere_m2 > 0.0:
-        flow += open_to.atmosphere_m2 * port_flow(p, p.paper.atmospheric_pressure_pa, node_pa)
+    if now.tank_m2 > 0.0:
+        flow = now.tank_m2 * port_flow(p, supply_pa, node_pa)
+    if now.atmosphere_m2 > 0.0:
+        flow += now.atmosphere_m2 * port_flow(p, p.paper.atmospheric_pressure_pa, node_pa)
     return flow
 
 
@@ -122,31 +143,29 @@ def keep_bracket_end(
     return other, miss_other
 
 
-def rest_supply_pa(p: PlantParameters, now: AirNow, air: AirState, step_s: float) -> float:
+def rest_supply_pa(p: PlantParameters, now: AirNow, step_s: float) -> float:
     """Return the pressure upstream of the valve after `step_s` without flow."""
     droop = p.effects.air.supply_droop
     if droop.resistance_pa_s_per_kg <= 0.0:
         return now.tank_pa
     kept = kept_share(droop, step_s)
-    idle_pa: float = kept * air.supply_pa + (1.0 - kept) * now.tank_pa
+    idle_pa: float = kept * now.air.supply_pa + (1.0 - kept) * now.tank_pa
     if droop.fast_share > 0.0:
-        idle_pa -= kept_of_branch(droop, step_s) * air.branch_pa
+        idle_pa -= kept_of_branch(droop, step_s) * now.air.branch_pa
     return idle_pa
 
 
-def solve_supply_pa(
-    p: PlantParameters, now: AirNow, air: AirState, open_to: Ports, node_pa: float, step_s: float
-) -> float:
+def solve_supply_pa(p: PlantParameters, now: AirNow, node_pa: float, step_s: float) -> float:
     """Return the pressure upstream of the valve after `step_s`, with the flow at that pressure.
 
     s + (1 - kept) R m(s) = kept s_0 + (1 - kept) P_tank, for each tank: m grows with s and is 0 at
     the node's pressure, so the root lies between that and the right-hand side.
     """
     droop = p.effects.air.supply_droop
-    idle_pa = rest_supply_pa(p, now, air, step_s)
-    if droop.resistance_pa_s_per_kg <= 0.0 or open_to.tank_m2 <= 0.0:
+    idle_pa = rest_supply_pa(p, now, step_s)
+    if droop.resistance_pa_s_per_kg <= 0.0 or now.tank_m2 <= 0.0:
         return idle_pa
-    drop = droop_resistance(droop, step_s) * open_to.tank_m2
+    drop = droop_resistance(droop, step_s) * now.tank_m2
     one, other = node_pa, idle_pa
     miss_one, miss_other = node_pa - idle_pa, drop * port_flow(p, idle_pa, node_pa)
     for _ in range(60):
@@ -162,13 +181,7 @@ def solve_supply_pa(
 
 
 def solve_feed(
-    p: PlantParameters,
-    now: AirNow,
-    air: AirState,
-    open_to: Ports,
-    pressure_pa: float,
-    later_pa: float,
-    step_s: float,
+    p: PlantParameters, now: AirNow, pressure_pa: float, later_pa: float, step_s: float
 ) -> MuscleFeed:
     """Return the feed after `step_s`, while the muscle's pressure changes linearly to `later_pa`.
 
@@ -176,38 +189,36 @@ def solve_feed(
     """
     line, atmosphere_pa = p.effects.air.line_restriction, p.paper.atmospheric_pressure_pa
     if not restricts(line):
-        supply_pa = solve_supply_pa(p, now, air, open_to, later_pa, step_s)
-        return MuscleFeed(supply_pa, later_pa, flow_through_ports(p, open_to, supply_pa, later_pa))
+        supply_pa = solve_supply_pa(p, now, later_pa, step_s)
+        return MuscleFeed(supply_pa, later_pa, flow_through_ports(p, now, supply_pa, later_pa))
     kept, weight = lag_weights(line_time_s(line, p.paper.specific_energy_j_per_kg), step_s)
-    idle_pa = kept * air.line_pa + (1.0 - kept) * pressure_pa + weight * (later_pa - pressure_pa)
+    idle_pa = (
+        kept * now.air.line_pa + (1.0 - kept) * pressure_pa + weight * (later_pa - pressure_pa)
+    )
     given = 1.0 - kept
     one = idle_pa
-    flow_one = flow_into(p, now, air, open_to, one, step_s)
+    flow_one = flow_into(p, now, one, step_s)
     miss_one = -given * line_drop_pa(line, flow_one, later_pa, atmosphere_pa)
     other = max(now.tank_pa, idle_pa) if flow_one > 0.0 else min(atmosphere_pa, idle_pa)
-    flow = flow_into(p, now, air, open_to, other, step_s)
+    flow = flow_into(p, now, other, step_s)
     miss_other = other - idle_pa - given * line_drop_pa(line, flow, later_pa, atmosphere_pa)
     for _ in range(60):
         if abs(one - other) < SOLVED_PA or miss_one == miss_other:
             break
         new = false_position(one, miss_one, other, miss_other)
-        flow = flow_into(p, now, air, open_to, new, step_s)
+        flow = flow_into(p, now, new, step_s)
         miss = new - idle_pa - given * line_drop_pa(line, flow, later_pa, atmosphere_pa)
         one, miss_one = keep_bracket_end(one, miss_one, other, miss_other, miss)
         other, miss_other = new, miss
         if abs(miss) < SOLVED_PA:
             break
-    supply_pa = solve_supply_pa(p, now, air, open_to, other, step_s)
-    return MuscleFeed(supply_pa, other, flow_through_ports(p, open_to, supply_pa, other))
+    supply_pa = solve_supply_pa(p, now, other, step_s)
+    return MuscleFeed(supply_pa, other, flow_through_ports(p, now, supply_pa, other))
 
 
-def flow_into(
-    p: PlantParameters, now: AirNow, air: AirState, open_to: Ports, node_pa: float, step_s: float
-) -> float:
+def flow_into(p: PlantParameters, now: AirNow, node_pa: float, step_s: float) -> float:
     """Return the mass flow into the node at a pressure, after the supply's response to `step_s`."""
-    return flow_through_ports(
-        p, open_to, solve_supply_pa(p, now, air, open_to, node_pa, step_s), node_pa
-    )
+    return flow_through_ports(p, now, solve_supply_pa(p, now, node_pa, step_s), node_pa)
 
 
 def leak_flow(p: PlantParameters, now: AirNow, pressure_pa: float) -> float:
@@ -231,8 +242,12 @@ def air_volume_m3(p: PlantParameters, position_m: float, pressure_pa: float) -> 
         )
         room_m3 = length * (stretched * stretched - length * length) * p.paper.volume_scale
     room_m3 = pass_volume(p.effects.air, room_m3, position_m, pressure_pa)
-    gauge_pa = pressure_pa - p.paper.atmospheric_pressure_pa
-    return pass_volume_term(p.terms, room_m3, position_m, gauge_pa)
+    if p.terms is not None:
+        gauge_pa = pressure_pa - p.paper.atmospheric_pressure_pa
+        now = TermDrivers(position_m=position_m, gauge_pa=gauge_pa)
+        added_m3 = push_of(p.terms.air, VOLUME_AT, NO_MEMORY, now)
+        room_m3 = max(room_m3 + added_m3, LEAST_SHARE * room_m3)
+    return room_m3
 
 
 def share_heat(p: PlantParameters, begin: AirBegin, step_s: float) -> HeatShares:
@@ -362,23 +377,14 @@ def without_flow_pa(p: PlantParameters, begin: AirBegin, exponent: float, end_m:
     return solve_pressure_of_air(p, exponent, amount, end_m, 0.0, begin.pressure_pa)
 
 
-def net_flow(
-    p: PlantParameters,
-    now: AirNow,
-    air: AirState,
-    open_to: Ports,
-    pressure_pa: float,
-    step_s: float,
-) -> float:
+def net_flow(p: PlantParameters, now: AirNow, pressure_pa: float, step_s: float) -> float:
     """Return the total flow into the muscle at a pressure, kg/s."""
-    return flow_into(p, now, air, open_to, pressure_pa, step_s) + leak_flow(p, now, pressure_pa)
+    return flow_into(p, now, pressure_pa, step_s) + leak_flow(p, now, pressure_pa)
 
 
 def stop_at_balance(
     p: PlantParameters,
     now: AirNow,
-    air: AirState,
-    open_to: Ports,
     pressure_pa: float,
     next_pa: float,
     net_kg_per_s: float,
@@ -395,56 +401,56 @@ def stop_at_balance(
     """
     if restricts(p.effects.air.line_restriction):
         return next_pa, False
-    escapes = open_to.atmosphere_m2 > 0.0 or p.effects.air.chamber_leak.area_m2 > 0.0
+    escapes = now.atmosphere_m2 > 0.0 or p.effects.air.chamber_leak.area_m2 > 0.0
     escapes = escapes or now.extra_kg_per_s != 0.0
-    if open_to.tank_m2 > 0.0 and escapes:
+    if now.tank_m2 > 0.0 and escapes:
         comes = net_kg_per_s > 0.0
-        if comes == (net_flow(p, now, air, open_to, next_pa, step_s) > 0.0):
+        if comes == (net_flow(p, now, next_pa, step_s) > 0.0):
             return next_pa, False
         worth = (next_pa - still_pa) / net_kg_per_s
         low = min(pressure_pa, min(next_pa, still_pa))
         high = max(pressure_pa, max(next_pa, still_pa))
         while high - low > 1e-3:
             between = 0.5 * (low + high)
-            flow = net_flow(p, now, air, open_to, between, step_s)
+            flow = net_flow(p, now, between, step_s)
             if between < still_pa + worth * flow:
                 low = between
             else:
                 high = between
         return low, False
-    if open_to.tank_m2 <= 0.0 and not escapes:
+    if now.tank_m2 <= 0.0 and not escapes:
         return next_pa, False
     source_pa = p.paper.atmospheric_pressure_pa
-    if open_to.tank_m2 > 0.0:
-        source_pa = rest_supply_pa(p, now, air, step_s)
+    if now.tank_m2 > 0.0:
+        source_pa = rest_supply_pa(p, now, step_s)
     if (pressure_pa - source_pa) * (next_pa - source_pa) < 0.0:
         return source_pa, True
     return next_pa, next_pa == source_pa
 
 
-def chamber_middle_pa(p: PlantParameters, now: AirNow, begin: AirBegin) -> tuple[float, bool]:
+def chamber_middle_pa(p: PlantParameters, begin: AirBegin) -> tuple[float, bool]:
     """Return the predicted absolute pressure in the middle of the step, and whether it balances."""
-    pressure_pa, air, half_s = begin.pressure_pa, begin.air, 0.5 * begin.step_s
-    open_to = port_areas(p, begin.opening_v)
-    fed_by = solve_feed(p, now, air, open_to, pressure_pa, pressure_pa, half_s)
+    pressure_pa, half_s = begin.pressure_pa, 0.5 * begin.step_s
+    now = find_air_now(p, begin, pressure_pa, begin.position_m, begin.age_s)
+    fed_by = solve_feed(p, now, pressure_pa, pressure_pa, half_s)
     leak = leak_flow(p, now, pressure_pa)
     net = fed_by.inflow_kg_per_s + leak
     exponent = step_exponent(p, share_heat(p, begin, half_s))
-    worth = worth_of_flow(p, exponent, air.warmth, begin.position_m, pressure_pa, net)
+    worth = worth_of_flow(p, exponent, begin.air.warmth, begin.position_m, pressure_pa, net)
     middle_m = begin.middle_m
     middle_pa, _ = fill_chamber(p, begin, fed_by, leak, exponent, worth, middle_m, half_s)
     still_pa = without_flow_pa(p, begin, exponent, middle_m)
-    return stop_at_balance(p, now, air, open_to, pressure_pa, middle_pa, net, still_pa, half_s)
+    return stop_at_balance(p, now, pressure_pa, middle_pa, net, still_pa, half_s)
 
 
 def chamber_step(
-    p: PlantParameters, now: AirNow, begin: AirBegin, middle_pa: float, balanced: bool, end_m: float
+    p: PlantParameters, begin: AirBegin, middle_pa: float, balanced: bool, end_m: float
 ) -> tuple[float, AirState]:
     """Advance the muscle's absolute pressure, the supply and the line by one midpoint step."""
     air, step_s, half_s = begin.air, begin.step_s, 0.5 * begin.step_s
-    open_to = port_areas(p, begin.opening_v)
-    fed_by = solve_feed(p, now, air, open_to, begin.pressure_pa, middle_pa, half_s)
-    supply_pa, branch_pa = advance_supply(p, now, air, open_to, fed_by, step_s)
+    now = find_air_now(p, begin, middle_pa, begin.middle_m, begin.age_s + half_s)
+    fed_by = solve_feed(p, now, begin.pressure_pa, middle_pa, half_s)
+    supply_pa, branch_pa = advance_supply(p, now, fed_by, step_s)
     heat = share_heat(p, begin, step_s)
     if balanced:
         # See `pressure_step`: the flow ends within this step.
@@ -456,25 +462,20 @@ def chamber_step(
     end_pa, line_pa = fill_chamber(p, begin, fed_by, leak, exponent, worth, end_m, step_s)
     if not restricts(p.effects.air.line_restriction):
         still_pa = without_flow_pa(p, begin, exponent, end_m)
-        end_pa, _ = stop_at_balance(p, now, air, open_to, middle_pa, end_pa, net, still_pa, half_s)
+        end_pa, _ = stop_at_balance(p, now, middle_pa, end_pa, net, still_pa, half_s)
     end_pa, warmth = exchange_heat(p, begin, heat, end_pa, end_m)
     if not restricts(p.effects.air.line_restriction):
         line_pa = end_pa
     elif p.effects.air.line_restriction.volume_m3 <= 0.0:
         # Without a volume the line's end follows the flow at the end of the step, not the middle's.
-        line_pa = solve_feed(
-            p, now, AirState(supply_pa, line_pa, branch_pa), open_to, end_pa, end_pa, half_s
-        ).node_pa
+        ended = AirState(supply_pa, line_pa, branch_pa)
+        later = AirNow(now.extra_kg_per_s, now.tank_pa, now.tank_m2, now.atmosphere_m2, ended)
+        line_pa = solve_feed(p, later, end_pa, end_pa, half_s).node_pa
     return end_pa, AirState(supply_pa, line_pa, branch_pa, warmth)
 
 
 def advance_supply(
-    p: PlantParameters,
-    now: AirNow,
-    air: AirState,
-    open_to: Ports,
-    fed_by: MuscleFeed,
-    step_s: float,
+    p: PlantParameters, now: AirNow, fed_by: MuscleFeed, step_s: float
 ) -> tuple[float, float]:
     """Return the supply's pressure after a step with the flow of the step's middle.
 
@@ -484,15 +485,15 @@ def advance_supply(
     if droop.resistance_pa_s_per_kg <= 0.0:
         return now.tank_pa, 0.0
     kept, given = kept_share(droop, step_s), 0.0
-    if open_to.tank_m2 > 0.0:
-        given = open_to.tank_m2 * port_flow(p, fed_by.supply_pa, fed_by.node_pa)
+    if now.tank_m2 > 0.0:
+        given = now.tank_m2 * port_flow(p, fed_by.supply_pa, fed_by.node_pa)
     dropped_pa = droop.resistance_pa_s_per_kg * given
     refilled_pa: float = now.tank_pa - (1.0 - droop.fast_share) * dropped_pa
-    supply_pa = kept * air.supply_pa + (1.0 - kept) * refilled_pa
+    supply_pa = kept * now.air.supply_pa + (1.0 - kept) * refilled_pa
     if droop.fast_share <= 0.0:
         return supply_pa, 0.0
     kept = kept_of_branch(droop, step_s)
-    return supply_pa, kept * air.branch_pa + (1.0 - kept) * droop.fast_share * dropped_pa
+    return supply_pa, kept * now.air.branch_pa + (1.0 - kept) * droop.fast_share * dropped_pa
 
 
 def pressure_behind_line_pa(

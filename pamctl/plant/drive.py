@@ -55,7 +55,7 @@ from pamctl.plant.step import (
     sensors_step,
     settle_valve,
 )
-from pamctl.plant.term_kernels import undo_reading_term
+from pamctl.plant.terms import undo_reading_term
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -238,11 +238,7 @@ def run_coupled(p: PlantParameters, state: PlantState, steps: DriveSteps, rows: 
 
 
 def run_pressure(
-    p: PlantParameters,
-    state: PlantState,
-    steps: DriveSteps,
-    positions_m: Array,
-    rows: Array,
+    p: PlantParameters, state: PlantState, steps: DriveSteps, positions_m: Array, rows: Array
 ) -> None:
     """Kernel of `drive_pressure`. `positions_m` holds the positions at the ends of the steps."""
     pressure_pa, valve, air, sensors = state.pressure_pa, state.valve, state.air, state.sensors

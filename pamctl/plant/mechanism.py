@@ -21,7 +21,6 @@ from pamctl.plant.bristles import (
     clamp_bristles,
     share_out,
     slip,
-    subtract,
     travel_weights,
 )
 from pamctl.plant.catalogue import (
@@ -39,17 +38,23 @@ from pamctl.plant.effects.mechanics import drift_factor, stretch_ratio
 from pamctl.plant.effects.places import FrictionBand
 from pamctl.plant.paper import AxialForces, braid_lever_m, force_area_m2, slide
 from pamctl.plant.parameters import MechanicsState, PlantParameters, keep_in_stroke
-from pamctl.plant.term_kernels import (
-    MotionPoint,
-    add_damping_term,
-    add_force_term,
+from pamctl.plant.terms import (
+    BRAID_AT,
+    DAMPING_AT,
+    DRY_AT,
+    FORCE_AT,
+    NO_MEMORY,
+    PRESSING_AT,
+    PULL_AT,
+    STIFFNESS_AT,
+    VELOCITY,
+    TermDrivers,
+    TermMemory,
+    Terms,
     follow_motion_term,
-    needs_speed,
-    pass_band_term,
-    pass_grip_term,
-    pass_pulling_term,
+    push_of,
+    share_of,
 )
-from pamctl.plant.terms import TermMemory
 
 if TYPE_CHECKING:
     from pamctl.plant.paper import AxialForces
@@ -124,35 +129,33 @@ def mechanism_forces(
     `force_n` drives a direct mechanism, in place of the muscle's pull.
     """
     e, pull_n, lever_m = p.effects.mechanics, force_n, 0.0
-    here = MotionPoint(position_m, velocity_m_per_s, gauge_pa, age_s)
+    v = velocity_m_per_s
+    here = TermDrivers(0.0, position_m, gauge_pa, v, age_s)
     pressing_pa = gauge_pa if gauge_pa > 0.0 else 0.0
     grip = 0.0
     if not p.direct:
-        pulling_pa = pass_pulling_pressure(
-            e, gauge_pa, position_m, velocity_m_per_s, gauge_pa, age_s
-        )
-        pulling_pa = pass_pulling_term(p.terms, term, pulling_pa, here)
-        pull_n = pulling_pa * pull_area_m2(p, position_m, gauge_pa)
-        lever_m = braid_lever_m(p.paper, position_m)
+        pulling_pa = pass_pulling_pressure(e, gauge_pa, position_m, v, gauge_pa, age_s)
         grip = p.paper.friction_area_m * pressing_pa * drift_factor(e.drift.friction_per_s, age_s)
         grip *= position_factor(e.position_friction, position_m)
-        grip = pass_grip_term(p.terms, term, grip, here)
+        if p.terms is not None and term is not None:
+            pulling_pa += push_of(p.terms.mechanics, PRESSING_AT, NO_MEMORY, here)
+            pulling_pa *= share_of(p.terms.mechanics, PULL_AT, term, here)
+            grip *= share_of(p.terms.mechanics, BRAID_AT, term, here)
+        pull_n = pulling_pa * pull_area_m2(p, position_m, gauge_pa)
+        lever_m = braid_lever_m(p.paper, position_m)
     stiffness = p.paper.stiffness_n_per_m * drift_factor(e.drift.stiffness_per_s, age_s)
     drive_n = pull_n - stiffness * position_m
-    drive_n = add_force(e, memory, drive_n, position_m, velocity_m_per_s, gauge_pa, age_s)
-    drive_n = add_force_term(p.terms, term, drive_n, here)
-    kinetic = FrictionBand(0.0, grip * lever_m)
-    now = pass_friction(e, memory, kinetic, position_m, velocity_m_per_s, gauge_pa, age_s)
-    now = pass_band_term(p.terms, term, now, here)
+    drive_n = add_force(e, memory, drive_n, position_m, v, gauge_pa, age_s)
+    damping = add_damping(e, memory, p.paper.damping_n_s_per_m, position_m, v, gauge_pa, age_s)
+    if p.terms is not None and term is not None:
+        drive_n += push_of(p.terms.mechanics, FORCE_AT, term, here)
+        drive_n -= push_of(p.terms.mechanics, STIFFNESS_AT, term, here) * position_m
+        damping += push_of(p.terms.mechanics, DAMPING_AT, NO_MEMORY, here)
+    now = friction_band(p, memory, term, grip * lever_m, here)
     at_rest = now
     if depends_on_speed(e) or needs_speed(p.terms):
-        at_rest = pass_friction(e, memory, kinetic, position_m, 0.0, gauge_pa, age_s)
-        resting = MotionPoint(position_m, 0.0, gauge_pa, age_s)
-        at_rest = pass_band_term(p.terms, term, at_rest, resting)
-    damping = add_damping(
-        e, memory, p.paper.damping_n_s_per_m, position_m, velocity_m_per_s, gauge_pa, age_s
-    )
-    damping = add_damping_term(p.terms, damping, here)
+        resting = TermDrivers(0.0, position_m, gauge_pa, 0.0, age_s)
+        at_rest = friction_band(p, memory, term, grip * lever_m, resting)
     return AxialForces(
         drive_n,
         now.lower_n,
@@ -162,6 +165,27 @@ def mechanism_forces(
         at_rest.lower_n,
         at_rest.upper_n,
     )
+
+
+def friction_band(
+    p: PlantParameters, memory: Any, term: TermMemory | None, kinetic_n: float, now: TermDrivers
+) -> FrictionBand:
+    """Return the band of dry friction around that of Eq. 5."""
+    band: FrictionBand = pass_friction(
+        p.effects.mechanics, memory, FrictionBand(0.0, kinetic_n), now.position_m,
+        now.velocity_m_per_s, now.gauge_pa, now.age_s,
+    )  # fmt: skip
+    if p.terms is None or term is None:
+        return band
+    times = share_of(p.terms.mechanics, DRY_AT, term, now)
+    return FrictionBand(times * band.lower_n, times * band.upper_n)
+
+
+def needs_speed(terms: Terms | None) -> bool:
+    """Tell whether the velocity drives a term."""
+    if terms is None:
+        return False
+    return terms.mechanics.size != 0.0 and terms.mechanics.driver == VELOCITY
 
 
 def pull_area_m2(p: PlantParameters, position_m: float, gauge_pa: float) -> float:
@@ -195,15 +219,15 @@ def move_muscle(
         return end_m, end_v, bristles
     held = clamp_bristles(presliding, bristles, forces.drive_n, forces.lower_n, forces.upper_n)
     surplus_n = forces.drive_n - add_up_n(held)
-    left = subtract(share_out(presliding, forces.upper_n), held)
+    left = add(share_out(presliding, forces.upper_n), held, -1.0)
     damping = forces.damping_up_n_s_per_m
     up = slip_with_damping(p, damping, velocity_m_per_s, surplus_n, left, width_n, step_s)
     if up.way_m > 0.0:
         return position_m + up.way_m, up.velocity_m_per_s, add(held, up.gained)
-    left = subtract(held, share_out(presliding, forces.lower_n))
+    left = add(held, share_out(presliding, forces.lower_n), -1.0)
     damping = forces.damping_down_n_s_per_m
     down = slip_with_damping(p, damping, -velocity_m_per_s, -surplus_n, left, width_n, step_s)
-    return position_m - down.way_m, -down.velocity_m_per_s, subtract(held, down.gained)
+    return position_m - down.way_m, -down.velocity_m_per_s, add(held, down.gained, -1.0)
 
 
 def slip_with_damping(

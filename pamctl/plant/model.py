@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from typing import Annotated, Any, Literal
 
@@ -19,7 +19,6 @@ from pamctl.plant.catalogue import CATALOGUE, WITH_TERMS
 from pamctl.plant.effects.description import (
     ACTUATORS,
     Actuator,
-    EffectDescription,
     EffectParameter,
     acts,
 )
@@ -46,20 +45,24 @@ def _limit_number(p: EffectParameter) -> Any:
     return Field(ge=low, le=high, description=f"{p.meaning} ({p.unit})")
 
 
-def _make_effect_settings(effect: EffectDescription) -> type[Configured]:
-    fields: dict[str, Any] = {
-        p.name: (Annotated[float, _limit_number(p)], p.neutral)
-        if not p.choices
-        else (Annotated[Literal[p.choices], Field(description=p.meaning)], p.choices[0])
-        for p in effect.parameters
-    }
-    return create_model(effect.name, __base__=Configured, **fields)
+def _make_settings(
+    name: str, parameters: Iterable[EffectParameter], base: type[Configured], *required: str
+) -> type[Configured]:
+    fields: dict[str, Any] = {}
+    for p in parameters:
+        kind: Any = Annotated[float, _limit_number(p)]
+        if p.choices:
+            kind = Annotated[Literal[p.choices], Field(description=p.meaning)]
+        default = p.choices[0] if p.choices else p.neutral
+        fields[p.name] = (kind, ... if p.name in required else default)
+    made = create_model(name, __base__=base, **fields)
+    globals()[name] = made  # pickle looks for it here when it sends it to a worker process
+    return made
 
 
-_of_effects = {name: _make_effect_settings(effect) for name, effect in CATALOGUE.items()}
-globals().update(_of_effects)  # pickle looks for them here when it sends them to a worker process
 _effect_fields: dict[str, Any] = {
-    name: (settings | None, None) for name, settings in _of_effects.items()
+    name: (_make_settings(name, effect.parameters, Configured) | None, None)
+    for name, effect in CATALOGUE.items()
 }
 EffectSettings = create_model(
     "EffectSettings",
@@ -96,27 +99,12 @@ class TermSettings(Configured):
 
 
 def _make_term_settings(name: str) -> type[Configured]:
-    fields: dict[str, Any] = {
-        p.name: (
-            Annotated[float, Field(ge=-HUGE, le=HUGE, description=f"{p.meaning} ({p.unit})")],
-            p.neutral,
-        )
-        for p in TERMS[name].parameters
-        if not p.choices
-    }
-    fields["size"] = (fields["size"][0], ...)
-    choices: dict[str, Any] = {
-        p.name: (Annotated[Literal[p.choices], Field(description=p.meaning)], ...)
-        for p in TERMS[name].parameters
-        if p.choices
-    }
-    return create_model(name, __base__=TermSettings, **choices, **fields)
+    choices_first = sorted(TERMS[name].parameters, key=lambda p: not p.choices)
+    return _make_settings(name, choices_first, TermSettings, "size", "operator", "driver")
 
 
-_of_terms = {name: _make_term_settings(name) for name in TERMS}
-globals().update(_of_terms)
 _term_fields: dict[str, Any] = {
-    name.removesuffix(SUFFIX): (settings | None, None) for name, settings in _of_terms.items()
+    name.removesuffix(SUFFIX): (_make_term_settings(name) | None, None) for name in TERMS
 }
 
 

@@ -28,17 +28,17 @@ from pamctl.plant.catalogue import (
     change_numbers,
     make_rest_memories,
 )
-from pamctl.plant.effects.air import ripple_pa
 from pamctl.plant.effects.description import ACTUATORS, Actuator
-from pamctl.plant.effects.places import Part
 from pamctl.plant.paper import MuscleParameters, PaperParameters
-from pamctl.plant.term_kernels import (
-    LOWEST_SUPPLY_PA,
-    MotionPoint,
-    add_force_term,
-    pass_supply_term,
+from pamctl.plant.terms import (
+    FORCE_AT,
+    NO_MEMORY,
+    TermDrivers,
+    TermMemory,
+    Terms,
+    make_terms,
+    push_of,
 )
-from pamctl.plant.terms import TermMemory, Terms, make_terms
 
 
 class PlantParameters(NamedTuple):
@@ -71,21 +71,6 @@ class PlantParameters(NamedTuple):
     def tank_pressure_pa(self) -> float:
         """Absolute pressure; for callers other than kernels."""
         return self.paper.tank_pressure_pa
-
-
-class AirNow(NamedTuple):
-    """What acts on the air over one step."""
-
-    extra_kg_per_s: float
-    """Extra flow into the muscle, from effects and terms."""
-    tank_pa: float
-    """Absolute pressure of the supply, before it droops."""
-
-
-def find_tank_pa(p: PlantParameters, age_s: float) -> float:
-    """Return the absolute pressure of the supply, before it droops."""
-    tank_pa = p.paper.tank_pressure_pa + ripple_pa(p.effects.air.supply_ripple, age_s)
-    return pass_supply_term(p.terms, max(tank_pa, LOWEST_SUPPLY_PA), age_s)
 
 
 class ValveState(NamedTuple):
@@ -166,7 +151,8 @@ def vented_state(p: PlantParameters) -> PlantState:
     if p.mechanics_act and not p.direct:
         memory = MechanicsState().memory
         pull_n = add_force(p.effects.mechanics, memory, 0.0, 0.0, 0.0, 0.0, 0.0)
-        pull_n = add_force_term(p.terms, TermMemory(), pull_n, MotionPoint(0.0, 0.0, 0.0, 0.0))
+        if p.terms is not None:
+            pull_n += push_of(p.terms.mechanics, FORCE_AT, NO_MEMORY, TermDrivers())
         stiffness = p.paper.stiffness_n_per_m
         rest_m += pull_n / stiffness if stiffness > 0.0 else 0.0
         rest_m = keep_in_stroke(p, rest_m)
@@ -201,17 +187,15 @@ NEUTRAL: dict[str, float] = {
 """The neutral value of every parameter of every effect and term."""
 
 
-def _sizes_of(part: Part) -> tuple[tuple[str, float], ...]:
-    return tuple(
+_SIZES = {
+    part: tuple(
         (f"{effect.name}.{p.name}", p.neutral)
         for effect in CATALOGUE.values()
         for p in effect.parameters
         if part in effect.parts and p.role == "size"
     )
-
-
-_VALVE, _AIR = _sizes_of("valve"), _sizes_of("air")
-_MECHANICS, _SENSORS = _sizes_of("mechanics"), _sizes_of("sensors")
+    for part in ("valve", "air", "mechanics", "sensors")
+}
 _DEFAULTS = {ACTUATOR: 0.0, **dict.fromkeys(GEOMETRY, 0.0), **PAPER, **NEUTRAL}
 
 
@@ -254,24 +238,22 @@ def parameters_of(values: Mapping[str, float]) -> PlantParameters:
         cylinder_volume_m3=v["cylinder_volume_m3"],
     )
     terms = make_terms(values)
+    acting = {
+        part: (terms is not None and getattr(terms, part).size != 0.0)
+        or any(v[name] != neutral for name, neutral in sizes)
+        for part, sizes in _SIZES.items()
+    }
     return PlantParameters(
         paper=change_numbers(paper, v),
         effects=Effects(*groups),
-        valve_acts=_has_term(terms, "valve") or any(v[name] != neutral for name, neutral in _VALVE),
-        air_acts=_has_term(terms, "air") or any(v[name] != neutral for name, neutral in _AIR),
-        mechanics_act=actuator in ("direct", "cylinder")
-        or _has_term(terms, "mechanics")
-        or any(v[name] != neutral for name, neutral in _MECHANICS),
-        sensors_act=_has_term(terms, "sensors")
-        or any(v[name] != neutral for name, neutral in _SENSORS),
+        valve_acts=acting["valve"],
+        air_acts=acting["air"],
+        mechanics_act=actuator in ("direct", "cylinder") or acting["mechanics"],
+        sensors_act=acting["sensors"],
         direct=actuator == "direct",
         stroke_m=v["stroke_m"],
         terms=terms,
     )
-
-
-def _has_term(terms: Terms | None, part: str) -> bool:
-    return terms is not None and getattr(terms, part).size != 0.0
 
 
 def _leave_out_braid(v: Mapping[str, float], actuator: Actuator) -> dict[str, float]:

@@ -17,7 +17,7 @@ from pamctl.plant.bristles import Bristles, add_up_n, advance_bristles, bristle_
 from pamctl.plant.drive import undo_sensor
 from pamctl.plant.mechanism import follow_motion, mechanism_forces
 from pamctl.plant.parameters import PlantParameters, rest_state
-from pamctl.plant.term_kernels import follow_motion_term
+from pamctl.plant.terms import follow_motion_term
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

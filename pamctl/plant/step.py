@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 from pamctl.plant.catalogue import (
-    add_flow,
     follow_command,
     follow_opening,
     follow_position_reading,
@@ -22,23 +21,20 @@ from pamctl.plant.effects.valve import spool_step
 from pamctl.plant.mechanism import mechanism_step
 from pamctl.plant.paper import mechanics_step, middle_pressure_pa, pressure_step
 from pamctl.plant.parameters import (
-    AirNow,
     AirState,
     MechanicsState,
     PlantParameters,
     PlantState,
     ValveState,
-    find_tank_pa,
 )
-from pamctl.plant.term_kernels import (
-    add_flow_term,
-    follow_command_term,
+from pamctl.plant.terms import (
+    Terms,
+    follow_value,
     pass_command_term,
     pass_opening_term,
     show_position_term,
     show_pressure_term,
 )
-from pamctl.plant.terms import Terms
 
 
 def plant_step(
@@ -121,8 +117,7 @@ def air_middle_pa(p: PlantParameters, begin: AirBegin) -> tuple[float, bool]:
     """Predict the pressure at the step's middle; without effects, by the paper's equations."""
     pressure_pa, position_m, middle_m = begin.pressure_pa, begin.position_m, begin.middle_m
     if p.air_acts:
-        now = find_air_now(p, begin, pressure_pa, position_m, begin.age_s)
-        return chamber_middle_pa(p, now, begin)
+        return chamber_middle_pa(p, begin)
     middle_pa = middle_pressure_pa(
         p.paper, pressure_pa, begin.opening_v, position_m, middle_m, begin.step_s
     )
@@ -135,24 +130,11 @@ def air_step(
     """Complete the pressure's step with the muscle's true motion."""
     pressure_pa, position_m, step_s = begin.pressure_pa, begin.position_m, begin.step_s
     if p.air_acts:
-        age_s = begin.age_s + 0.5 * step_s
-        now = find_air_now(p, begin, middle_pa, begin.middle_m, age_s)
-        return chamber_step(p, now, begin, middle_pa, balanced, end_m)
+        return chamber_step(p, begin, middle_pa, balanced, end_m)
     end_pa = pressure_step(
         p.paper, pressure_pa, middle_pa, begin.opening_v, position_m, end_m, step_s
     )
     return end_pa, begin.air
-
-
-def find_air_now(
-    p: PlantParameters, begin: AirBegin, pressure_pa: float, position_m: float, age_s: float
-) -> AirNow:
-    """Return what acts on the air, with the extra flow at a point of the step."""
-    opening_v = begin.opening_v
-    extra = add_flow(p.effects.air, 0.0, opening_v, pressure_pa, position_m, age_s)
-    gauge_pa = pressure_pa - p.paper.atmospheric_pressure_pa
-    extra = add_flow_term(p.terms, extra, opening_v, gauge_pa, position_m, age_s)
-    return AirNow(extra, find_tank_pa(p, age_s))
 
 
 def advance_plant(
@@ -183,8 +165,7 @@ def settle_valve(e: Any, terms: Terms | None, valve: ValveState, command_v: floa
     """Return the valve's state after it has had a command (V) for long."""
     memory = follow_command(e, valve.memory, command_v, command_v, LONG_S, 0.0)
     spool_v = pass_command(e, memory, command_v, 0.0)
-    term = follow_command_term(terms, valve.term, spool_v, LONG_S)
-    spool_v = pass_command_term(terms, term, spool_v, 0.0)
+    spool_v, term = pass_command_term(terms, valve.term, spool_v, 0.0, LONG_S)
     memory = follow_opening(e, memory, spool_v, spool_v, LONG_S, 0.0)
     return ValveState(spool_v, 0.0, memory, term)
 
@@ -202,9 +183,10 @@ def valve_step(
     memory = follow_command(e, valve.memory, command_v, command_v, half_s, middle_age_s)
     pushed_v = pass_command(e, memory, command_v, middle_age_s)
     memory = follow_command(e, memory, command_v, command_v, half_s, middle_age_s)
-    term = follow_command_term(terms, valve.term, pushed_v, half_s)
-    asked_v, pushed_v = pushed_v, pass_command_term(terms, term, pushed_v, middle_age_s)
-    term = follow_command_term(terms, term, asked_v, half_s)
+    asked_v = pushed_v
+    pushed_v, term = pass_command_term(terms, valve.term, asked_v, middle_age_s, half_s)
+    if terms is not None and term is not None:
+        term = follow_value(terms.valve, term, asked_v, asked_v, half_s)
     middle_v, rate = spool_step(
         e.valve_spool, valve.spool_v, valve.spool_rate_v_per_s, pushed_v, half_s
     )

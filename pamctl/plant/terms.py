@@ -26,8 +26,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import exp, pi, sin
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
+from pamctl.kernel.calls import machine
 from pamctl.plant.effects.description import (
     ACTUATORS,
     Actuator,
@@ -38,31 +39,26 @@ from pamctl.plant.effects.description import (
 )
 from pamctl.plant.effects.places import Part, follow_with_play, lag_weights
 
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
 OPERATORS = (
-    "constant",
-    "gain",
-    "curve",
-    "beyond",
-    "wave",
-    "onset",
-    "dead_zone",
-    "saturation",
-    "lag",
-    "play",
-    "slew",
-    "hysteresis",
-)
+    "constant", "gain", "curve", "beyond", "wave", "onset",
+    "dead_zone", "saturation", "lag", "play", "slew", "hysteresis",
+)  # fmt: skip
+CONSTANT, GAIN, CURVE, BEYOND, WAVE, ONSET = range(6)
+DEAD_ZONE, SATURATION, LAG, PLAY, SLEW, HYSTERESIS = range(6, 12)
+WITH_MEMORY = ("lag", "play", "slew", "hysteresis")
+NEEDS_INNER = ("wave", "dead_zone", "saturation", "lag", "play", "slew", "hysteresis")
+"""Operators whose inner number is a width, a period or a time."""
+
 COMMAND_AT, FILLING_AT, EXHAUSTING_AT, SUPPLY_AT, FLOW_AT, VOLUME_AT = range(6)
 FORCE_AT, STIFFNESS_AT, DAMPING_AT, BRAID_AT, DRY_AT, PULL_AT, PRESSING_AT = range(6, 13)
 PRESSURE_SENSOR_AT, ENCODER_AT, OPENING_AT = range(13, 16)
 """Places of the locations in `LOCATIONS`."""
-
-CONSTANT, GAIN, CURVE, BEYOND, WAVE, ONSET = range(6)
-DEAD_ZONE, SATURATION, LAG, PLAY, SLEW, HYSTERESIS = range(6, 12)
-WITH_MEMORY = ("lag", "play", "slew", "hysteresis")
-
-NEEDS_INNER = ("wave", "dead_zone", "saturation", "lag", "play", "slew", "hysteresis")
-"""Operators whose inner number is a width, a period or a time."""
 
 DRIVERS = ("command", "position", "pressure", "velocity", "time")
 COMMAND, POSITION, PRESSURE, VELOCITY, TIME = range(5)
@@ -197,9 +193,131 @@ def follow_value(
     return TermMemory(kept, 1.0)
 
 
+# --- where terms act in a step ------------------------------------------------------------------
+
+
+class TermDrivers(NamedTuple):
+    """What may drive a term: a part of a step fills in the signals that it has."""
+
+    command_v: float = 0.0
+    position_m: float = 0.0
+    gauge_pa: float = 0.0
+    velocity_m_per_s: float = 0.0
+    age_s: float = 0.0
+
+
+NO_MEMORY = TermMemory()
+
+
+def push_of(term: PlantTerm, location: int, memory: TermMemory, now: TermDrivers) -> float:
+    """Return the size times the shape at the driver's value; 0 if the term is at another place."""
+    if term.size == 0.0 or term.location != location:
+        return 0.0
+    value = now.command_v
+    if term.driver == POSITION:
+        value = now.position_m
+    elif term.driver == PRESSURE:
+        value = now.gauge_pa
+    elif term.driver == VELOCITY:
+        value = now.velocity_m_per_s
+    elif term.driver == TIME:
+        value = now.age_s
+    return term.size * shape_of(term, value, memory)
+
+
+def share_of(term: PlantTerm, location: int, memory: TermMemory, now: TermDrivers) -> float:
+    """Return the factor by which the term changes a value by a share; never below 0."""
+    return max(1.0 + push_of(term, location, memory, now), 0.0)
+
+
+def pass_command_term(
+    terms: Terms | None, memory: TermMemory | None, command_v: float, now_s: float, step_s: float
+) -> tuple[float, TermMemory | None]:
+    """Return the command (V) with what the term adds after a constant command, and its memory."""
+    if terms is None or memory is None:
+        return command_v, memory
+    memory = follow_value(terms.valve, memory, command_v, command_v, step_s)
+    now = TermDrivers(command_v=command_v, age_s=now_s)
+    return command_v + push_of(terms.valve, COMMAND_AT, memory, now), memory
+
+
+def pass_opening_term(terms: Terms | None, opening_v: float, age_s: float) -> float:
+    """Return the opening, changed by a share on one side or on both."""
+    if terms is None or opening_v == 0.0:
+        return opening_v
+    now = TermDrivers(command_v=abs(opening_v), age_s=age_s)
+    side = share_of(terms.valve, FILLING_AT if opening_v > 0.0 else EXHAUSTING_AT, NO_MEMORY, now)
+    return opening_v * side * share_of(terms.valve, OPENING_AT, NO_MEMORY, now)
+
+
+def follow_motion_term(
+    terms: Terms | None,
+    memory: TermMemory | None,
+    begin_m: float,
+    end_m: float,
+    gauge_pa: float,
+    step_s: float,
+) -> TermMemory | None:
+    """Return the memory of the mechanics' term after a step; the pressure is the middle's."""
+    if terms is None or memory is None:
+        return memory
+    term = terms.mechanics
+    if term.driver == PRESSURE:
+        return follow_value(term, memory, gauge_pa, gauge_pa, step_s)
+    return follow_value(term, memory, begin_m, end_m, step_s)
+
+
+def show_pressure_term(
+    terms: Terms | None, shown_pa: float, atmosphere_pa: float, age_s: float
+) -> float:
+    """Return the pressure that the sensor shows, with what the term adds."""
+    if terms is None:
+        return shown_pa
+    now = TermDrivers(gauge_pa=shown_pa - atmosphere_pa, age_s=age_s)
+    return shown_pa + push_of(terms.sensors, PRESSURE_SENSOR_AT, NO_MEMORY, now)
+
+
+def show_position_term(terms: Terms | None, shown_m: float, age_s: float) -> float:
+    """Return the displacement that the encoder shows, with what the term adds."""
+    if terms is None:
+        return shown_m
+    now = TermDrivers(position_m=shown_m, age_s=age_s)
+    return shown_m + push_of(terms.sensors, ENCODER_AT, NO_MEMORY, now)
+
+
+ROUNDS = 3
+"""A term changes a reading by little: what is behind it is found in so many rounds."""
+
+
+def undo_reading_term(
+    place: str, terms: Terms | None, shown: Array, times_s: Array, atmosphere_pa: float
+) -> Array:
+    """Return the readings of sensors without the term; `place` is that of the effects."""
+    if terms is None or terms.sensors.size == 0.0:
+        return shown
+    true = shown.copy()
+    machine(fill_undone)(place == "pressure_reading", terms, shown, times_s, atmosphere_pa, true)
+    return true
+
+
+def fill_undone(
+    is_pressure: bool, terms: Terms, shown: Array, times_s: Array, atmosphere_pa: float, true: Array
+) -> None:
+    """Kernel of `undo_reading_term`: find what the term turns into each reading."""
+    for k in range(len(shown)):
+        for _ in range(ROUNDS):
+            if is_pressure:
+                again = show_pressure_term(terms, true[k], atmosphere_pa, times_s[k])
+            else:
+                again = show_position_term(terms, true[k], times_s[k])
+            true[k] -= again - shown[k]
+
+
+# --- their names, units and ranges --------------------------------------------------------------
+
 SUFFIX = "_term"
 """A term's numbers are called after its location: `force_term.size`."""
-ANY = 1e12
+ANY = 1e15
 
 
 @dataclass(frozen=True)

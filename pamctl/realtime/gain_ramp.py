@@ -14,7 +14,6 @@ from pamctl.realtime.tick import TickSetup
 
 SHORTEST_RAMP_S = 0.05
 """A gain that jumps makes the command jump. Spread over 50 ticks the change is smooth."""
-DEFAULT_RAMP_S = 0.5
 
 Numbers = TypeVar("Numbers")
 

@@ -1,4 +1,7 @@
-"""`pamctl report`: one self-contained HTML page of one log or of several.
+"""Answers: a report is one value, printed by a terminal, by JSON and as a page.
 
-`drawing/` draws, `html_page.py` lays out. Read `run_page.py` first.
+    report -> figure -> picture, html_page
+    reported_run -> run_motion, frequency -> run_page
+
+Read `report.py` first.
 """

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from base64 import b64encode
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from hashlib import sha256
 from html import escape
 from importlib.resources import files
@@ -67,12 +67,12 @@ margin:14px 0}
 .wide{overflow-x:auto;margin:12px 0;background:
 linear-gradient(90deg,var(--bg) 40%,transparent) 0 0/36px 100% no-repeat local,
 linear-gradient(270deg,var(--bg) 40%,transparent) 100% 0/36px 100% no-repeat local,
-linear-gradient(90deg,var(--cm),transparent) 0 0/9px 100% no-repeat scroll,
-linear-gradient(270deg,var(--cm),transparent) 100% 0/9px 100% no-repeat scroll}
+linear-gradient(90deg,var(--cm),transparent) 0 0/6px 100% no-repeat scroll,
+linear-gradient(270deg,var(--cm),transparent) 100% 0/6px 100% no-repeat scroll}
 table{border-collapse:collapse;font-size:14px;font-variant-numeric:tabular-nums}
 .caption{color:var(--dim);font-size:14px;margin:14px 0 0}.caption+.wide{margin-top:4px}
 th,td{padding:4px 14px 4px 0;text-align:left;vertical-align:top;border-bottom:1px solid var(--rule)}
-th{color:var(--dim);font-weight:600}.num{text-align:right;white-space:nowrap}
+th{color:var(--dim);font-weight:600}.num{text-align:right}td.num{white-space:nowrap}
 .short{white-space:nowrap}td:not(.num):not(.short){min-width:10em}
 figure{margin:16px 0 24px}
 figcaption{color:var(--dim);font-size:14px;margin-top:6px;max-width:85ch}
@@ -108,7 +108,7 @@ pre{overflow-x:auto;background:var(--panel);padding:10px 12px;font-size:12.5px;l
 @media(max-width:600px){main{padding:16px 12px 48px}h1{font-size:22px}.frame{padding-left:50px}
 .spare{display:none}code{white-space:normal}
 nav{flex-wrap:nowrap;overflow-x:auto;white-space:nowrap;padding-bottom:6px}
-td,th{padding-right:10px}td:first-child{overflow-wrap:anywhere;min-width:7em}.facts{grid-template-columns:repeat(2,minmax(0,1fr))}}
+td,th{padding-right:6px}td:last-child,th:last-child{padding-right:0}table{font-size:13px}.short{white-space:normal}td:not(.num):not(.short){min-width:6em}.facts{grid-template-columns:repeat(2,minmax(0,1fr))}}
 @media print{:root{color-scheme:light;--bg:#fff;--fg:#000;--dim:#444;--rule:#ccc;--panel:#f6f6f6;
 --plot:#fff;--c0:#0072b2;--c1:#d55e00;--c2:#009e73;--c3:#cc79a7;--c4:#e69f00;--c5:#56b4e9;
 --c6:#000;--cm:#777;--good:#00785a;--bad:#c02d12}
@@ -314,56 +314,3 @@ def _describe_axis(axis: PlotAxis, scale: Scale) -> dict[str, Any]:
         "high": scale.high,
         "log": scale.log,
     }
-
-
-class Page(Report):
-    """A report that is written from top to bottom by calls; for the rooms that still do so."""
-
-    def __init__(self, title: str, subtitle: str = "") -> None:
-        super().__init__(title, subtitle=subtitle)
-
-    def section(self, heading: str) -> None:
-        """Begin a section."""
-        self.add(Section(heading))
-
-    def heading(self, heading: str) -> None:
-        """Begin a part of a section."""
-        self.add(Section(heading, is_part=True))
-
-    def text(self, *paragraphs: str) -> None:
-        """Write paragraphs."""
-        self.add(*map(Text, paragraphs))
-
-    def points(self, *items: str) -> None:
-        """Write a list."""
-        self.add(Points(items))
-
-    def note(self, text: str, *, kind: str = "note") -> None:
-        """Write a note."""
-        self.add(Text(text, kind))
-
-    def facts(self, facts: Mapping[str, object]) -> None:
-        """Write names and values."""
-        self.add(Facts(facts))
-
-    def table(
-        self, header: Sequence[str], rows: Sequence[Sequence[str]], *, caption: str = ""
-    ) -> None:
-        """Write a table."""
-        self.add(ReportTable(header, rows, caption))
-
-    def figure(self, *plots: Plot, caption: str = "") -> None:
-        """Write plots in a column."""
-        self.add(Figure(plots, caption))
-
-    def grid(self, *plots: Plot | Levels, caption: str = "") -> None:
-        """Write plots in a row."""
-        self.add(Figure(plots, caption, is_grid=True))
-
-    def fold(self, heading: str, text: str) -> None:
-        """Write a folded text."""
-        self.add(Fold(heading, text))
-
-    def html(self, *, interactive: bool = False) -> str:
-        """Return the page."""
-        return write_html(self, interactive=interactive)

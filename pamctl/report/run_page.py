@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -18,7 +17,7 @@ from pamctl.log.run_meta import describe_running_changes, list_gain_changes, spe
 from pamctl.plain_text import clean_text
 from pamctl.report.figure import Plot, PlotAxis
 from pamctl.report.frequency import write_frequency_response
-from pamctl.report.report import Facts, Figure, Fold, Report, ReportTable, Section, Text
+from pamctl.report.report import Facts, Figure, Fold, Report, ReportTable, Section, Text, spell_um
 from pamctl.report.reported_run import MICRO, ReportedRun, law_name, name_runs, paper_rows
 from pamctl.report.run_motion import write_filtering, write_law, write_motion
 from pamctl.safety import VERDICTS
@@ -147,7 +146,7 @@ LARGE_ZERO_M = 50e-6
 
 def format_merit(found: Merit) -> list[str]:
     """Return max, RMS and steady-state error in micrometres."""
-    return ["-" if math.isnan(value) else f"{value * MICRO:.1f}" for value in found]
+    return [spell_um(value) for value in found]
 
 
 MOST_EVENTS = 200

@@ -18,7 +18,15 @@ from pamctl.control.law_registry import find_law
 from pamctl.control.smc import SmcSettings, linearise_model
 from pamctl.plant.model import plant_parameters
 from pamctl.report.figure import MUTED, Plot, PlotAxis
-from pamctl.report.report import Figure, Points, Report, ReportTable, Section, Text
+from pamctl.report.report import (
+    Figure,
+    Points,
+    Report,
+    ReportTable,
+    Section,
+    Text,
+    spell_um,
+)
 from pamctl.settings.resolve import resolve
 from pamctl.signals import Phase
 from pamctl.simulate.closed_loop import SimulatedRun, simulate_run
@@ -300,7 +308,7 @@ def _make_paper_rows() -> list[list[str]]:
     rows = []
     for law in sorted({row.law for row in TABLE_IV}):
         cells = [
-            _format_cell(value)
+            spell_um(value)
             for row in TABLE_IV
             if row.law == law
             for value in row.merit
@@ -315,11 +323,7 @@ def _make_row(case: Case, of_plant: dict[str, dict[str, dict[str, float | None]]
     if one["max_m"] is None or two["max_m"] is None:
         return [case.name, *["trips"] * 5]
     values = (one["max_m"], one["rms_m"], one["steady_m"], two["max_m"], two["rms_m"])
-    return [case.name, *(_format_cell(value) for value in values)]
-
-
-def _format_cell(value: float | None) -> str:
-    return "-" if value is None else f"{value * 1e6:.1f}"
+    return [case.name, *(spell_um(value) for value in values)]
 
 
 def _collect_paper_numbers() -> dict[str, dict[str, dict[str, float | None]]]:

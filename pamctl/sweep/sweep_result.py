@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pamctl.json_text import to_json
-from pamctl.report.drawing.svg import COLOURS, PlotAxis, SvgPlot
-from pamctl.report.html_page import Page
+from pamctl.report.figure import COLOURS, Plot, PlotAxis
+from pamctl.report.report import Figure, Report, ReportTable, Section, Text
 from pamctl.runs.run_row import METRICS, RunRow, SettingValue, is_number, read_value
 
 
@@ -111,20 +111,24 @@ _LOG_RATIO = 20.0
 """An axis is logarithmic from this ratio of its values on."""
 
 
-def write_sweep_page(name: str, folder: Path, rows: Sequence[RunRow], keys: Sequence[str]) -> Page:
+def write_sweep_page(
+    name: str, folder: Path, rows: Sequence[RunRow], keys: Sequence[str]
+) -> Report:
     """Return the page of a sweep's runs, with a section for each of the swept `keys`."""
-    page = Page(f"Sweep {name}", f"{len(rows)} runs of {folder}")
+    page = Report(f"Sweep {name}", subtitle=f"{len(rows)} runs of {folder}")
     for key in keys:
-        page.section(key)
+        page.add(Section(key))
         others = [other for other in keys if other != key] if len(keys) <= 2 else []
         draw_metrics(page, rows, key, others)
     if not keys:
-        page.text("No setting that is a number differs between these runs.")
+        page.add(Text("No setting that is a number differs between these runs."))
     _write_table(page, rows, keys)
     return page
 
 
-def draw_metrics(page: Page, rows: Sequence[RunRow], key: str, others: Sequence[str] = ()) -> None:
+def draw_metrics(
+    page: Report, rows: Sequence[RunRow], key: str, others: Sequence[str] = ()
+) -> None:
     """Write a figure of each metric against a setting; runs of equal `others` share a colour."""
     placed = [row for row in rows if is_number(read_value(row, key))]
     plots = [
@@ -133,22 +137,22 @@ def draw_metrics(page: Page, rows: Sequence[RunRow], key: str, others: Sequence[
         if (plot := _draw_metric(placed, key, metric, name, others)) is not None
     ]
     if not plots:
-        page.text("None of these runs tracked anything.")
+        page.add(Text("None of these runs tracked anything."))
         return
     spread = "A dot is a run; the line joins the means, the band spans repeats."
     lost = sum(1 for row in placed if row.ending not in ("ok", "imported"))
-    page.figure(*plots, caption=spread + (f" Left out: {lost} that did not end well." * bool(lost)))
+    page.add(Figure([*plots], spread + (f" Left out: {lost} that did not end well." * bool(lost))))
 
 
 def _draw_metric(
     rows: Sequence[RunRow], key: str, metric: str, name: str, others: Sequence[str]
-) -> SvgPlot | None:
+) -> Plot | None:
     groups = group_metric(rows, key, metric, others)
     places = [x for points in groups.values() for x in points]
     if not places:
         return None
     x_axis = PlotAxis(key, "", log=min(places) > 0 and max(places) / min(places) >= _LOG_RATIO)
-    plot = SvgPlot(name[:1].upper() + name[1:], x_axis, PlotAxis(name, "µm"))
+    plot = Plot(name[:1].upper() + name[1:], x_axis, PlotAxis(name, "µm"))
     named = len(groups) > 1 and len(groups) <= COLOURS
     for colour, (group, points) in enumerate(sorted(groups.items(), key=str)):
         x = np.array(sorted(points))
@@ -185,8 +189,8 @@ def _shorten(key: str) -> str:
     return key.rpartition(".")[2]
 
 
-def _write_table(page: Page, rows: Sequence[RunRow], keys: Sequence[str]) -> None:
-    page.section("Runs")
+def _write_table(page: Report, rows: Sequence[RunRow], keys: Sequence[str]) -> None:
+    page.add(Section("Runs"))
     shown = rows[-_MOST_ROWS:]
     columns = {
         **{key: [str(_or_dash(read_value(row, key))) for row in shown] for key in keys},
@@ -202,9 +206,9 @@ def _write_table(page: Page, rows: Sequence[RunRow], keys: Sequence[str]) -> Non
     said = {
         head: cells for head, cells in columns.items() if any(c not in ("", "-") for c in cells)
     }
-    page.table(list(said), list(zip(*said.values(), strict=True)))
+    page.add(ReportTable(list(said), list(zip(*said.values(), strict=True))))
     if len(shown) < len(rows):
-        page.text(f"{len(rows) - len(shown)} older runs are in the figures, not in the table.")
+        page.add(Text(f"{len(rows) - len(shown)} older runs are in the figures, not in the table."))
 
 
 def _or_dash(value: SettingValue) -> SettingValue:

@@ -20,6 +20,7 @@ from pamctl.diagnose.record import Array
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page, format_plant_file
 from pamctl.plant.model import PlantSettings
+from pamctl.report.html_page import write_html
 from pamctl.settings.yaml12 import parse_yaml_value
 
 
@@ -64,7 +65,7 @@ def test_its_plant_file_predicts_and_serves_the_next_diagnosis() -> None:
 def test_page_and_terminal_say_the_law() -> None:
     found = of_a_second_spring()
     (term,) = build_diagnosis_document(found)["terms"]
-    html = build_diagnosis_page(found, [*found.train, *found.holdout]).html()
+    html = write_html(build_diagnosis_page(found, [*found.train, *found.holdout]))
     assert term["text"] in html
     assert f"{term['text']}: kind is sure" in summary(found)
 

@@ -26,7 +26,7 @@ from pamctl.log.annotation import (
 from pamctl.log.check import check_log
 from pamctl.log.edit import append_metadata, cut_log, read_annotation, write_annotation
 from pamctl.log.framing import map_log_file
-from pamctl.log.reading.record_walk import walk_records
+from pamctl.log.record_walk import walk_records
 from pamctl.log.recover import recover_file
 from pamctl.plain_text import clean_text
 

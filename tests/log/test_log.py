@@ -40,7 +40,7 @@ from pamctl.log import LogError, info, read
 from pamctl.log.check import check_log
 from pamctl.log.framing import map_log_file
 from pamctl.log.importing.pipeline import write_imported
-from pamctl.log.reading.record_walk import walk_records
+from pamctl.log.record_walk import walk_records
 from pamctl.log.recover import recover_file
 from pamctl.log.schema import SCHEMA_VERSION, TICK_TOPIC, tick_descriptor, unit_of_column
 from pamctl.recording.ring import Ring

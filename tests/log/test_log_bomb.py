@@ -19,7 +19,7 @@ from support.small_log import CHUNK_TICKS, CHUNKS, write_small
 from pamctl.log import LogError, info, read
 from pamctl.log.check import check_log
 from pamctl.log.framing import FRAME, encode_record, map_log_file
-from pamctl.log.reading.record_walk import MOST_CHUNK_BYTES, read_chunk_content, walk_records
+from pamctl.log.record_walk import MOST_CHUNK_BYTES, read_chunk_content, walk_records
 from pamctl.log.recover import recover_file
 from pamctl.log.schema import TICK_MESSAGE, TICK_TOPIC, tick_descriptor
 from pamctl.log.wire import make_message_records

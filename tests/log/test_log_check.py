@@ -20,7 +20,7 @@ from pamctl.log import LogError, read
 from pamctl.log.check import LogCheckReport, Severity, check_log
 from pamctl.log.framing import FileRecord, map_log_file
 from pamctl.log.measured_signals import judge_ticks
-from pamctl.log.reading.record_walk import walk_records
+from pamctl.log.record_walk import walk_records
 from pamctl.log.recover import recover_file
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import TICK_MESSAGE, TICK_TOPIC, tick_descriptor
@@ -266,7 +266,7 @@ def test_an_index_that_is_wrong_is_found_though_every_checksum_is_right(tmp_path
 
 def records_of(path: Path) -> list[FileRecord]:
     from pamctl.log.framing import map_log_file
-    from pamctl.log.reading.record_walk import walk_records
+    from pamctl.log.record_walk import walk_records
 
     return list(walk_records(map_log_file(path)))
 

@@ -15,7 +15,7 @@ from support.small_log import CHUNK_TICKS, rewritten, write_small
 from pamctl.log import Log, LogError, info, read
 from pamctl.log.check import check_log
 from pamctl.log.framing import map_log_file
-from pamctl.log.reading.record_walk import walk_records
+from pamctl.log.record_walk import walk_records
 from pamctl.log.recover import Recovery, recover_file
 
 

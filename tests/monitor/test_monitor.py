@@ -26,7 +26,6 @@ from pamctl.monitor.judge_window import (
     MisfitSums,
     WindowMisfit,
 )
-from pamctl.monitor.monitor_handle import format_alarm, format_monitor
 from pamctl.monitor.watch_run import LEARN_S, RunWatch
 from pamctl.settings.resolve import resolve
 from pamctl.signals import Phase
@@ -180,16 +179,6 @@ def test_a_rest_does_not_hide_what_the_motions_show() -> None:
         for j in range(8):
             sums.take(rest, 10.0 * k + j + 1.0)
     assert sums.find_alarm(PRESSURE) is not None
-
-
-def test_its_words() -> None:
-    alarm = {
-        "block": PRESSURE, "activity": "swing", "since_s": 0.0, "over_floor": 2.41, "rms": 241.0,
-    }  # fmt: skip
-    text = format_alarm(alarm)
-    assert text.endswith("the pressure block is 2.4 x its floor (241 Pa RMS, swing)")
-    ended = {"alive": False, "problem": "exit code -9", "blocks": [], "explanation": None}
-    assert format_monitor(ended) == "monitor: ended (exit code -9)"
 
 
 @pytest.mark.long

@@ -127,21 +127,8 @@ def assert_twins_agree(p: PlantParameters, monkeypatch: pytest.MonkeyPatch) -> N
         np.testing.assert_array_equal(np.array(plain), np.array(twin))
 
 
-@names
-def test_compiled_and_plain_agree_to_the_bit(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert_twins_agree(parameters_of(switched_on(name)), monkeypatch)
-
-
 def test_compiled_and_plain_agree_with_all_effects_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     assert_twins_agree(parameters_of(ALL_ON), monkeypatch)
-
-
-@pytest.mark.parametrize("form", [0.0, 1.0, 2.0])
-def test_compiled_and_plain_agree_in_every_form_of_presliding(
-    form: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    values = switched_on("presliding", form=form, bristle_damping_n_s_per_m=20.0)
-    assert_twins_agree(parameters_of(values), monkeypatch)
 
 
 # --- the blocks, and the ways to use them -------------------------------------------------------

@@ -13,10 +13,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from pamctl.plant.catalogue import CATALOGUE, Effects
-from pamctl.plant.effects.valve import VALVE_SPOOL, ValveSpool, spool_step
+from pamctl.plant.effects.valve import ValveSpool, spool_step
 from pamctl.plant.model import PlantSettings, plant_parameters
-from pamctl.plant.paper import mechanics_step, middle_pressure_pa, pressure_step
+from pamctl.plant.paper import middle_pressure_pa, pressure_step
 from pamctl.plant.parameters import vented_state
 from pamctl.plant.step import plant_step
 
@@ -82,80 +81,7 @@ def test_a_spool_much_faster_than_the_step_arrives_within_it(
     assert rate == pytest.approx(0.0, abs=1e-2)
 
 
-@given(time_constants_s, dampings, openings_v, rates, commands_v, durations_s, durations_s)
-def test_two_steps_in_a_row_are_one_long_step(
-    time_constant_s: float,
-    damping: float,
-    opening_v: float,
-    rate: float,
-    command_v: float,
-    first_s: float,
-    second_s: float,
-) -> None:
-    spool = ValveSpool(time_constant_s, damping)
-    halfway = spool_step(spool, opening_v, rate, command_v, first_s)
-    in_two = spool_step(spool, *halfway, command_v, second_s)
-    at_once = spool_step(spool, opening_v, rate, command_v, first_s + second_s)
-    swing_v = abs(opening_v - command_v) + abs(rate) * time_constant_s
-    assert in_two[0] == pytest.approx(at_once[0], abs=1e-11 * (1 + swing_v))
-    assert in_two[1] == pytest.approx(at_once[1], abs=1e-11 * (1 + swing_v) / time_constant_s)
-
-
-def test_a_step_overshoots_as_the_damping_ratio_says() -> None:
-    """exp(-pi zeta / sqrt(1 - zeta^2)) after half a swing: 4.6 % at 0.7."""
-    zeta = 0.7
-    half_swing_s = math.pi * PAPER_VALVE.time_constant_s / math.sqrt(1 - zeta**2)
-    peak_v, rate = spool_step(PAPER_VALVE, 0.0, 0.0, 1.0, half_swing_s)
-    assert peak_v == pytest.approx(1 + math.exp(-math.pi * zeta / math.sqrt(1 - zeta**2)))
-    assert rate == pytest.approx(0.0, abs=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("frequency_hz", "gain_db"), [(1.0, 0.0), (109.0, -3.0103), (1090.0, -40.0)]
-)
-def test_a_valve_of_109_hz_is_3_decibels_down_at_109_hz(
-    frequency_hz: float, gain_db: float
-) -> None:
-    """With a damping of 1 / sqrt(2) it is a Butterworth filter of second order."""
-    spool = ValveSpool(1 / (2 * math.pi * 109), math.sqrt(0.5))
-    per_period = 2000
-    step_s = 1 / (frequency_hz * per_period)
-    opening_v, rate, phasor = 0.0, 0.0, 0j
-    periods = 3 + math.ceil(0.05 * frequency_hz)  # until the start is forgotten
-    for i in range(periods * per_period):
-        angle = 2 * math.pi * (i + 0.5) / per_period
-        opening_v, rate = spool_step(spool, opening_v, rate, math.sin(angle), step_s)
-        if i >= (periods - 1) * per_period:
-            phasor += opening_v * np.exp(-1j * angle) * 2 / per_period
-    assert 20 * math.log10(abs(phasor)) == pytest.approx(gain_db, abs=0.01)
-
-
 # --- within the plant --------------------------------------------------------------------------
-
-
-@given(st.floats(0.2, 2.0), st.lists(commands_v, min_size=1, max_size=50))
-@examples(max_examples=30, deadline=None)
-def test_a_spool_without_lag_leaves_the_papers_model_to_the_bit(
-    damping: float, commands: list[float]
-) -> None:
-    effects = {"valve_spool": {"time_constant_s": 0.0, "damping_ratio": damping}}
-    with_effect = plant_parameters(PlantSettings(effects=effects))
-    without = plant_parameters(PlantSettings())
-    assert without.effects == Effects()
-    paper = without.paper
-    state, same = vented_state(with_effect), vented_state(without)
-    x, v, pressure_pa = same[:3]
-    for command_v in commands:
-        state = plant_step(with_effect, state, command_v, 0.5e-3)
-        same = plant_step(without, same, command_v, 0.5e-3)
-        # And the paper's two blocks with the command for the opening, no spool in sight.
-        middle_m = x + 0.5 * 0.5e-3 * v
-        middle_pa = middle_pressure_pa(paper, pressure_pa, command_v, x, middle_m, 0.5e-3)
-        end_m, v = mechanics_step(paper, x, v, middle_pa, 0.5e-3)
-        pressure_pa = pressure_step(paper, pressure_pa, middle_pa, command_v, x, end_m, 0.5e-3)
-        x = end_m
-        assert state == same
-        assert state[:3] == (x, v, pressure_pa)
 
 
 def test_the_flow_of_a_step_is_that_of_the_spool_in_its_middle() -> None:
@@ -169,11 +95,3 @@ def test_the_flow_of_a_step_is_that_of_the_spool_in_its_middle() -> None:
         p.paper, p.atmospheric_pressure_pa, middle_pa, middle_v, 0.0, after.position_m, 1e-3
     )
     assert after.pressure_pa == expected_pa
-
-
-def test_the_catalogue_describes_the_spool_as_its_kernel_takes_it() -> None:
-    assert CATALOGUE["valve_spool"] is VALVE_SPOOL
-    neutral = ValveSpool(**{p.name: p.neutral for p in VALVE_SPOOL.parameters})
-    assert neutral == ValveSpool() == Effects().valve.valve_spool
-    for parameter in VALVE_SPOOL.parameters:
-        assert parameter.low <= parameter.neutral <= parameter.high

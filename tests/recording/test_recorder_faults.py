@@ -24,7 +24,7 @@ from hal.child import child_command
 from pamctl.log import info, read
 from pamctl.log.check import check_log
 from pamctl.log.framing import FileRecord
-from pamctl.log.reading.record_walk import find_records
+from pamctl.log.record_walk import find_records
 from pamctl.log.recover import recover_file, resume_log
 from pamctl.recording.recorder import (
     RecorderError,

@@ -369,7 +369,7 @@ def chunks_of(log: Path) -> Iterator[tuple[int, int]]:
     from mcap.opcode import Opcode
 
     from pamctl.log.framing import map_log_file
-    from pamctl.log.reading.record_walk import walk_records
+    from pamctl.log.record_walk import walk_records
 
     for record in walk_records(map_log_file(log)):
         if record.opcode == Opcode.CHUNK:

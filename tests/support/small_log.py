@@ -13,7 +13,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from pamctl.json_text import to_json
 from pamctl.log.framing import FRAME, FileRecord, map_log_file
-from pamctl.log.reading.record_walk import walk_records
+from pamctl.log.record_walk import walk_records
 from pamctl.log.schema import (
     EVENT_TOPIC,
     IMPORTED,

@@ -167,11 +167,12 @@ def _conclude(plan: SweepPlan, end: SweepEnd, *, as_json: bool) -> None:
     points = summarise_points(end.rows)
     saved: dict[str, str | None] = {"page": None, "csv": None}
     if points:
+        from pamctl.report.html_page import write_html
         from pamctl.runs.run_row import find_varying_keys
         from pamctl.sweep.sweep_result import write_sweep_page
 
         keys = [key for key in points[0].point if key in find_varying_keys(end.rows)]
-        page = write_sweep_page(plan.name, plan.folder, end.rows, keys).html()
+        page = write_html(write_sweep_page(plan.name, plan.folder, end.rows, keys))
         table = format_points_csv(points)
         targets = {name: plan.folder / f"{plan.name}.{name}" for name in ("html", "csv")}
         write_files({targets["html"]: page}, replaces=PAGE_BEGIN)

@@ -114,8 +114,8 @@ class Weigher:
         if held_out is not None:
             self.like_held = Likelihood(held_out.find_kept(level), least2)
         self.floor2 = least2
-        self.pushes: dict[str, float] = {}
-        """Of each hypothesis, the square that a unit dose adds to the residual."""
+        self.pushes: dict[str, Array] = {}
+        """Of each hypothesis, the square that a unit dose adds to each channel's residual."""
         one = np.zeros_like(train.shown)
         self._zeros = {}
         for c, channel in enumerate(train.channels):

@@ -138,11 +138,12 @@ def _find_level(
         if its.place != mine.place or its.kind != mine.kind:
             says_kind &= bool(beaten)
         says_name &= bool(beaten)
-    # Nor is a size a cause that may as well be none.
-    says_name &= not all(
-        intervals[u.name][0] <= (u.neutral or 0.0) <= intervals[u.name][1]
-        for u in m.picked[name].sizes
-    )
+    # Nor is a size a cause that may as well be none; beside a law of its place it is open anyway.
+    if not any(pool[n].is_term and pool[n].place == mine.place for n in m.names):
+        says_name &= not all(
+            intervals[u.name][0] <= (u.neutral or 0.0) <= intervals[u.name][1]
+            for u in m.picked[name].sizes
+        )
     at_range = tuple(
         u.name
         for u in m.picked[name].free

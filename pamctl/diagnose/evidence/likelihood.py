@@ -122,8 +122,12 @@ class Likelihood:
             else start.reshape(-1, 1)
         )
         s = np.maximum(s, least)
+        share, counted = np.empty_like(q), (NU + 1.0) * self._counted
         for _ in range(8 if start is None else 4):
-            s = np.maximum(((NU + 1.0) * q / (NU + q / s) * self._counted).sum(1)[:, None], least)
+            np.divide(q, s, out=share)
+            share += NU
+            np.divide(q, share, out=share)
+            s = np.maximum(np.einsum("ij,ij->i", share, counted)[:, None], least)
         return s.reshape(self.channels, self.n_levels)
 
     def __call__(

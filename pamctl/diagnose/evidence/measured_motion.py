@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import savgol_filter
 
 from pamctl.diagnose.evidence.constants import REST_SHARE
 from pamctl.plant.drive import SampleGrid, build_grid
@@ -62,6 +61,8 @@ def find_rates(
     position_m: Array, period_s: float, width_s: float, grid: SampleGrid
 ) -> dict[str, Array]:
     """Return the smoothed position, its speed and acceleration, of samples at uneven times."""
+    from scipy.signal import savgol_filter  # a second to import; a muscle does without
+
     even_s = np.arange(0.0, grid.samples_s[-1] + period_s, period_s)
     even_m = np.interp(even_s, grid.samples_s, position_m)
     width = min(max(5, round(width_s / period_s) | 1), (len(even_m) - 1) | 1)

@@ -1,8 +1,8 @@
 """The score of a hypothesis without a fit: what secants at fitting doses would gain.
 
-A hypothesis is simulated at a dose that grows or shrinks until it moves the residual by about the
-residual itself. Beside the model's own tangent a weighted least-squares fit of dose and numbers
-predicts the residual, and the likelihood what that is worth.
+A hypothesis is simulated at a dose that grows or shrinks until it moves the residual of some
+channel by about that residual itself. Beside the model's own tangent a weighted least-squares fit
+of dose and numbers predicts the residual, and the likelihood what that is worth.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from pamctl.diagnose.evidence.constants import MOST_DOSE
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
@@ -82,7 +81,7 @@ class _Beside:
         hessian = self.weighed @ self.weighed.T + LIKELY_MOVE**-2 * np.eye(len(self.free))
         self.inverse = np.linalg.inv(hessian)
         self.slope = self.weighed @ self.off
-        self.size2 = float((m.d**2 * self.weigher.like.keep).sum())
+        self.size2 = np.maximum((m.d**2 * self.weigher.like.keep).sum(axis=(1, 2)), 1e-300)
         self.here = m.d + m.lag
 
     def score(self, hypothesis: Hypothesis) -> EvidenceScore | None:
@@ -105,7 +104,10 @@ class _Beside:
         held = {**self.m.values, **variant.held, **{u.name: u.value for u in variant.shapes}}
         directions = HATS if variant.is_curve else np.diag(usual)
         known = self.weigher.pushes.get(name)
-        dose = min(max((self.size2 / known) ** 0.5, 1.0 / MOST_DOSE), MOST_DOSE) if known else 1.0
+        dose = 1.0
+        if known is not None and known.any():
+            fits = float((known / self.size2).max()) ** -0.5
+            dose = min(max(fits, 1.0 / MOST_DOSE), MOST_DOSE)
         room = min(
             ((u.high if w > 0.0 else u.low) - n) / w
             for u, n, w in zip(variant.sizes, neutral, usual, strict=True)
@@ -123,9 +125,9 @@ class _Beside:
                 secants.append((d - self.here).ravel())
             secants_now = np.stack(secants)
             yield directions * dose, secants_now
-            big = float((secants_now**2).sum(axis=1).max()) / self.size2
-            if big > 0.0:
-                self.weigher.pushes[name] = big * self.size2 / dose**2
+            moved2 = (secants_now.reshape(len(secants), *self.m.d.shape) ** 2).sum(axis=(2, 3))
+            self.weigher.pushes[name] = moved2.max(axis=0) / dose**2
+            big = float((moved2 / self.size2).max())
             if again == 2 or big == 0.0 or 0.1 <= big <= 4.0:
                 return
             if big > 4.0:
@@ -195,8 +197,7 @@ class _Beside:
             row = runs.channels.index("position_m")
             pull = pull[row][None]
             if hypothesis.place != "encoder":  # a force moves the mass first
-                keep = np.exp(-runs.period_s / FILTER_S)
-                pull = lfilter([1.0 - keep], [1.0, -keep], pull[:, ::-1])[:, ::-1]
+                pull = _lag_backwards(pull[0], runs.period_s / FILTER_S)[None]
             over = self.shown[row]
         else:
             tank = "tank_pressure_pa"
@@ -244,6 +245,14 @@ class _Beside:
         """What the model shows, one row a channel."""
         measured = self.weigher.train.shown
         return (measured - from_haar(self.m.d)).reshape(len(measured), -1)
+
+
+def _lag_backwards(row: Array, share: float) -> Array:
+    """Return a row behind a lag of 1 / share samples that runs from its end to its beginning."""
+    size = 2 * len(row)
+    lag = (1.0 - np.exp(-share)) * np.exp(-share * np.arange(len(row)))
+    product = np.fft.rfft(row[::-1], size) * np.fft.rfft(lag, size)
+    return np.asarray(np.fft.irfft(product, size)[: len(row)][::-1])
 
 
 def extend_model(weigher: Weigher, m: WeighedModel, score: EvidenceScore) -> WeighedModel:

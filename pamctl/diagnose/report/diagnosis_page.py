@@ -45,9 +45,9 @@ from pamctl.diagnose.report.verdict_words import (
 )
 from pamctl.new_file import write_files
 from pamctl.plant.catalogue import CATALOGUE
-from pamctl.report.drawing.levels import Levels
-from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot
-from pamctl.report.html_page import Page
+from pamctl.report.figure import MUTED, Levels, Plot, PlotAxis
+from pamctl.report.html_page import write_html
+from pamctl.report.report import Facts, Figure, Fold, Points, Report, ReportTable, Section, Text
 from pamctl.report.run_motion import mark_moments
 from pamctl.settings.yaml12 import dump_yaml
 
@@ -55,14 +55,14 @@ from pamctl.settings.yaml12 import dump_yaml
 def build_diagnosis_page(
     diagnosis: Diagnosis,
     records: Sequence[Record],
-    story: Callable[[Page], None] | None = None,
-) -> Page:
+    story: Callable[[Report], None] | None = None,
+) -> Report:
     """Return the page of a diagnosis; `records` are all records that were given, good or bad.
 
     `story` writes below the head how the records came about.
     """
     names = [record.name for record in records]
-    page = Page(choose_words(diagnosis).title, f"Diagnosis of {', '.join(names)}")
+    page = Report(choose_words(diagnosis).title, subtitle=f"Diagnosis of {', '.join(names)}")
     _write_head(page, diagnosis)
     if story is not None:
         story(page)
@@ -75,22 +75,25 @@ def build_diagnosis_page(
     write_findings(page, diagnosis)
     write_blind_spots(page, diagnosis)
     write_compared_runs(page, diagnosis, records)
-    page.fold("plant.yaml", format_plant_file(diagnosis, names))
+    page.add(Fold("plant.yaml", format_plant_file(diagnosis, names)))
     return page
 
 
-def _write_head(page: Page, diagnosis: Diagnosis) -> None:
+def _write_head(page: Report, diagnosis: Diagnosis) -> None:
     """Write the verdict, the gap and the next steps."""
     words = choose_words(diagnosis)
-    page.note(f"{words.why} {words.body}", kind=words.kind)
+    page.add(Text(f"{words.why} {words.body}", words.kind))
     stages = list_stages(diagnosis)
     if stages:
-        page.grid(
-            *(_draw_levels(name, gap, stages) for name, gap in diagnosis.gap.items()),
-            caption=_write_caption(diagnosis),
+        page.add(
+            Figure(
+                [*(_draw_levels(name, gap, stages) for name, gap in diagnosis.gap.items())],
+                _write_caption(diagnosis),
+                is_grid=True,
+            )
         )
-    page.heading("What to do next")
-    page.points(*advise_next_steps(diagnosis))
+    page.add(Section("What to do next", is_part=True))
+    page.add(Points([*advise_next_steps(diagnosis)]))
 
 
 def _draw_levels(name: str, gap: HeldOutGap, stages: Sequence[ModelStage]) -> Levels:
@@ -133,7 +136,7 @@ _SURE = {
 }
 
 
-def write_setup(page: Page, diagnosis: Diagnosis) -> None:
+def write_setup(page: Report, diagnosis: Diagnosis) -> None:
     """Write what is wrong about the set-up; how to mend it stands in the head."""
     rows = [
         [
@@ -146,72 +149,90 @@ def write_setup(page: Page, diagnosis: Diagnosis) -> None:
         for fault in list_faults(diagnosis)
     ]
     if rows:
-        page.section("The set-up")
-        page.table(
-            ["what is wrong", "value", "90 % interval", "unit", "not told from"],
-            rows,
-            caption="Each is a number of the plant file or a column of the records. It was asked "
-            "together with the effects, and by the same rule.",
+        page.add(Section("The set-up"))
+        page.add(
+            ReportTable(
+                ["what is wrong", "value", "90 % interval", "unit", "not told from"],
+                rows,
+                "Each is a number of the plant file or a column of the records. It was asked "
+                "together with the effects, and by the same rule.",
+            )
         )
 
 
-def write_findings(page: Page, diagnosis: Diagnosis) -> None:
+def write_findings(page: Report, diagnosis: Diagnosis) -> None:
     """Write each finding with its rivals and numbers, then the numbers that were recalibrated."""
     if diagnosis.findings:
-        page.section("What was found")
-        page.text(
-            "A gain is counted in nats, on each block of the records by a model that was not "
-            "fitted to that block. It is counted under the resolution of the poorer of two models. "
-            "Intervals come from a bootstrap over stretches of 4 blocks, 0.5 % on each side."
+        page.add(Section("What was found"))
+        page.add(
+            Text(
+                "A gain is counted in nats, on each block of the records by a model that was not "
+                "fitted to that block. It is counted under the resolution of the poorer of two "
+                "models. Intervals come from a bootstrap over stretches of 4 blocks, 0.5 % on "
+                "each side."
+            )
         )
     for finding in diagnosis.findings:
         _write_finding(page, diagnosis, finding)
     if diagnosis.recalibrated:
-        page.section("The numbers of the model")
-        page.table(
-            ["parameter", "start model", "fitted", "90 % interval", "unit", "off by", "range"],
-            list(_list_recalibrated(diagnosis)),
-            caption="Fitted together with all findings. A number is off if its interval does not "
-            "include the start model's value. A number at an end of its range may lie beyond it.",
+        page.add(Section("The numbers of the model"))
+        page.add(
+            ReportTable(
+                ["parameter", "start model", "fitted", "90 % interval", "unit", "off by", "range"],
+                list(_list_recalibrated(diagnosis)),
+                "Fitted together with all findings. A number is off if its interval does not "
+                "include the start model's value. A number at an end of its range may lie "
+                "beyond it.",
+            )
         )
 
 
-def _write_finding(page: Page, diagnosis: Diagnosis, finding: Finding) -> None:
+def _write_finding(page: Report, diagnosis: Diagnosis, finding: Finding) -> None:
     its = finding.hypothesis
-    page.heading(spell_finding(diagnosis, finding))
-    page.facts(
-        {
-            "what is sure": _SURE[finding.level],
-            "place": spell_place(its.place),
-            "kind": spell_kind(its.kind),
-            "fits best": label_hypothesis(its),
-            "share of the whole gain": f"{100.0 * finding.share:.0f} %",
-        }
+    page.add(Section(spell_finding(diagnosis, finding), is_part=True))
+    page.add(
+        Facts(
+            {
+                "what is sure": _SURE[finding.level],
+                "place": spell_place(its.place),
+                "kind": spell_kind(its.kind),
+                "fits best": label_hypothesis(its),
+                "share of the whole gain": f"{100.0 * finding.share:.0f} %",
+            }
+        )
     )
     if is_in_catalogue(finding):
         effect = CATALOGUE[its.family]
-        page.note(effect.equation)
-        page.text(f"What a model without it shows: {effect.signature}.")
+        page.add(Text(effect.equation, "note"))
+        page.add(Text(f"What a model without it shows: {effect.signature}."))
     term = FreeTerm.read(diagnosis, finding) if its.is_term else None
     if term is not None:
         kin = f" Kin in the catalogue: {spell_names(*term.kin)}." if term.kin else ""
-        page.note(f"{term.text[:1].upper()}{term.text[1:]}. {term.equation}.{kin}")
-    page.grid(_draw_rivals(finding), caption=_explain_rivals(finding))
-    page.table(
-        ["number", "meaning", "value", "90 % interval", "unit", "range"],
-        [_number_row(finding, n) for n in list_numbers(finding)],
+        page.add(Text(f"{term.text[:1].upper()}{term.text[1:]}. {term.equation}.{kin}", "note"))
+    page.add(Figure([_draw_rivals(finding)], _explain_rivals(finding), is_grid=True))
+    page.add(
+        ReportTable(
+            ["number", "meaning", "value", "90 % interval", "unit", "range"],
+            [_number_row(finding, n) for n in list_numbers(finding)],
+        )
     )
     if term is not None and term.curve:
         unit = "" if term.location.unit == "1" else f", {term.location.unit}"
         driver = f"{term.driver}, {term.as_dict([])['driver_unit']}"
-        page.table(
-            [driver, f"size{unit}", "90 % interval"],
-            [
-                [f"{p['at']:.4g}", f"{p['value']:.4g}", " to ".join(f"{e:.4g}" for e in p["ci90"])]
-                for p in term.curve
-            ],
-            caption="The curve: linear between these points, and constant beyond them. What "
-            "recalibration imitates may move the whole of it.",
+        page.add(
+            ReportTable(
+                [driver, f"size{unit}", "90 % interval"],
+                [
+                    [
+                        f"{p['at']:.4g}",
+                        f"{p['value']:.4g}",
+                        " to ".join(f"{e:.4g}" for e in p["ci90"]),
+                    ]
+                    for p in term.curve
+                ],
+                "The curve: linear between these points, and constant beyond them. What "
+                "recalibration imitates may move the whole of it.",
+            )
         )
 
 
@@ -262,12 +283,12 @@ def _list_recalibrated(diagnosis: Diagnosis) -> Iterator[Sequence[str]]:
         ]
 
 
-def write_blind_spots(page: Page, diagnosis: Diagnosis) -> None:
+def write_blind_spots(page: Report, diagnosis: Diagnosis) -> None:
     """List what these records cannot show."""
     spots = diagnosis.audit.blind_spots if diagnosis.audit else ()
     if not spots:
         return
-    page.section("What these data cannot show")
+    page.add(Section("What these data cannot show"))
     rows = [
         [
             spell_names(s.name),
@@ -277,43 +298,51 @@ def write_blind_spots(page: Page, diagnosis: Diagnosis) -> None:
         for s in spots
     ]
     caption = "An effect in this list may be present although it is not named."
-    page.table(["effect", "why", "experiment that shows it"], rows, caption=caption)
+    page.add(ReportTable(["effect", "why", "experiment that shows it"], rows, caption))
 
 
-def write_compared_runs(page: Page, diagnosis: Diagnosis, records: Sequence[Record]) -> None:
+def write_compared_runs(page: Report, diagnosis: Diagnosis, records: Sequence[Record]) -> None:
     """List the records and their use, the start model, masks, and the sensors' noise."""
-    page.section("What was compared")
+    page.add(Section("What was compared"))
     evidence = diagnosis.evidence
     train = diagnosis.train or records
     rows = [_record_row(r, "fitted, each block left out in turn" if evidence else "none")
             for r in train]  # fmt: skip
     rows += [_record_row(r, "held out") for r in diagnosis.holdout]
-    page.table(["record", "use", "duration, s", "samples", "period, ms", "measured"], rows)
+    page.add(
+        ReportTable(["record", "use", "duration, s", "samples", "period, ms", "measured"], rows)
+    )
     if diagnosis.accepted:
-        page.table(
-            ["doubt about the data", "rule", "accepted because"],
-            [["; ".join(a.doubts), a.rule, a.reason] for a in diagnosis.accepted],
-            caption="These rules would have refused the data. The user overruled them.",
+        page.add(
+            ReportTable(
+                ["doubt about the data", "rule", "accepted because"],
+                [["; ".join(a.doubts), a.rule, a.reason] for a in diagnosis.accepted],
+                "These rules would have refused the data. The user overruled them.",
+            )
         )
     if evidence is None:
         return
     effects = diagnosis.nominal.effects.model_dump(exclude_none=True)
-    page.text(
-        f"The start model is {words_of_rig(diagnosis).start_model}, with "
-        + (f"{spell_names(*effects)}." if effects else "no further effect.")
-        + f" {_describe_simulation(evidence.weigher.train)}"
+    page.add(
+        Text(
+            f"The start model is {words_of_rig(diagnosis).start_model}, with "
+            + (f"{spell_names(*effects)}." if effects else "no further effect.")
+            + f" {_describe_simulation(evidence.weigher.train)}"
+        )
     )
     masked = find_masked_shares(diagnosis)
-    page.table(
-        ["sensor", "noise", "converter's step", "unit", "known", "do not count"],
-        [_noise_row(name, diagnosis.noise, masked) for name in evidence.noise_rms],
-        caption="Samples at which a record says nothing do not count: gaps, spikes, a frozen "
-        "column, no velocity where a motion is imposed, and the first part of a run that does not "
-        "begin at rest.",
+    page.add(
+        ReportTable(
+            ["sensor", "noise", "converter's step", "unit", "known", "do not count"],
+            [_noise_row(name, diagnosis.noise, masked) for name in evidence.noise_rms],
+            "Samples at which a record says nothing do not count: gaps, spikes, a frozen "
+            "column, no velocity where a motion is imposed, and the first part of a run that "
+            "does not begin at rest.",
+        )
     )
     faults = describe_noise(diagnosis)
     if faults:
-        page.points(*faults)
+        page.add(Points([*faults]))
 
 
 def _describe_simulation(runs: Runs) -> str:
@@ -327,7 +356,7 @@ def _describe_simulation(runs: Runs) -> str:
     return "The motion is simulated from the measured pressure."
 
 
-def write_measured_runs(page: Page, records: Sequence[Record]) -> None:
+def write_measured_runs(page: Report, records: Sequence[Record]) -> None:
     """Draw the records of data that cannot be diagnosed."""
     for record in records:
         plots = []
@@ -335,10 +364,10 @@ def write_measured_runs(page: Page, records: Sequence[Record]) -> None:
             display = SIGNAL_DISPLAYS.get(channel)
             factor, unit = (display.factor, display.unit) if display else (1.0, "V")
             axis = PlotAxis(channel.split("_")[0], unit)
-            plot = SvgPlot(channel, PlotAxis("time", "s", tight=True), axis, height_px=110)
+            plot = Plot(channel, PlotAxis("time", "s", tight=True), axis, height_px=110)
             plots.append(plot.line(record.t_s, factor * record[channel]))
         mark_moments(plots, record.moments)
-        page.figure(*plots, caption=f"{record.name} as given.")
+        page.add(Figure([*plots], f"{record.name} as given."))
 
 
 def _record_row(record: Record, use: str) -> list[str]:
@@ -387,7 +416,7 @@ def write_diagnosis(
     records: Sequence[Record],
     *,
     beside: Mapping[str, Any] | None = None,
-    story: Callable[[Page], None] | None = None,
+    story: Callable[[Report], None] | None = None,
     interactive: bool = False,
 ) -> list[str]:
     """Write the folder, return the names in it; no plant.yaml where the data were refused.
@@ -406,8 +435,8 @@ def write_diagnosis(
     if diagnosis.deciding is not None and runs_here(diagnosis):
         text = format_experiment_file(diagnosis.deciding, logs)
         texts[out / f"{NEXT_EXPERIMENT}.yaml"] = text
-    texts[out / "report.html"] = build_diagnosis_page(diagnosis, records, story).html(
-        interactive=interactive
+    texts[out / "report.html"] = write_html(
+        build_diagnosis_page(diagnosis, records, story), interactive=interactive
     )
     write_files(texts)
     return sorted(path.name for path in texts)

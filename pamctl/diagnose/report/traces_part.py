@@ -13,8 +13,8 @@ from pamctl.diagnose.evidence.fit import WeighedModel
 from pamctl.diagnose.record import Array
 from pamctl.diagnose.report.verdict_words import SIGNAL_DISPLAYS
 from pamctl.log.run_meta import Moment
-from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot, plot_apart
-from pamctl.report.html_page import Page
+from pamctl.report.figure import MUTED, Plot, PlotAxis, plot_apart
+from pamctl.report.report import Figure, Report, Section
 from pamctl.report.run_motion import mark_moments
 
 STRETCH_S = 3.0
@@ -94,7 +94,7 @@ def show_runs(diagnosis: Diagnosis, stages: Sequence[ModelStage]) -> list[ShownR
     return found
 
 
-def write_traces(page: Page, diagnosis: Diagnosis) -> None:
+def write_traces(page: Report, diagnosis: Diagnosis) -> None:
     """Show the most telling stretch, and the residual of its whole record."""
     stages = list_stages(diagnosis)
     runs = show_runs(diagnosis, stages)
@@ -107,28 +107,34 @@ def write_traces(page: Page, diagnosis: Diagnosis) -> None:
     is_part = part.stop - part.start < len(run.t_s)
     whole = [*_draw_whole(run, part, stages)] if is_part else []
     mark_moments([*close_up, *same_scale, *whole], run.moments)
-    page.section("Measured and simulated")
+    page.add(Section("Measured and simulated"))
     why = (
         f'where the model "{stages[-1].label}" improves most on "{stages[-2].label}"'
         if len(stages) > 1
         else "where the residual is largest"
     )
     use = "held-out" if diagnosis.holdout else "partly fitted"
-    page.figure(
-        *close_up,
-        caption=f"The {use} record {run.name}, at most {STRETCH_S:g} s of it, {why}. A residual "
-        "breaks where samples do not count.",
+    page.add(
+        Figure(
+            [*close_up],
+            f"The {use} record {run.name}, at most {STRETCH_S:g} s of it, {why}. A residual "
+            "breaks where samples do not count.",
+        )
     )
-    page.figure(
-        *same_scale,
-        caption="The measured signal without its mean, and the residual, at the same scale: what "
-        f'the model "{stages[-1].label}" leaves of what there was to explain.',
+    page.add(
+        Figure(
+            [*same_scale],
+            "The measured signal without its mean, and the residual, at the same scale: what "
+            f'the model "{stages[-1].label}" leaves of what there was to explain.',
+        )
     )
     if whole:
-        page.figure(
-            *whole,
-            caption=f"What is left over the whole record {run.name}. The stretch above lies "
-            "between the dashed lines.",
+        page.add(
+            Figure(
+                [*whole],
+                f"What is left over the whole record {run.name}. The stretch above lies "
+                "between the dashed lines.",
+            )
         )
 
 
@@ -167,11 +173,11 @@ def _measure_movement(residual: Array, length: int) -> Array:
     return np.asarray(means[1] - 0.9 * means[0] ** 2)
 
 
-def _draw_close_up(run: ShownRun, part: slice, stages: Sequence[ModelStage]) -> Iterator[SvgPlot]:
+def _draw_close_up(run: ShownRun, part: slice, stages: Sequence[ModelStage]) -> Iterator[Plot]:
     t_s = run.t_s[part]
     for c, channel in enumerate(run.channels):
         display = SIGNAL_DISPLAYS[channel]
-        plot = SvgPlot(display.title, _TIME, PlotAxis(display.short, display.unit))
+        plot = Plot(display.title, _TIME, PlotAxis(display.short, display.unit))
         measured = run.measured[c, part]
         plot.line(t_s, display.factor * measured, "measured", colour=MUTED, thick=True)
         for stage in stages:
@@ -180,21 +186,19 @@ def _draw_close_up(run: ShownRun, part: slice, stages: Sequence[ModelStage]) -> 
         yield plot
         yield from _draw_residual(run, c, stages, part)
     if run.command_v is not None:
-        command = SvgPlot("Valve command", _TIME, PlotAxis("command", "V"), height_px=90)
+        command = Plot("Valve command", _TIME, PlotAxis("command", "V"), height_px=90)
         yield command.line(t_s, run.command_v[part], step=True, colour=MUTED)
 
 
-def _draw_residual(
-    run: ShownRun, c: int, stages: Sequence[ModelStage], part: slice
-) -> list[SvgPlot]:
+def _draw_residual(run: ShownRun, c: int, stages: Sequence[ModelStage], part: slice) -> list[Plot]:
     display = SIGNAL_DISPLAYS[run.channels[c]]
     title = f"{display.title.split(',')[0]}, measurement \N{MINUS SIGN} simulation"
     residuals = {s.key: (run.residuals[s.key] * run.counted)[c, part] for s in stages}
     largest = max(float(np.abs(np.nan_to_num(r)).max()) for r in residuals.values())
     factor, unit = display.choose_unit(largest)
 
-    def draw(shown: Sequence[ModelStage]) -> SvgPlot:
-        plot = SvgPlot(title, _TIME, PlotAxis("residual", unit), height_px=110)
+    def draw(shown: Sequence[ModelStage]) -> Plot:
+        plot = Plot(title, _TIME, PlotAxis("residual", unit), height_px=110)
         for stage in shown:
             plot.line(
                 run.t_s[part], factor * residuals[stage.key], stage.label, colour=stage.colour
@@ -204,13 +208,13 @@ def _draw_residual(
     return plot_apart(draw, stages)
 
 
-def _draw_same_scale(run: ShownRun, stage: ModelStage) -> Iterator[SvgPlot]:
+def _draw_same_scale(run: ShownRun, stage: ModelStage) -> Iterator[Plot]:
     """Draw signal and residual of the whole record on one axis, with their RMS as labels."""
     for c, channel in enumerate(run.channels):
         display = SIGNAL_DISPLAYS[channel]
         moved = display.factor * (run.measured[c] - np.mean(run.measured[c]))
         left = display.factor * run.residuals[stage.key][c] * run.counted[c]
-        plot = SvgPlot(
+        plot = Plot(
             f"{display.title.split(',')[0]}, signal and residual", _TIME,
             PlotAxis(display.short, display.unit),
         )  # fmt: skip
@@ -221,7 +225,7 @@ def _draw_same_scale(run: ShownRun, stage: ModelStage) -> Iterator[SvgPlot]:
         yield plot
 
 
-def _draw_whole(run: ShownRun, part: slice, stages: Sequence[ModelStage]) -> Iterator[SvgPlot]:
+def _draw_whole(run: ShownRun, part: slice, stages: Sequence[ModelStage]) -> Iterator[Plot]:
     for c in range(len(run.channels)):
         for plot in _draw_residual(run, c, stages, slice(None)):
             plot.place(float(run.t_s[part.start]), "")

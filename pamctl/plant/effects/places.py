@@ -45,50 +45,28 @@ _HELD = ("memory", "begin", "end", "step_s")
 """The value changes linearly from `begin` to `end`; a command is constant in a step."""
 
 PLACES: dict[str, Place] = {
-    "numbers": Place(
-        "numbers", "the plant's numbers (PaperParameters)", ("numbers",), (), "numbers"
-    ),
-    "command": Place(
-        "valve", "command to the spool, V", ("command_v", "age_s"), _HELD, "command_v"
-    ),
-    "opening": Place(
-        "valve",
-        "opening, in volts of the command that opens the paper's valve as far",
-        ("opening_v", "age_s"),
-        _HELD,
-        "opening_v",
-    ),
-    "flow": Place(
-        "air",
-        "added mass flow into the muscle, kg/s",
-        ("opening_v", "pressure_pa", "position_m", "age_s"),
-    ),
-    "volume": Place(
-        "air", "volume of the air, m^3", ("volume_m3", "position_m", "pressure_pa"), (), "volume_m3"
-    ),
-    "pulling_pressure": Place(
-        "mechanics", "gauge pressure that pulls, Pa", ("pulling_pa", *_MUSCLE), (), "pulling_pa"
-    ),
+    "numbers": Place("numbers", "the plant's numbers (PaperParameters)", ("numbers",), (),
+                     "numbers"),
+    "command": Place("valve", "command to the spool, V", ("command_v", "age_s"), _HELD,
+                     "command_v"),
+    "opening": Place("valve",
+                     "opening, in volts of the command that opens the paper's valve as far",
+                     ("opening_v", "age_s"), _HELD, "opening_v"),
+    "flow": Place("air", "added mass flow into the muscle, kg/s",
+                  ("opening_v", "pressure_pa", "position_m", "age_s")),
+    "volume": Place("air", "volume of the air, m^3", ("volume_m3", "position_m", "pressure_pa"),
+                    (), "volume_m3"),
+    "pulling_pressure": Place("mechanics", "gauge pressure that pulls, Pa",
+                              ("pulling_pa", *_MUSCLE), (), "pulling_pa"),
     "force": Place("mechanics", "added pull, N; in the direction of contraction", _MUSCLE, _MOTION),
-    "friction": Place(
-        "mechanics", "dry friction (FrictionBand)", ("band", *_MUSCLE), _MOTION, "band"
-    ),
+    "friction": Place("mechanics", "dry friction (FrictionBand)", ("band", *_MUSCLE), _MOTION,
+                      "band"),
     "damping": Place("mechanics", "added damping, N s/m", _MUSCLE, _MOTION),
-    "pressure_reading": Place(
-        "sensors",
-        "absolute pressure that the sensor shows, Pa",
-        ("pressure_pa", "atmosphere_pa", "age_s"),
-        _HELD,
-        "pressure_pa",
-    ),
-    "position_reading": Place(
-        "sensors",
-        "displacement that the encoder shows, m",
-        ("position_m", "age_s"),
-        _HELD,
-        "position_m",
-    ),
-}
+    "pressure_reading": Place("sensors", "absolute pressure that the sensor shows, Pa",
+                              ("pressure_pa", "atmosphere_pa", "age_s"), _HELD, "pressure_pa"),
+    "position_reading": Place("sensors", "displacement that the encoder shows, m",
+                              ("position_m", "age_s"), _HELD, "position_m"),
+}  # fmt: skip
 """In the order of a step."""
 
 

@@ -31,6 +31,7 @@ from pamctl.diagnose.report.traces_part import (
 )
 from pamctl.diagnose.report.verdict_words import advise_next_steps
 from pamctl.plant.model import PlantSettings
+from pamctl.report.html_page import write_html
 
 HOSTILE = "<script>alert('x')</script>"
 DEAD_BAND = {"valve_deadband__fill_width_v": 0.25, "valve_deadband__exhaust_width_v": 0.2}
@@ -83,7 +84,7 @@ def as_if(named: Diagnosis, verdict: Verdict) -> Diagnosis:
 
 def page(diagnosis: Diagnosis) -> str:
     records = [*diagnosis.train, *diagnosis.holdout]
-    return build_diagnosis_page(diagnosis, records).html()
+    return write_html(build_diagnosis_page(diagnosis, records))
 
 
 def headline(html: str) -> str:
@@ -256,7 +257,7 @@ def test_bad_data_have_a_page_with_the_reason_and_the_columns_as_given():
     stuck = replace(record, position_m=np.zeros(len(record)))
     found = diagnose([stuck], [record], PlantSettings())
     assert found.verdict is Verdict.BAD_DATA
-    html = build_diagnosis_page(found, [stuck, record]).html()
+    html = write_html(build_diagnosis_page(found, [stuck, record]))
     assert headline(html) == "These data cannot be diagnosed"
     assert found.reason.split(";")[0] in html
     assert html.count(">valve_v <") == 2
@@ -265,7 +266,7 @@ def test_bad_data_have_a_page_with_the_reason_and_the_columns_as_given():
 def test_a_log_without_a_command_has_a_page_of_the_mechanics_alone():
     alone = replace(measured("fit", 1), valve_v=None)
     found = diagnose([alone], [], PlantSettings())
-    html = build_diagnosis_page(found, [alone]).html()
+    html = write_html(build_diagnosis_page(found, [alone]))
     assert html.count('class="levels"') == 1
     assert "Valve command" not in html
     assert "on seconds that were used for no fit" in html
@@ -285,7 +286,7 @@ def test_diagnose_writes_page_and_document_for_bad_data_too(tmp_path: Path):
 
 def test_names_of_records_are_escaped(named):
     hostile = [replace(r, name=HOSTILE) for r in (*named.train, *named.holdout)]
-    html = build_diagnosis_page(named, hostile).html()
+    html = write_html(build_diagnosis_page(named, hostile))
     assert "<script" not in html
     assert "&lt;script&gt;" in html
 

@@ -24,6 +24,7 @@ from pamctl.diagnose.report.verdict_words import (
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.drive import drive_coupled
 from pamctl.plant.model import PlantSettings, plant_parameters
+from pamctl.report.html_page import write_html
 
 pytestmark = pytest.mark.long
 
@@ -81,7 +82,7 @@ def test_no_word_of_a_mechanism_speaks_of_air(
 ) -> None:
     said = found if verdict is None else replace(found, verdict=verdict)
     assert names_of(found) == ["coulomb_friction", "position_late"]  # the force was held for 1 ms
-    html = build_diagnosis_page(said, records).html()
+    html = write_html(build_diagnosis_page(said, records))
     page = re.sub(r"<style.*?</style>", "", html.split("plant.yaml</summary>")[0], flags=re.S)
     document = build_diagnosis_document(said)
     told = "\n".join(
@@ -102,7 +103,7 @@ def test_a_refused_record_of_a_mechanism_is_not_to_be_vented(records: list[Recor
 
 
 def test_signal_and_residual_share_a_picture(found: Diagnosis, records: list[Record]) -> None:
-    html = build_diagnosis_page(found, records).html()
+    html = write_html(build_diagnosis_page(found, records))
     assert "Displacement, signal and residual" in html
     (signal,) = re.findall(r"signal, RMS ([\d.e-]+) mm", html)[:1]
     spread_mm = 1e3 * float(np.std(records[1]["position_m"]))
@@ -117,7 +118,7 @@ def test_an_accepted_doubt_is_in_the_document_and_on_the_page(records: list[Reco
     kept = diagnose(gauge[:1], gauge[1:], AXIS, without=others, accept={"pressure_unit": reason})
     (entry,) = build_diagnosis_document(kept)["accepted"]
     assert (entry["rule"], entry["reason"]) == ("pressure_unit", reason)
-    assert reason in build_diagnosis_page(kept, gauge).html()
+    assert reason in write_html(build_diagnosis_page(kept, gauge))
     assert reason in summary(kept)
 
 

@@ -30,7 +30,7 @@ from mcap.records import (
 from numpy.typing import NDArray
 
 from pamctl.log.framing import NO_CHECKSUM, Damage, FileRecord, encode_record, record_at
-from pamctl.log.reading.record_walk import Loaded, Part
+from pamctl.log.record_walk import Loaded, Part
 
 INDEX_ENTRY = np.dtype([("time", "<u8"), ("offset", "<u8")])
 

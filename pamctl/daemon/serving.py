@@ -15,7 +15,6 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, NamedTuple
 
-from hal.child import child_command
 from hal.rig import Rig
 from pamctl import __version__
 from pamctl.daemon.announcements import Announcements, notify, watchdog_period_s
@@ -128,8 +127,6 @@ def _make_event(event: str, **details: object) -> dict[str, object]:
 
 def _make_workshop(settings: RunSettings, rig: Rig, readers: int) -> Workshop:
     return Workshop(
-        loop=child_command("pamctl.processes.loop_main"),
-        guardian=child_command("pamctl.processes.guardian_main"),
         rig=rig,
         meta=make_run_meta,
         device=device_of(settings),

@@ -13,7 +13,7 @@ import signal
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,13 +24,12 @@ from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log.run_meta import RunMeta
 from pamctl.processes.front import FrontReport, close_log, read_ending
-from pamctl.processes.guardian_handle import Guardianship
-from pamctl.processes.interrupts import block_signals
+from pamctl.processes.guardian_handle import start_loop
 from pamctl.processes.loop_supervisor import STARTS_WITHIN_S
 from pamctl.realtime.orders import OrderError, Orders
 from pamctl.recording.journal import make_outcome_event, put_event_for_dead_loop
 from pamctl.recording.recorder import RecorderError, await_recorder, spawn_recorder
-from pamctl.recording.ring import LoopStage, Ring
+from pamctl.recording.ring import LoopStage, RecorderFlag, Ring
 from pamctl.settings.resolve import RunSettings
 from pamctl.signals import Phase
 
@@ -44,12 +43,8 @@ _SESSION_ROWS = 4096
 
 @dataclass(frozen=True)
 class Workshop:
-    """How the processes of a rig are started; made by the composition root."""
+    """What the sessions of a rig need from it; made by the composition root."""
 
-    loop: Sequence[str]
-    """The command of the loop; the ring's path, the orders' descriptor, `session` are appended."""
-    guardian: Sequence[str]
-    """The command of the guardian; the ring's path is appended."""
     rig: Rig
     """Not opened here: made safe when neither loop nor guardian is left to do it."""
     meta: Callable[[RunSettings, Mapping[str, str], Path], RunMeta]
@@ -104,18 +99,10 @@ class Session:
         self._reading = threading.Lock()
         self._may_signal = threading.Lock()
         """Taken once, by whoever ends the loop."""
-        with block_signals():
-            self._guardian = Guardianship(
-                self._ring, workshop.guardian, workshop.rig, settings.rig.loop
-            )
-            self._loop = subprocess.Popen(
-                [*workshop.loop, str(path), str(self._orders.fd), "session"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                pass_fds=[self._orders.fd],
-                process_group=0,
-            )
-            self._ring.loop_pid = self._loop.pid
+        pace, fd = settings.rig.loop, self._orders.fd
+        self._loop, self._guardian = start_loop(
+            self._ring, workshop.rig, pace, orders_fd=fd, is_session=True
+        )
         self._await_ticks()
         self._ring.unlink()  # processes that hold it keep it; nothing is left behind
 
@@ -136,10 +123,15 @@ class Session:
         return self._loop.poll() is None
 
     def look(self) -> None:
-        """See whether guardian and loop live; call it every `LOOK_EVERY_S`, from any thread."""
+        """See whether guardian, loop and recorder live; any thread may, every `LOOK_EVERY_S`."""
         with self._reading:
             if self._ring in self._open_rings:
                 self._guardian.look(self._loop)
+            run = self.run
+            if run is not None and run.ring in self._open_rings:
+                has_ended = run.recorder.poll() is not None  # asked first: it ends after a run
+                if has_ended and not run.is_over:
+                    run.ring.raise_flag(RecorderFlag.FAILED)
 
     def latest_tick(self) -> dict[str, float] | None:
         """Return the newest tick's columns by name."""

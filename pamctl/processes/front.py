@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 from hal.rig import Rig
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.processes.guardian_handle import LOOK_EVERY_S, Guardianship
+from pamctl.processes.guardian_handle import LOOK_EVERY_S, Guardianship, start_loop
 from pamctl.processes.interrupts import STOP_SIGNALS, block_signals
 from pamctl.processes.mark_desk import MarkDesk
 from pamctl.realtime.clock import LoopSettings
@@ -49,21 +49,15 @@ class FrontReport(NamedTuple):
     """What the user must know about the log; empty where all is well."""
 
 
-class ProcessCommands(NamedTuple):
-    """How to start the processes that belong to a rig; the ring's path is appended."""
-
-    loop: Sequence[str]
-    guardian: Sequence[str] | None
-
-
 def conduct_run(
     ring: Ring,
-    commands: ProcessCommands,
     rig: Rig,
     progress: Progress,
     mode: Mode,
     pace: LoopSettings,
     desk: MarkDesk | None = None,
+    *,
+    is_guarded: bool = True,
 ) -> FrontReport:
     """Run the loop on a fresh ring to its end; return when the log is on disk.
 
@@ -71,22 +65,19 @@ def conduct_run(
     `restore_signals`. `rig` is not opened here: it is made safe
     where neither loop nor guardian is left to do it. `mode` is for this process alone: it
     says whether the front may be scheduled in real time while it watches. `pace` says
-    how long the loop may be silent. `desk` takes marks from other terminals.
+    how long the loop may be silent. `desk` takes marks from other terminals. A run without a
+    clock is not guarded.
     """
     with _SignalForwarder() as signals:
-        # The loop inherits the block and lifts it when it has handlers: a signal that comes
-        # while it starts waits, instead of killing it.
         with block_signals():
             recorder = spawn_recorder(ring.path)
-            guardian = Guardianship(ring, commands.guardian, rig, pace)
-            loop = subprocess.Popen(
-                [*commands.loop, str(ring.path), *([] if desk is None else [str(desk.fd)])],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                pass_fds=[] if desk is None else [desk.fd],
-                process_group=0,
+            loop, guardian = start_loop(
+                ring,
+                rig,
+                pace,
+                is_guarded=is_guarded,
+                orders_fd=None if desk is None else desk.fd,
             )
-            ring.loop_pid = loop.pid
         signals.start_forwarding(loop)
         with raise_front_priority(mode):
             _watch(ring, loop, recorder, guardian, progress, desk)

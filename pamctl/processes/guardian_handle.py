@@ -13,9 +13,11 @@ import subprocess
 import time
 from collections.abc import Sequence
 
+from hal.child import child_command
 from hal.rig import Rig
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.guardian import POLL_MS, Silence, Takeover, read_state, take_over
+from pamctl.processes.interrupts import block_signals
 from pamctl.realtime.clock import LoopSettings
 from pamctl.recording.journal import put_event_for_dead_loop
 from pamctl.recording.ring import Ring
@@ -130,6 +132,38 @@ class Guardianship:
             return ending
         put_event_for_dead_loop(self._ring, {**takeover.event(), "event": "front_takeover"})
         return _ending_of_takeover(takeover, ending, "the front")
+
+
+def start_loop(
+    ring: Ring,
+    rig: Rig,
+    pace: LoopSettings,
+    *,
+    is_guarded: bool = True,
+    orders_fd: int | None = None,
+    is_session: bool = False,
+) -> tuple[subprocess.Popen[bytes], Guardianship]:
+    """Start the loop on a ring, and its guardian; see `Guardianship` for `rig` and `pace`.
+
+    `orders_fd` is the slot that the loop takes marks or orders from. A session goes on without a
+    run, until it is stopped.
+    """
+    fds = [] if orders_fd is None else [orders_fd]
+    words = [ring.path, *fds, *(["session"] if is_session else [])]
+    command = child_command("pamctl.processes.guardian_main") if is_guarded else None
+    # The loop inherits the block and lifts it when it has handlers: a signal that comes while it
+    # starts waits, instead of killing it.
+    with block_signals():
+        guardian = Guardianship(ring, command, rig, pace)
+        loop = subprocess.Popen(
+            child_command("pamctl.processes.loop_main", *words),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            pass_fds=fds,
+            process_group=0,
+        )
+        ring.loop_pid = loop.pid
+    return loop, guardian
 
 
 def _spawn(command: Sequence[str]) -> subprocess.Popen[bytes]:

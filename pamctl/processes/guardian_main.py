@@ -33,6 +33,8 @@ from pamctl.recording.ring import Ring, RingError
 from pamctl.settings.resolve import RunSettings, from_resolved, settings_to_json
 
 _ALL_WELL = b"all is well\n"
+_END_PATIENCE_S = 20.0
+"""Longer than the patience with a driver that drives the safe voltage."""
 
 
 def main() -> int:
@@ -142,6 +144,9 @@ def keep_watchman(settings: RunSettings, rig: Rig) -> Iterator[None]:
         with suppress(BrokenPipeError):
             watchman.stdin.write(json.dumps(settings_to_json(settings)).encode() + b"\n")
             watchman.stdin.flush()
+        if not select.select([watchman.stdout], [], [], STARTS_WITHIN_S)[0]:
+            watchman.kill()
+            raise RigError(f"the watchman process did not start within {STARTS_WITHIN_S:g} s")
         if watchman.stdout.readline() != b"ready\n":
             raise RigError("the watchman process did not start", fix="see its message above")
         yield
@@ -150,7 +155,12 @@ def keep_watchman(settings: RunSettings, rig: Rig) -> Iterator[None]:
             if rig.safe_failure is None:
                 watchman.stdin.write(_ALL_WELL)
             watchman.stdin.close()
-        watchman.wait()
+        try:
+            watchman.wait(_END_PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            watchman.kill()
+            watchman.wait()
+            print(f"note: the watchman did not end within {_END_PATIENCE_S:g} s", file=sys.stderr)
         watchman.stdout.close()
     if rig.safe_failure is not None:
         raise rig.safe_failure

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 from hal.backend import find_backends
 from hal.calibration import Zero, calibration
-from hal.child import child_command
 from hal.rig import Rig
 from pamctl.control.filters import warp_cutoff
 from pamctl.control.law_registry import describe_law, law_of
@@ -31,7 +30,7 @@ from pamctl.processes.backends import (
     require_backend,
     require_open_files,
 )
-from pamctl.processes.front import FrontReport, ProcessCommands, conduct_run
+from pamctl.processes.front import FrontReport, conduct_run
 from pamctl.processes.keep_awake import keep_awake
 from pamctl.processes.mark_desk import MarkDesk, open_mark_desk
 from pamctl.realtime.tick import first_state, keyframe_fields
@@ -127,12 +126,11 @@ def secure_device(settings: RunSettings) -> Iterator[Rig]:
 def _conduct_run(
     ring: Ring, rig: Rig, progress: ProgressLine, settings: RunSettings, desk: MarkDesk | None
 ) -> FrontReport:
-    guardian = None if settings.fast else child_command("pamctl.processes.guardian_main")
-    commands = ProcessCommands(child_command("pamctl.processes.loop_main"), guardian)
     try:
         # Without a clock no valve depends on the front: it needs no priority.
         mode = "off" if settings.fast else settings.rt
-        return conduct_run(ring, commands, rig, progress, mode, settings.rig.loop, desk)
+        pace, is_guarded = settings.rig.loop, not settings.fast
+        return conduct_run(ring, rig, progress, mode, pace, desk, is_guarded=is_guarded)
     except BaseException:
         if not ring.head:
             ring.unlink()

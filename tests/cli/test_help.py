@@ -128,7 +128,7 @@ def test_the_pressures_of_a_calibration_are_shown(what: str, points_kpa: tuple[f
         ("set", "at least 0 and at most 60 s"),
         ("goto", "more than 0 and at most 3600 s"),
         ("daemon", "[default: 600.0]"),
-        ("doctor", "0.1<=x<=600.0"),
+        ("doctor", "at least 0.1 and at most 600 s"),
         ("tune", "2<=x<=1000"),
     ],
 )

@@ -157,7 +157,7 @@ def test_a_recorder_that_dies_is_a_fault_and_its_ticks_are_rescued(hurt: Daemon)
     log = holding(hurt)
     os.kill(hurt.ask("status")["pids"]["recorder"], signal.SIGKILL)
     hurt.wait_safe()
-    assert "recorder" in hurt.wait_for("fault")["fault"]
+    assert "the recorder failed" in hurt.wait_for("fault")["fault"]
     hurt.wait_until(lambda s: not s["pids"])
     finished = [path for path in hurt.finished_logs() if path.name.startswith(log.stem)]
     assert any(read(path).events[-1]["event"] == "outcome" for path in finished)
@@ -249,7 +249,7 @@ def test_more_signals_end_it_at_once_and_leave_no_fault(tmp_path: Path) -> None:
 def test_a_daemon_that_is_ending_starts_nothing(tmp_path: Path) -> None:
     settings = resolve()
     workshop = Workshop(
-        [], [], build_rig(settings, VirtualClock(1)).rig, make_run_meta, "none", new_ring_path
+        build_rig(settings, VirtualClock(1)).rig, make_run_meta, "none", new_ring_path
     )
     latch = Latch(tmp_path / "fault")
     service = RigSession(settings, {"controller": "qsmc"}, workshop, Shelf(tmp_path), latch)

@@ -17,6 +17,7 @@ from support.patience import PATIENCE_S
 
 from hal.rig import RigError
 from pamctl.exit_codes import Ending, ExitCode
+from pamctl.processes import guardian_main
 from pamctl.processes.guardian import (
     LEAVING_NS,
     POLL_MS,
@@ -264,3 +265,11 @@ def test_a_session_whose_driver_opens_slowly_is_not_taken_for_silent(tmp_path: P
         after_s = patience_ns(ring.loop_stage, False, 50_000_000) * 1e-9
     assert before_s > 10.0
     assert after_s == 0.05
+
+
+def test_a_watchman_that_does_not_start_is_not_waited_for_and_is_named(monkeypatch) -> None:
+    monkeypatch.setattr(guardian_main, "STARTS_WITHIN_S", 0.1)
+    monkeypatch.setattr(guardian_main, "child_command", lambda *_: ["sleep", "1000"])
+    watchman = guardian_main.keep_watchman(resolve(), StubRig())  # type: ignore[arg-type]
+    with pytest.raises(RigError, match=r"watchman process did not start within 0\.1 s"), watchman:
+        pytest.fail("the work began without a watchman")

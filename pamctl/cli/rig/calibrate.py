@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING
 
 import typer
 
-from pamctl.cli.backend_option import BackendOption
 from pamctl.cli.failure import Failed
-from pamctl.cli.options import JsonOption, RigOption, SetOption, require_linux
+from pamctl.cli.options import MAY_MOVE, flag, option, require_linux, verb
 from pamctl.cli.output import print_result
-from pamctl.cli.settings_from_options import resolve_options
+from pamctl.cli.settings_from_options import RigOptions
 from pamctl.exit_codes import ExitCode
 from pamctl.settings.problems import ConfigError, Problem
 
@@ -26,48 +25,34 @@ calibrate_app = typer.Typer(
     help="Measure sensor, encoder and valve of the rig, and write a new rig file.",
 )
 
-OutOption = Annotated[
-    Path,
-    typer.Option("--out", metavar="FILE", help="New rig file; an existing file is refused"),
-]
-YesOption = Annotated[
-    bool, typer.Option("--yes", help="Do not ask whether the rig may be pressurised and move")
-]
+
+class CalibrateOptions(RigOptions):
+    """What every calibration is asked."""
+
+    out: Path = option("--out FILE", "New rig file; an existing file is refused", ...)
+    yes: bool = MAY_MOVE
 
 
-def _point_option(default: str) -> Any:
-    """Return the option for pressures to hold; the defaults are those of the calibrations."""
-    return typer.Option(
-        "--point",
-        metavar="KPA",
-        min=1.0,
-        help="Pressure to hold, kPa gauge; can be repeated",
-        show_default=default,
+class PressureOptions(CalibrateOptions):
+    """`pamctl calibrate pressure`."""
+
+    points_kpa: list[float] = option(
+        "--point KPA",
+        "Pressure to hold, kPa gauge; can be repeated",
+        shown="100, 200, 300",
+        low=1.0,
     )
+    readings_kpa: list[float] = option(
+        "--reading KPA",
+        "Reading of the reference gauge, one for each --point, above 0 kPa",
+        shown="asked at the terminal",
+    )
+    zero_only: bool = flag("--zero-only", "Find the zero only; no reference gauge is needed")
 
 
 @calibrate_app.command("pressure")
-def pressure(
-    out: OutOption,
-    backend: BackendOption = None,
-    rig: RigOption = None,
-    overrides: SetOption = None,
-    points_kpa: Annotated[list[float] | None, _point_option("100, 200, 300")] = None,
-    readings_kpa: Annotated[
-        list[float] | None,
-        typer.Option(
-            "--reading",
-            metavar="KPA",
-            help="Reading of the reference gauge, one for each --point, above 0 kPa",
-            show_default="asked at the terminal",
-        ),
-    ] = None,
-    zero_only: Annotated[
-        bool, typer.Option("--zero-only", help="Find the zero only; no reference gauge is needed")
-    ] = False,
-    yes: YesOption = False,
-    as_json: JsonOption = False,
-) -> None:
+@verb
+def pressure(asked: PressureOptions) -> None:
     """Find the pressure sensor's zero at the atmosphere, and its gain against a reference gauge."""
     require_linux()
     from pamctl.commissioning.calibrations import (
@@ -76,44 +61,37 @@ def pressure(
     )
     from pamctl.commissioning.guided import CalibrationTask, check_answers
 
-    settings, names = resolve_options(backend, rig, overrides, fast=False)
-    points = () if zero_only else tuple(points_kpa or PRESSURE_POINTS_KPA)
+    settings, names = asked.resolve()
+    points = () if asked.zero_only else tuple(asked.points_kpa or PRESSURE_POINTS_KPA)
     task = CalibrationTask(
         "pressure",
         settings,
         names["rig"],
-        out,
+        asked.out,
         points,
         lambda bench, operator: calibrate_pressure(bench, operator, points),
     )
-    answers = check_answers("--reading", readings_kpa, points)
-    _calibrate(task, answers, yes=yes, as_json=as_json)
+    answers = check_answers("--reading", asked.readings_kpa or None, points)
+    _calibrate(task, answers, asked)
+
+
+class EncoderOptions(CalibrateOptions):
+    """`pamctl calibrate encoder`."""
+
+    by: str = option("--by hand|muscle", "What moves the carriage", "hand")
+    displacements_mm: list[float] = option(
+        "--displacement-mm MM",
+        "Known displacement: a gauge block, or the contraction at each --point; can be repeated",
+        shown="asked at the terminal",
+    )
+    points_kpa: list[float] = option(
+        "--point KPA", "Pressure to hold, kPa gauge; can be repeated", shown="250", low=1.0
+    )
 
 
 @calibrate_app.command("encoder")
-def encoder(
-    out: OutOption,
-    backend: BackendOption = None,
-    rig: RigOption = None,
-    overrides: SetOption = None,
-    by: Annotated[
-        str,
-        typer.Option("--by", metavar="hand|muscle", help="What moves the carriage"),
-    ] = "hand",
-    displacements_mm: Annotated[
-        list[float] | None,
-        typer.Option(
-            "--displacement-mm",
-            metavar="MM",
-            help="Known displacement: a gauge block, or the contraction at each --point; "
-            "can be repeated",
-            show_default="asked at the terminal",
-        ),
-    ] = None,
-    points_kpa: Annotated[list[float] | None, _point_option("250")] = None,
-    yes: YesOption = False,
-    as_json: JsonOption = False,
-) -> None:
+@verb
+def encoder(asked: EncoderOptions) -> None:
     """Find the encoder's scale and sign against known displacements, moved by hand or muscle."""
     require_linux()
     from pamctl.commissioning.calibrations import (
@@ -123,63 +101,58 @@ def encoder(
     )
     from pamctl.commissioning.guided import CalibrationTask, check_answers
 
-    points = tuple(points_kpa or ENCODER_POINTS_KPA)
-    known_mm = tuple(displacements_mm or ())
+    points = tuple(asked.points_kpa or ENCODER_POINTS_KPA)
+    known_mm = tuple(asked.displacements_mm)
 
     def work(bench: Bench, operator: Operator) -> CalibrationOutcome:
-        if by == "muscle":
+        if asked.by == "muscle":
             return calibrate_encoder_by_muscle(bench, operator, points)
         return calibrate_encoder_by_hand(bench, operator, known_mm)
 
-    if by not in {"hand", "muscle"}:
-        raise ConfigError([Problem(f"--by {by}", "", "must be 'hand' or 'muscle'")])
-    settings, names = resolve_options(backend, rig, overrides, fast=False)
+    if asked.by not in {"hand", "muscle"}:
+        raise ConfigError([Problem(f"--by {asked.by}", "", "must be 'hand' or 'muscle'")])
+    settings, names = asked.resolve()
     held: tuple[float, ...] = ()
     answers = None
-    if by == "muscle":
-        held, answers = points, check_answers("--displacement-mm", displacements_mm, points)
-    task = CalibrationTask("encoder", settings, names["rig"], out, held, work)
-    _calibrate(task, answers, yes=yes, as_json=as_json)
+    if asked.by == "muscle":
+        held, answers = (
+            points,
+            check_answers("--displacement-mm", asked.displacements_mm or None, points),
+        )
+    task = CalibrationTask("encoder", settings, names["rig"], asked.out, held, work)
+    _calibrate(task, answers, asked)
+
+
+class ValveOptions(CalibrateOptions):
+    """`pamctl calibrate valve`."""
+
+    span_v: float = option(
+        "--span V", "Search range around the null, +- V", 1.0, low=0.05, high=5.0
+    )
 
 
 @calibrate_app.command("valve")
-def valve(
-    out: OutOption,
-    backend: BackendOption = None,
-    rig: RigOption = None,
-    overrides: SetOption = None,
-    span_v: Annotated[
-        float,
-        typer.Option(
-            "--span",
-            metavar="V",
-            min=0.05,
-            max=5.0,
-            help="Search range around the null, +- V",
-        ),
-    ] = 1.0,
-    yes: YesOption = False,
-    as_json: JsonOption = False,
-) -> None:
+@verb
+def valve(asked: ValveOptions) -> None:
     """Find the valve's sign, null voltage and dead band, and the supply pressure."""
     require_linux()
     from pamctl.commissioning.calibrations import calibrate_valve
     from pamctl.commissioning.guided import CalibrationTask
 
-    settings, names = resolve_options(backend, rig, overrides, fast=False)
+    settings, names = asked.resolve()
     task = CalibrationTask(
         "valve",
         settings,
         names["rig"],
-        out,
+        asked.out,
         (),
-        lambda bench, operator: calibrate_valve(bench, span_v),
+        lambda bench, operator: calibrate_valve(bench, asked.span_v),
     )
-    _calibrate(task, None, yes=yes, as_json=as_json)
+    _calibrate(task, None, asked)
 
 
 def _calibrate(
-    task: CalibrationTask, answers: Sequence[float] | None, *, yes: bool, as_json: bool
+    task: CalibrationTask, answers: Sequence[float] | None, asked: CalibrateOptions
 ) -> None:
     from pamctl.commissioning.guided import (
         calibrate_rig,
@@ -189,8 +162,8 @@ def _calibrate(
     from pamctl.processes.interrupts import SignalInterrupt
 
     try:
-        made = calibrate_rig(task, answers, may_move=yes)
+        made = calibrate_rig(task, answers, may_move=asked.yes)
     except SignalInterrupt as error:
         raise Failed(error.code, str(error)) from error
     document = {"exit_code": int(ExitCode.OK), "reason": "", **make_calibration_document(made)}
-    print_result(document, lambda: format_calibration(made), made.failure, as_json=as_json)
+    print_result(document, lambda: format_calibration(made), made.failure, as_json=asked.as_json)

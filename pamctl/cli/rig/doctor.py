@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from contextlib import closing
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -13,10 +13,9 @@ from hal.backend import (
     format_findings,
     worst_level,
 )
-from pamctl.cli.backend_option import BackendOption
-from pamctl.cli.options import JsonOption, RigOption, SetOption, require_linux
+from pamctl.cli.options import flag, option, require_linux, verb
 from pamctl.cli.output import print_json
-from pamctl.cli.settings_from_options import resolve_options
+from pamctl.cli.settings_from_options import RigOptions
 from pamctl.exit_codes import ExitCode
 
 if TYPE_CHECKING:
@@ -26,27 +25,19 @@ SCHEMA = 1
 """Version of the document that `--json` prints."""
 
 
-def doctor(
-    backend: BackendOption = None,
-    rig: RigOption = None,
-    overrides: SetOption = None,
-    actuate: Annotated[
-        bool, typer.Option("--actuate", help="Fill and exhaust for a moment; the muscle moves")
-    ] = False,
-    rt_seconds: Annotated[
-        float,
-        typer.Option(
-            "--rt-seconds",
-            metavar="SECONDS",
-            min=0.1,
-            max=600.0,
-            help="Duration of each measurement of wake-ups",
-        ),
-    ] = 2.0,
-    as_json: JsonOption = False,
-) -> None:
+class DoctorOptions(RigOptions):
+    """`pamctl doctor`."""
+
+    actuate: bool = flag("--actuate", "Fill and exhaust for a moment; the muscle moves")
+    rt_seconds: float = option(
+        "--rt-seconds SECONDS", "Duration of each measurement of wake-ups", 2.0, low=0.1, high=600.0
+    )
+
+
+@verb
+def doctor(asked: DoctorOptions) -> None:
     """Check whether this PC and this rig are fit for a run, with a fix for each fault."""
-    settings, _ = resolve_options(backend, rig, overrides, fast=False)
+    settings, _ = asked.resolve()
     require_linux()
     from pamctl.commissioning.examination import examine_all
     from pamctl.processes.backends import device_of
@@ -55,26 +46,26 @@ def doctor(
     findings: list[DoctorFinding] = []
     interrupt: SignalInterrupt | None = None
     # A simulated carriage cannot be moved by hand.
-    may_ask = not as_json and sys.stdin.isatty() and not settings.rig.record.is_simulated
-    work = examine_all(settings, rt_seconds, actuate=actuate, may_ask=may_ask)
+    may_ask = not asked.as_json and sys.stdin.isatty() and not settings.rig.record.is_simulated
+    work = examine_all(settings, asked.rt_seconds, actuate=asked.actuate, may_ask=may_ask)
     try:
         # Closed on every path: it holds the rig.
         with closing(work):
             for finding in work:
                 findings.append(finding)
-                if not as_json:
+                if not asked.as_json:
                     typer.echo("\n".join(format_findings([finding])))
     except (SignalInterrupt, KeyboardInterrupt) as error:
         interrupt = error if isinstance(error, SignalInterrupt) else SignalInterrupt(2)
     code = _exit_code(findings, interrupt)
-    if as_json:
+    if asked.as_json:
         document = {
             "schema": SCHEMA,
             "exit_code": code,
             "worst": worst_level(findings),
             "backend": settings.rig.backend,
             "device": device_of(settings),
-            "actuated": actuate,
+            "actuated": asked.actuate,
             "findings": [finding._asdict() for finding in findings],
         }
         print_json(document)

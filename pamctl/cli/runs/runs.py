@@ -1,18 +1,21 @@
-"""`pamctl runs`: find runs again."""
+"""`pamctl runs`: find runs again, and say something of them in their logs."""
 
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pamctl.cli.options import JsonOption
+from pamctl.cli.options import Options, argument, flag, option, verb
 from pamctl.cli.output import print_json
-from pamctl.cli.runs.annotate import note_logs, tag_logs, untag_logs
 from pamctl.plain_text import escape_name
+
+if TYPE_CHECKING:
+    from pamctl.log.annotation import Annotation
 
 runs_app = typer.Typer(
     invoke_without_command=True, help="Find runs again by law, date, error, tag or setting."
@@ -23,71 +26,52 @@ LogsOption = Annotated[
 _ANY = "any"
 
 
-def _text_option(name: str, metavar: str, help_text: str) -> typer.models.OptionInfo:
-    option: typer.models.OptionInfo = typer.Option(
-        name, metavar=metavar, help=help_text, show_default=_ANY
+class RunsOptions(Options):
+    """`pamctl runs`."""
+
+    logs: LogsOption = Path("logs")
+    tags: list[str] = option("--tag TAG", "Tag; can be repeated, all must be there", shown=_ANY)
+    where: list[str] = option(
+        "--where CONDITION",
+        "Condition, such as law=qsmc, 'rms_um<20' or 'controller.lambda_per_s>=40'; in a text "
+        "* stands for any part; can be repeated",
+        shown=_ANY,
     )
-    return option
+    since: str | None = option(
+        "--since DATE", "First day or time, 2026-11-20 or '2026-11-20 14:30'", shown=_ANY
+    )
+    last: int | None = option("--last N", "Only the newest N", shown="all", low=1)
+    paths_only: bool = flag("--paths", "Print paths only, for other commands")
+    as_csv: bool = flag("--csv", "Print CSV, with the settings that differ")
+    rebuild: bool = flag("--rebuild", "Make the index anew from all logs")
 
 
 @runs_app.callback()
-def list_runs(
-    context: typer.Context,
-    logs: LogsOption = Path("logs"),
-    tags: Annotated[
-        list[str] | None, _text_option("--tag", "TAG", "Tag; can be repeated, all must be there")
-    ] = None,
-    where: Annotated[
-        list[str] | None,
-        _text_option(
-            "--where",
-            "CONDITION",
-            "Condition, such as law=qsmc, 'rms_um<20' or 'controller.lambda_per_s>=40'; in a text "
-            "* stands for any part; can be repeated",
-        ),
-    ] = None,
-    since: Annotated[
-        str | None,
-        _text_option("--since", "DATE", "First day or time, 2026-11-20 or '2026-11-20 14:30'"),
-    ] = None,
-    last: Annotated[
-        int | None,
-        typer.Option("--last", metavar="N", min=1, help="Only the newest N", show_default="all"),
-    ] = None,
-    paths_only: Annotated[
-        bool, typer.Option("--paths", help="Print paths only, for other commands")
-    ] = False,
-    as_csv: Annotated[
-        bool, typer.Option("--csv", help="Print CSV, with the settings that differ")
-    ] = False,
-    rebuild: Annotated[
-        bool, typer.Option("--rebuild", help="Make the index anew from all logs")
-    ] = False,
-    as_json: JsonOption = False,
-) -> None:
+@verb
+def list_runs(asked: RunsOptions) -> None:
     """List the runs of a folder of logs, the newest last; all conditions must hold."""
-    if context.invoked_subcommand is not None:
+    if asked.inner_verb is not None:
         return
-    if as_json + as_csv + paths_only > 1:
+    if asked.as_json + asked.as_csv + asked.paths_only > 1:
         raise typer.BadParameter("only one of --json, --csv and --paths")
     from pamctl.runs.run_index import RunIndex
     from pamctl.runs.run_list import RunFilter, read_date, select_runs
 
-    since_s = None if since is None else read_date(since)
-    wanted = RunFilter(tags or (), since_s, where or (), last)
-    with RunIndex(logs) as index:
-        index.refresh(_show_progress, rebuild=rebuild)
-        rows = select_runs(index, wanted, with_gains=as_csv or as_json)
+    since_s = None if asked.since is None else read_date(asked.since)
+    wanted = RunFilter(asked.tags, since_s, asked.where, asked.last)
+    with RunIndex(asked.logs) as index:
+        index.refresh(_show_progress, rebuild=asked.rebuild)
+        rows = select_runs(index, wanted, with_gains=asked.as_csv or asked.as_json)
         total = index.count()
     rows = [replace(row, path=escape_name(row.path)) for row in rows]
     from pamctl.runs.run_list import format_csv, format_runs, list_documents
 
-    if paths_only:
-        typer.echo("\n".join(str(logs / row.path) for row in rows), nl=bool(rows))
-    elif as_csv:
+    if asked.paths_only:
+        typer.echo("\n".join(str(asked.logs / row.path) for row in rows), nl=bool(rows))
+    elif asked.as_csv:
         typer.echo(format_csv(rows))
-    elif as_json:
-        print_json({"logs": str(logs), "runs": list_documents(rows), "of": total})
+    elif asked.as_json:
+        print_json({"logs": str(asked.logs), "runs": list_documents(rows), "of": total})
     else:
         typer.echo(format_runs(rows, total))
 
@@ -99,6 +83,63 @@ def _show_progress(done: int, of: int) -> None:
         print(f"\rreading logs: {done} of {of}", end=end, file=sys.stderr, flush=True)
 
 
-runs_app.command("tag")(tag_logs)
-runs_app.command("untag")(untag_logs)
-runs_app.command("note")(note_logs)
+# --- annotations ------------------------------------------------------------------------------
+
+
+class TagOptions(Options):
+    """`pamctl runs tag`."""
+
+    tag: str = argument("TAG", "One word, such as good")
+    paths: list[Path] = argument("LOG...", "Finished logs")
+
+
+@runs_app.command("tag")
+@verb
+def tag_logs(asked: TagOptions) -> None:
+    """Add a tag to logs; `pamctl daemon --keep` never removes a tagged log."""
+    _edit(asked.paths, lambda said: said.add_tag(asked.tag), as_json=asked.as_json)
+
+
+class UntagOptions(Options):
+    """`pamctl runs untag`."""
+
+    tag: str = argument("TAG", "Tag to take away")
+    paths: list[Path] = argument("LOG...", "Finished logs")
+
+
+@runs_app.command("untag")
+@verb
+def untag_logs(asked: UntagOptions) -> None:
+    """Take a tag away from logs."""
+    from pamctl.log.annotation import check_tag
+
+    known = check_tag(asked.tag)
+    _edit(asked.paths, lambda said: said.drop_tag(known), as_json=asked.as_json)
+
+
+class NoteOptions(Options):
+    """`pamctl runs note`."""
+
+    text: str = argument("TEXT", "Note; empty takes it away")
+    paths: list[Path] = argument("LOG...", "Finished logs")
+
+
+@runs_app.command("note")
+@verb
+def note_logs(asked: NoteOptions) -> None:
+    """Write a note into logs, in the place of the one before."""
+    from pamctl.log.annotation import make_annotation
+
+    note = make_annotation(note=asked.text).note
+    _edit(asked.paths, lambda said: replace(said, note=note), as_json=asked.as_json)
+
+
+def _edit(paths: list[Path], edit: Callable[[Annotation], Annotation], *, as_json: bool) -> None:
+    from pamctl.runs.run_index import edit_annotations
+
+    done = edit_annotations(paths, edit)
+    if as_json:
+        print_json([{"log": str(path), **asdict(said)} for path, said in done])
+    else:
+        lines = (f"{path}  [{' '.join(said.tags)}]  {said.note}".rstrip() for path, said in done)
+        typer.echo("\n".join(lines))

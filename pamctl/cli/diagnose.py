@@ -106,7 +106,7 @@ def diagnose(asked: DiagnoseOptions) -> None:
     records = [*train, *held]
     for record in records:
         for note in record.notes:
-            typer.echo(f"warning: {record.name}: {note}", err=True)
+            typer.echo(f"{record.name}: {note}", err=True)
     if not held:
         typer.echo("no --holdout: two stretches of each log are held out", err=True)
     diagnosis = find_missing_effects(

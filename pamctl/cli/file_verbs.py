@@ -28,6 +28,8 @@ from pamctl.settings.resolve import (
 from pamctl.settings.table_file import read_tables
 
 if TYPE_CHECKING:
+    from pamctl.diagnose.guess_plant import Guess
+    from pamctl.diagnose.record import Record
     from pamctl.plant.model import PlantSettings
 
 config_app = typer.Typer(
@@ -106,8 +108,15 @@ class NewPlantOptions(Options):
     """`pamctl plant new`."""
 
     out: Path = option("--out FILE.yaml", "New plant file", ...)
-    actuator: str = option(
-        f"--actuator {'|'.join(_ACTUATORS)}", "What moves, or is filled", "muscle"
+    actuator: str | None = option(
+        f"--actuator {'|'.join(_ACTUATORS)}",
+        "What moves, or is filled",
+        shown="muscle; with --from by the columns",
+    )
+    measured: list[Path] = option(
+        "--from FILE",
+        "Log, or measured file such as CSV, from which numbers are guessed; can be repeated",
+        shown="none",
     )
     given: list[str] = option(
         "--value NAME=NUMBER",
@@ -120,22 +129,30 @@ class NewPlantOptions(Options):
 @verb
 def make_plant(asked: NewPlantOptions) -> None:
     """Write a plant file to edit: every number in SI with what it means, and which are fitted."""
-    out, actuator = asked.out, asked.actuator
+    out = asked.out
     require_place(out)
-    if actuator not in _ACTUATORS:
-        which = f"{actuator!r} is not one of {', '.join(_ACTUATORS)}"
+    if asked.actuator not in (*_ACTUATORS, None):
+        which = f"{asked.actuator!r} is not one of {', '.join(_ACTUATORS)}"
         raise typer.BadParameter(which, param_hint="--actuator")
     from pamctl.settings.datasheet.plant_file import build_plant, format_new_plant
 
+    records = _read_measured(asked.measured)
+    actuator = asked.actuator or _guess_actuator(records)
     texts = _split_given(asked.given, actuator)
-    values = _collect_numbers(actuator, texts)
+    values, guesses = _collect_numbers(actuator, texts, records)
     plant = build_plant(actuator, values)
     names = _list_fitted(plant)
     fitted = ", ".join(names) or "nothing"
+    texts = {name: f"given as {text}" for name, text in texts.items()}
+    texts |= {name: f"guessed, {guess.how}" for name, guess in guesses.items()}
     write_files({out: format_new_plant(actuator, values, texts, fitted)})
     if asked.as_json:
-        print_json({"plant": str(out), "actuator": actuator, "numbers": values, "fitted": names})
+        document = {"plant": str(out), "actuator": actuator, "numbers": values, "fitted": names}
+        guessed = {name: guess._asdict() for name, guess in guesses.items()}
+        print_json(document | ({"guessed": guessed} if records else {}))
     else:
+        for name, guess in guesses.items():
+            typer.echo(f"guessed: {name} = {guess.value:.4g}, {guess.how}")
         typer.echo(
             f"plant: {out}\n`pamctl diagnose` will fit {fitted}, from these values on; "
             "it takes the other numbers as they are\n"
@@ -195,26 +212,60 @@ def _split_given(given: list[str], actuator: str) -> dict[str, str]:
     return texts
 
 
-def _collect_numbers(actuator: str, given: dict[str, str]) -> dict[str, float]:
-    """Return all numbers in SI: those that are given, and the defaults of the others."""
+def _read_measured(paths: list[Path]) -> list[Record]:
+    if not paths:
+        return []
+    from pamctl.diagnose.record import record_of
+
+    records = [record_of(path) for path in paths]
+    for record in records:
+        for note in record.notes:
+            typer.echo(f"{record.name}: {note}", err=True)
+    return records
+
+
+def _guess_actuator(records: list[Record]) -> str:
+    """Return what the columns of all records fit; a cylinder looks like a muscle."""
+    channels = set.intersection(*(set(r.channels) for r in records)) if records else set()
+    if "force_n" in channels and "valve_v" not in channels:
+        return "direct"
+    return "chamber" if records and "position_m" not in channels else "muscle"
+
+
+def _collect_numbers(
+    actuator: str, given: dict[str, str], records: list[Record]
+) -> tuple[dict[str, float], dict[str, Guess]]:
+    """Return all numbers in SI, and those of them that the records made.
+
+    A number is what is given, else what the records show, else the usual one.
+    """
     from pamctl.settings.datasheet.datasheet_units import read_quantity
     from pamctl.settings.datasheet.plant_questions import list_questions
 
+    questions = list_questions(actuator)
     values: dict[str, float] = {}
-    for question in list_questions(actuator):
+    for question in questions:
         if question.name in given:
             value = read_quantity(question.name, given[question.name], values)
             question.check(value)
             values[question.name] = value
         elif question.default is not None:
             values[question.name] = question.default
-        elif not question.is_optional:
+    guesses: dict[str, Guess] = {}
+    if records:
+        from pamctl.diagnose.guess_plant import guess_numbers
+
+        found = guess_numbers(records, actuator, values)
+        guesses = {name: guess for name, guess in found.items() if name not in given}
+    values |= {name: guess.value for name, guess in guesses.items()}
+    for question in questions:
+        if question.name not in values and not question.is_optional:
             raise Failed(
                 ExitCode.USAGE,
                 f"{question.name} ({question.meaning}) has no default: "
                 f"give --value {question.name}='...' in {question.units}",
             )
-    return values
+    return values, guesses
 
 
 def _list_fitted(plant: PlantSettings) -> list[str]:
@@ -222,5 +273,5 @@ def _list_fitted(plant: PlantSettings) -> list[str]:
     from pamctl.diagnose.plant_numbers import value_of
 
     names = [name for name in CALIBRATED[plant.actuator] if value_of(plant, name)]
-    load = [LOAD] if plant.actuator == "direct" else []
+    load = [LOAD] if plant.actuator in ("direct", "cylinder") else []
     return [name for name in (*names, *load) if name not in plant.known]

@@ -61,7 +61,9 @@ def guess_numbers(
         found |= _guess_air(records, actuator, values)
     if actuator != "chamber" and all(r.position_m is not None for r in records):
         found |= _guess_mechanics(records, actuator, values)
-    return found
+    return {
+        name: guess._replace(value=float(f"{guess.value:.3g}")) for name, guess in found.items()
+    }
 
 
 def _guess_air(
@@ -146,7 +148,7 @@ def _guess_mechanics(
     for name, amount, size in zip(names, amounts, scale, strict=False):
         how = "from the balance of forces over the motion"
         if amount < least:
-            if actuator != "direct":
+            if actuator == "muscle":
                 continue
             how = f"hardly seen: {100 * LEAST_SHARE:g} % of the force"
         found[name] = Guess(float(max(amount, least) / size), how)

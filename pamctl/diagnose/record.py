@@ -9,6 +9,7 @@ from functools import cached_property
 from hashlib import sha256
 from math import isfinite, sqrt
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -16,11 +17,14 @@ from numpy.typing import ArrayLike, NDArray
 
 import pamctl.log
 from pamctl.exit_codes import ExitCode
+from pamctl.log.check import Severity
 from pamctl.log.edit import find_longest_step_s, split_at_gaps
-from pamctl.log.framing import map_log_file
+from pamctl.log.framing import MAGIC, map_log_file
 from pamctl.log.measured_signals import judge_ticks
+from pamctl.log.reader import Log
 from pamctl.log.record_problems import find_sensor_step
 from pamctl.log.run_meta import Moment, list_moments
+from pamctl.plain_text import escape_name
 from pamctl.signals import Phase
 
 Array = NDArray[np.float64]
@@ -301,12 +305,48 @@ def _hash_content(path: Path) -> bytes:
 
 
 def record_of(path: str | Path) -> Record:
-    """Read a log and return its measurement after homing; raises `LogError`.
+    """Read a log, or import a measured file, and return its measurement after homing.
 
     The ramp to the safe voltage at the end is left out, and so are ticks whose write failed. The
-    record's notes say what is doubtful in it.
+    record's notes say what is doubtful in it, and how the columns of a measured file were read.
+    Raises `LogError`.
     """
-    log = pamctl.log.read(path)
+    path = Path(path)
+    if _is_log(path):
+        return _make_record(path, pamctl.log.read(path), ())
+    with TemporaryDirectory() as folder:
+        imported = Path(folder, "imported.mcap")
+        notes = _import_beside(path, imported)
+        return _make_record(path, pamctl.log.read(imported), notes)
+
+
+def _is_log(path: Path) -> bool:
+    """Tell whether a file is a log, or is called one: then it is read as one, and refused so."""
+    if path.suffix == ".mcap" or not path.is_file():
+        return True
+    with path.open("rb") as file:
+        return file.read(len(MAGIC)) == MAGIC
+
+
+def _import_beside(path: Path, imported: Path) -> tuple[str, ...]:
+    """Import a measured file; return how each column was read and what is doubtful."""
+    from pamctl.log.importing.pipeline import import_log
+
+    done = import_log(path, imported)
+    if not done.written:
+        wrong = "; ".join(f.message for f in done.findings if f.severity == Severity.ERROR)
+        raise pamctl.log.LogError(
+            f"{path}: not imported: {wrong}; `pamctl log import {path} OUT.mcap` shows each "
+            "column, and its --map says what a column holds"
+        )
+    read_as = ", ".join(f"{c.name} as {c.read_as}" for c in done.columns if c.read_as)
+    unused = ", ".join(f"{c.name} ({c.left_out})" for c in done.columns if c.left_out)
+    notes = [f"imported: {read_as}", *([f"not used: {unused}"] if unused else [])]
+    notes += [f.message for f in done.findings if f.severity == Severity.WARNING]
+    return tuple(map(escape_name, notes))
+
+
+def _make_record(path: Path, log: Log, notes: tuple[str, ...]) -> Record:
     doubts = judge_ticks(log)
     measured = pamctl.log.signals(log)
     usable = (measured.phase != Phase.HOMING) & (measured.phase != Phase.STOPPING)
@@ -329,13 +369,13 @@ def record_of(path: str | Path) -> Record:
     story = log.metadata.get("import", {})
     atmosphere = story.get("atmospheric_pressure_pa")
     return Record(
-        Path(path).stem,
+        path.stem,
         part.t_s - part.t_s[0],
         **channels,
         reference_m=reference_m,
         acts_after_s=part.acts_after_s,
         held_v=part.held_v,
-        notes=tuple(doubts),
+        notes=(*notes, *doubts),
         experiment=experiment,
         is_imported=log.is_imported,
         stated_noise=json.loads(story.get("noise") or "{}"),

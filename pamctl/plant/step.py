@@ -29,6 +29,7 @@ from pamctl.plant.parameters import (
 )
 from pamctl.plant.terms import (
     Terms,
+    follow_value,
     pass_command_term,
     pass_opening_term,
     show_position_term,
@@ -184,7 +185,8 @@ def valve_step(
     memory = follow_command(e, memory, command_v, command_v, half_s, middle_age_s)
     asked_v = pushed_v
     pushed_v, term = pass_command_term(terms, valve.term, asked_v, middle_age_s, half_s)
-    _, term = pass_command_term(terms, term, asked_v, middle_age_s, half_s)
+    if terms is not None and term is not None:
+        term = follow_value(terms.valve, term, asked_v, asked_v, half_s)
     middle_v, rate = spool_step(
         e.valve_spool, valve.spool_v, valve.spool_rate_v_per_s, pushed_v, half_s
     )

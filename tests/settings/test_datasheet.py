@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -185,3 +186,20 @@ def test_numbers_that_do_not_fit_together_or_are_not_there_write_nothing(tmp_pat
         done = make("--out", str(out), "--actuator", "muscle", *options)
         assert (done.exit_code, out.exists()) == (code, False), done.stderr
         assert words in done.stderr
+
+
+def test_numbers_are_guessed_from_measured_text_and_say_so(tmp_path: Path) -> None:
+    t_s = np.arange(0.0, 6.0, 2e-3)
+    motion = 0.02 * np.sin(9.0 * t_s) + 0.01 * np.sin(23.0 * t_s)
+    speed = 0.18 * np.cos(9.0 * t_s) + 0.23 * np.cos(23.0 * t_s)
+    push = -1.62 * np.sin(9.0 * t_s) - 5.29 * np.sin(23.0 * t_s)
+    force = 3.0 * push + 40.0 * speed + 500.0 * motion
+    table = np.column_stack([1e3 * t_s, force, 1e3 * motion])
+    source, out = tmp_path / "axis.csv", tmp_path / "axis.yaml"
+    np.savetxt(source, table, "%.6f", ",", header="time_ms,force_N,position_mm", comments="")
+    done = make("--from", str(source), "--out", str(out), "--json")
+    document = json.loads(done.stdout)
+    assert document["actuator"] == "direct"
+    for name, true in (("mass_kg", 3.0), ("damping_n_s_per_m", 40.0), ("stiffness_n_per_m", 500.0)):
+        assert document["guessed"][name]["value"] == pytest.approx(true, rel=0.1)
+    assert "guessed, from the balance of forces" in out.read_text()

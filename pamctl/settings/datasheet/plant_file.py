@@ -26,7 +26,7 @@ def format_new_plant(
 ) -> str:
     """Write the file, with the meaning of each number behind it.
 
-    `texts` are the numbers as the user gave them, `fitted` what is a guess.
+    `texts` say where numbers are from, `fitted` which of them a diagnosis fits.
     """
     lines = [
         "# Written by `pamctl plant new`, to edit. All numbers are in SI.",
@@ -34,8 +34,7 @@ def format_new_plant(
     ]
     questions = list_questions(actuator)
     meanings = {
-        q.name.rpartition(".")[2]: q.meaning
-        + (f"; given as {texts[q.name]}" if q.name in texts else "")
+        q.name.rpartition(".")[2]: q.meaning + (f"; {texts[q.name]}" if q.name in texts else "")
         for q in questions
     }
     for line in dump_yaml(_nest(actuator, values)).splitlines():

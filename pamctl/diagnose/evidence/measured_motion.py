@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,8 @@ Mask = NDArray[np.bool_]
 
 SMOOTH_S = 0.05
 """Over which a measured state is smoothed, where a window begins."""
+START_ORDER = 4
+"""Of the polynomials that find the state where a window begins."""
 SPEED_S = 0.3
 """Over which the speed of an imposed motion is measured."""
 SPRING_SHARE = 0.2
@@ -70,6 +73,34 @@ def find_rates(
         name: savgol_filter(even_m, width, 2, deriv=deriv, delta=period_s)
         for deriv, name in enumerate(("smooth", "speed", "push"))
     }
+    return {name: np.interp(grid.samples_s, even_s, row) for name, row in found.items()}
+
+
+def find_starts(position_m: Array, period_s: float, grid: SampleGrid) -> dict[str, Array]:
+    """Return position and speed where windows begin, smoothed no wider than the motion allows.
+
+    Of local polynomials the widest is taken whose speed differs from that of each narrower one by
+    no more than the noise of the latter (Lepski's rule): a fixed width is late in a quick motion.
+    """
+    from scipy.signal import savgol_coeffs, savgol_filter
+
+    even_s = np.arange(0.0, grid.samples_s[-1] + period_s, period_s)
+    even_m = np.interp(even_s, grid.samples_s, position_m)
+    noise_m = float(np.std(np.diff(even_m, 4))) / sqrt(70.0)
+    widest = min(round(SMOOTH_S / period_s) | 1, (len(even_m) - 1) | 1)
+    widths = [w for w in (7, 9, 13, 19, 27, 37, 51, 71, 101, 141, 201) if w < widest] + [widest]
+    narrower = list[tuple[Array, float]]()
+    for width in widths:
+        order = min(START_ORDER, width - 1)
+        row = savgol_coeffs(width, order, deriv=1, delta=period_s)
+        speed = savgol_filter(even_m, width, order, deriv=1, delta=period_s)
+        differs = (float(np.sqrt(np.mean((speed - s) ** 2))) > 1.5 * n for s, n in narrower)
+        if any(differs):
+            break
+        narrower.append((speed, noise_m * float(np.sqrt(np.sum(row**2)))))
+    best = widths[len(narrower) - 1]
+    smooth = savgol_filter(even_m, best, min(START_ORDER, best - 1))
+    found = {"smooth": smooth, "speed": narrower[-1][0]}
     return {name: np.interp(grid.samples_s, even_s, row) for name, row in found.items()}
 
 

@@ -24,10 +24,8 @@ def move(mass_kg: float, damping_n_s_per_m: float, seed: int) -> Record:
         return [y[1], (force_n(t) - damping_n_s_per_m * y[1]) / mass_kg]
 
     found = solve_ivp(rates, (0.0, T_S[-1]), [0.0, 0.0], "DOP853", T_S, rtol=1e-9, atol=1e-12)
-    middle_n = np.array([force_n(t + 5e-4) for t in T_S])
-    return Record(
-        f"run {seed}", T_S, position_m=1e-6 * np.round(1e6 * found.y[0]), force_n=middle_n
-    )
+    rounded_m = 1e-6 * np.round(1e6 * found.y[0])
+    return Record(f"run {seed}", T_S, position_m=rounded_m, force_n=np.array([*map(force_n, T_S)]))
 
 
 def test_where_windows_begin_the_speed_of_a_quick_motion_is_not_late() -> None:

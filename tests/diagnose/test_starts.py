@@ -1,4 +1,4 @@
-"""Records that begin in motion, and windows of an axis: the start is no missing effect."""
+"""Windows of an axis: the state in which one begins is no missing effect."""
 
 from __future__ import annotations
 

@@ -123,14 +123,6 @@ class Weigher:
             one[c] = -1.0
             self._zeros[f"{CHAIN}zero.{channel}"] = to_haar(one)
 
-    def free_starts(self, m: WeighedModel) -> bool:
-        """Let the pieces of all records begin where they fit best; tell whether one has to."""
-        apart = self.held_out is not None and self.held_out._whole is not self.train._whole
-        for runs in (self.train, self.held_out) if apart else (self.train,):
-            if runs is not None:
-                runs.free_starts({**self.base, **m.values})
-        return bool(self.train._whole.starts)
-
     # --- residuals ---
 
     def find_residual(self, values: Mapping[str, float], step_s: float = COARSE_STEP_S) -> Array:

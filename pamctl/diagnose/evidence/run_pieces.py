@@ -24,15 +24,6 @@ from pamctl.diagnose.evidence.constants import (
     LEAST_LEVELS,
     LEVELS,
 )
-from pamctl.diagnose.evidence.free_starts import (
-    PUSHES,
-    STILL,
-    FreeStart,
-    StartPush,
-    find_start,
-    fit_starts,
-    push_start,
-)
 from pamctl.diagnose.evidence.measured_motion import (
     SPEED_S,
     find_rates,
@@ -51,13 +42,7 @@ from pamctl.plant.drive import (
     drive_mechanics,
 )
 from pamctl.plant.effects.description import ACTUATORS
-from pamctl.plant.parameters import (
-    ACTUATOR,
-    PlantParameters,
-    parameters_of,
-    rest_state,
-    vented_state,
-)
+from pamctl.plant.parameters import ACTUATOR, PlantParameters, parameters_of, rest_state
 from pamctl.plant.required_force import required_force_n
 
 Array = NDArray[np.float64]
@@ -80,10 +65,6 @@ ADDED_PA = f"{CHAIN}added.pressure_pa"
 """What a file's pressure is too high by: a record begins by so much lower."""
 FAR = 1e4
 """What a simulation shows where the plant leaves the range of its model."""
-
-
-REST_V = 0.05
-"""A command that moves nothing."""
 
 
 class TooLittleRecorded(ValueError):
@@ -131,8 +112,6 @@ class RunPiece:
     grids: dict[float, SampleGrid]
     """By the length of the step."""
     starts_at_rest: bool
-    begins_moving: bool
-    """Behind a valve: it does not begin at rest, or its first command is not 0."""
     name: str = ""
     """Of its record."""
     begin_s: float = 0.0
@@ -171,7 +150,6 @@ class Runs:
             )
         self._lay_out()
         self._last: tuple[Any, Array] | None = None
-        self.starts: list[FreeStart] = []
         self._whole = self
 
     def part(self, counts: Mask) -> Runs:
@@ -236,9 +214,7 @@ class Runs:
                 rates = find_starts(columns["position_m"], self.period_s, grid)
         if self.imposed:
             masked |= has_no_speed(rates["speed"], grids[COARSE_STEP_S].samples_s)
-        commanded = "valve_v" in columns and abs(columns["valve_v"][0]) > REST_V
-        moving = self.actuator != "direct" and (commanded or not at_rest)
-        return RunPiece(columns, shown, masked, rates, grids, at_rest, moving)
+        return RunPiece(columns, shown, masked, rates, grids, at_rest)
 
     def _lay_out(self) -> None:
         """Fit the stretches into blocks; the last block of each may be filled up to half."""
@@ -309,27 +285,7 @@ class Runs:
             self._whole._last = (key, rows.copy())
         if chain:
             rows = self._change_readings(rows, chain)
-        return fit_starts(self._whole.starts, self.shown, rows)
-
-    def free_starts(self, values: Mapping[str, float]) -> None:
-        """Let each piece begin where it fits best, from here on: no sensor shows a state exactly.
-
-        The response to another start is found once, at these numbers.
-        """
-        plain, chain = join_waves(values)
-        command = {k: v for k, v in chain.items() if k.endswith(("valve_v", "t_s", ADDED_PA))}
-        p, whole, at = parameters_of(plain), self._whole, 0
-        whole.starts, whole._last = [], None
-        for stretch, size in zip(whole.stretches, whole.sizes, strict=True):
-            n = min(size, stretch.shown.shape[1])
-            if stretch.begins_moving:
-                drive = partial(self._drive_stretch, p, stretch, COARSE_STEP_S, command)
-                still = drive()[:, :n]
-                changes = np.stack([drive(push)[:, :n] - still for push in PUSHES])
-                whole.starts.append(
-                    find_start(at, changes, stretch.shown[:, :n], stretch.masked[:, :n])
-                )
-            at += size
+        return rows
 
     def _drive(self, p: PlantParameters, step_s: float, command: Mapping[str, float]) -> Array:
         drive = partial(self._drive_stretch, p, step_s=step_s, command=command)
@@ -337,12 +293,7 @@ class Runs:
         return np.nan_to_num(self.pack(parts), nan=FAR, posinf=FAR, neginf=-FAR)
 
     def _drive_stretch(
-        self,
-        p: PlantParameters,
-        stretch: RunPiece,
-        step_s: float,
-        command: Mapping[str, float],
-        push: StartPush = STILL,
+        self, p: PlantParameters, stretch: RunPiece, step_s: float, command: Mapping[str, float]
     ) -> Array:
         inputs, grid = stretch.inputs, stretch.grids[step_s]
         longer = 1.0 + command.get(f"{CHAIN}clock.t_s", 0.0)
@@ -360,7 +311,7 @@ class Runs:
         if self.actuator == "direct":
             return self._drive_mechanism(p, stretch, grid)
         if "valve_v" not in inputs:
-            start = self._start(p, stretch, 0.0, push)
+            start = self._start(p, stretch, 0.0)
             response = drive_mechanics(p, inputs["pressure_pa"], grid, start=start)
             return response.position_m[None]
         commands = inputs["valve_v"]
@@ -369,35 +320,29 @@ class Runs:
             when_s = grid.samples_s * (1.0 + command.get(f"{CHAIN}clock.valve_v", 0.0))
             when_s = when_s + command.get(f"{CHAIN}late.valve_v", 0.0)
             commands = np.interp(when_s, grid.samples_s, commands)
-        start = self._start(p, stretch, command.get(ADDED_PA, 0.0), push)
+        start = self._start(p, stretch, command.get(ADDED_PA, 0.0))
         coupled = drive_coupled(p, commands, grid, start=start)
         return np.stack([getattr(coupled, channel) for channel in self.channels])
 
-    def _start(
-        self, p: PlantParameters, stretch: RunPiece, added_pa: float, push: StartPush
-    ) -> Any:
+    def _start(self, p: PlantParameters, stretch: RunPiece, added_pa: float) -> Any:
         if stretch.starts_at_rest:
-            if push == STILL:
-                return None
-            rest = vented_state(p)
-            return push_start(p, rest.position_m, rest.pressure_pa, push)
+            return None
         first = {name: float(np.median(c[:5])) for name, c in stretch.inputs.items()}
         position_m = first.get("position_m", 0.0)
         pressure_pa = first.get("pressure_pa", self._atmosphere_pa + added_pa) - added_pa
-        return push_start(p, position_m, pressure_pa, push)
+        return rest_state(p, position_m, pressure_pa)
 
     def _drive_mechanism(self, p: PlantParameters, stretch: RunPiece, grid: SampleGrid) -> Array:
-        inputs, n = stretch.inputs, len(grid.samples_s)
-        smooth_m, speed = stretch.rates["smooth"], stretch.rates["speed"]
+        inputs, rates, n = stretch.inputs, stretch.rates, len(grid.samples_s)
         pressure = inputs.get("pressure_pa")
         if pressure is None:
             pressure = np.full(n, p.paper.atmospheric_pressure_pa)
         again = NO_RESTARTS
         if self.windowed:
             every = np.arange(round(WINDOW_S / self.period_s), n, round(WINDOW_S / self.period_s))
-            again = Restarts(every, smooth_m[every], speed[every])
-        start = rest_state(p, float(smooth_m[0]), float(pressure[0]))
-        start = start._replace(velocity_m_per_s=float(speed[0]))
+            again = Restarts(every, rates["smooth"][every], rates["speed"][every])
+        start = rest_state(p, float(rates["smooth"][0]), float(pressure[0]))
+        start = start._replace(velocity_m_per_s=float(rates["speed"][0]))
         response = drive_mechanics(
             p, pressure, grid, force_n=inputs.get("force_n"), start=start, restarts=again
         )

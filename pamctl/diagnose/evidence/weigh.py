@@ -130,8 +130,6 @@ def weigh_evidence(
     plant = plant or PlantSettings()
     weigher, start = prepare_weigher(records, held_out, plant, noise, jobs, holds_out=True)
     base = weigher.settle(replace(start), FIT_STEPS)
-    if weigher.free_starts(base):
-        base = weigher.settle(replace(start, x=base.x), FIT_STEPS)
     tell("recalibrated")
     pool = {
         h.name: h

@@ -205,7 +205,10 @@ class RigSession(SessionLife):
     @order(on_page=True, said="idle")
     def disarm(self) -> None:
         """End the session; the next run homes again."""
+        before = self.fault
         self._end_loop()
+        if self.fault and not before:
+            raise RequestRefusedError(f"the session did not end well: {self.fault}")
 
     @order(changes=False, at_once=True, on_page=True, said="emergency stop")
     def estop(self) -> None:

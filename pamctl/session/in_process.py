@@ -123,6 +123,13 @@ class InProcessLoop:
 
         An exception in the caller's thread, such as Ctrl-C, stops the time, not the run.
         """
+        # Ctrl-C just after the turn has come would be taken for one that came while it was awaited.
+        with self._turn, hold_back_ctrl_c() as pressed:
+            self._advance_whole(lambda: bool(pressed) or goal(), order)
+
+    def _advance_whole(
+        self, goal: Callable[[], bool], order: Mapping[str, Any] | None = None
+    ) -> None:
         with self._turn:
             if self._ending is None:
                 self._wants_turn, self._goal = False, goal
@@ -160,7 +167,7 @@ class InProcessLoop:
         short = replace(meta, config={}, attachments={}, metadata={}).to_text().decode()
         path = ring.meta.log_path
         order = {"do": "run", "ring": str(ring.path), "meta": short}
-        self.advance(lambda: self.log == path, order)
+        self._advance_whole(lambda: self.log == path, order)
         if before is not None:
             before.finish()
 
@@ -188,7 +195,7 @@ class InProcessLoop:
     def close(self) -> Ending:
         """End the loop; return how it ended."""
         self.begin_end()
-        self.advance(_NEVER)
+        self._advance_whole(_NEVER)
         assert self._ending is not None
         self.finish_run()
         if self._thread.is_alive():

@@ -7,11 +7,11 @@ from pamctl import gym as gym
 from pamctl.session.daemon_rig import DaemonRig as DaemonRig
 from pamctl.session.daemon_rig import connect as connect
 from pamctl.session.experiment_form import ExperimentForm as ExperimentForm
-from pamctl.session.run import find_gains as find_gains
-from pamctl.session.run import find_missing_effects as find_missing_effects
 from pamctl.session.pamctl_error import PamctlError as PamctlError
 from pamctl.session.run import Run as Run
 from pamctl.session.run import RunMetrics as RunMetrics
+from pamctl.session.run import find_gains as find_gains
+from pamctl.session.run import find_missing_effects as find_missing_effects
 from pamctl.session.simulated_rig import SimulatedRig as SimulatedRig
 from pamctl.session.simulated_rig import simulate as simulate
 from pamctl.session.steered_rig import SteeredRig as SteeredRig

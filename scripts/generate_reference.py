@@ -143,7 +143,7 @@ def write_verbs() -> str:
         "# Verbs and options\n",
         _HEAD,
         "\n`pamctl VERB --help` says the same at the terminal, with examples. `--set` takes any "
-        "key of [Settings](settings.md). [Exit codes](exit-codes.md) are the same for every "
+        "key of [Settings](settings.md). [Exit codes](#exit-codes) are the same for every "
         "verb.\n",
         format_table(
             ["verb", "does"],
@@ -177,6 +177,7 @@ def write_verbs() -> str:
         ]
         if rows:
             parts += [format_table(["option", "meaning", "default", "range"], rows), ""]
+    parts.append(write_exit_codes())
     return "\n".join(parts)
 
 
@@ -390,20 +391,13 @@ def write_log_schema() -> str:
 
 
 def write_exit_codes() -> str:
-    """Return the page of exit codes."""
+    """Return the section of exit codes."""
     meanings = read_attribute_docs(exit_codes)["ExitCode"]
     rows = [
         [str(code.value), f"`{code.name}`", meanings[code.name]] for code in exit_codes.ExitCode
     ]
-    return "\n".join(
-        [
-            "# Exit codes\n",
-            _HEAD,
-            "\nEvery verb uses the same codes, and they do not change between versions.\n",
-            format_table(["code", "name", "meaning"], rows),
-            "",
-        ]
-    )
+    head = "## Exit codes\n\nThe same for every verb; they do not change between versions.\n"
+    return "\n".join([head, format_table(["code", "name", "meaning"], rows)])
 
 
 def write_effects() -> str:
@@ -416,8 +410,8 @@ def write_effects() -> str:
         "bit. `pamctl diagnose` looks for these effects by these names. "
         "[Add an effect](../how_to/add-an-effect.md) says how to add one.\n",
         "Ranges of forces, lengths, areas and speeds are those of the paper's muscle. Of another "
-        "machine they follow its size or [its records](../how_to/describe-a-mechanism.md); a plant "
-        "file limits only their sign.\n",
+        "machine they follow its size or [its records](../how_to/describe-your-rig.md"
+        "#describe-a-mechanism-without-a-muscle); a plant file limits only their sign.\n",
         "## Places\n",
         "Where effects enter, in the order in which a step comes to them. A kernel names the "
         "arguments that it wants.\n",
@@ -561,7 +555,6 @@ PAGES: dict[str, Callable[[], str]] = {
     "verbs": write_verbs,
     "settings": write_settings,
     "log-schema": write_log_schema,
-    "exit-codes": write_exit_codes,
     "effects": write_effects,
     "shipped-files": write_shipped_files,
 }

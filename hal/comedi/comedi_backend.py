@@ -155,7 +155,8 @@ def judge_kernel_driver(cards: Sequence[PciCard]) -> DoctorFinding:
     """Say which kernel driver holds NI's cards, and how to get the kernel's own."""
     held = next((card.driver for card in cards if card.driver), "")
     fix = (
-        f"NI's driver {held} holds it, so comedi cannot: `pamctl manual comedi` shows how to switch"
+        f"NI's driver {held} holds it, so comedi cannot: `pamctl manual wire-the-card` shows how "
+        "to switch"
         if held
         else f"sudo modprobe {COMEDI_DRIVER}"
     )

@@ -33,7 +33,7 @@ _TIMEOUT = "the card did not answer in time: is it failing? Look into `dmesg`"
 
 PERMIT = (
     "ls -l {device} shows its group: sudo usermod -aG GROUP $USER, and log in again; where the "
-    "group is root, `pamctl manual comedi` has the udev rule"
+    "group is root, `pamctl manual wire-the-card` has the udev rule"
 )
 
 OPEN_FIXES: Mapping[int, str] = {

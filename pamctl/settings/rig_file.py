@@ -50,7 +50,7 @@ class RigFile(Configured):
         tuple[str, ...],
         Field(
             description="effects of the plant file that the tick undoes around the law, such as "
-            "`valve_deadband`; see `pamctl manual undo-what-was-found`"
+            "`valve_deadband`; see `pamctl manual diagnose-a-log`"
         ),
     ] = ()
 

@@ -10,7 +10,7 @@ from check_manual import read_blocks, read_texts, run_page
 TEXTS = read_texts()
 # The first page of all, two about logs, two that describe a rig. That verbs and options of all
 # pages exist: `test_manual_pages.py`.
-PAGES = ("first-run", "recover-a-log", "diagnose-a-log", "describe-your-rig", "add-a-rig")
+PAGES = ("first-run", "read-a-log", "diagnose-a-log", "describe-your-rig", "add-a-rig")
 
 
 @pytest.mark.long

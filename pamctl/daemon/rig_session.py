@@ -193,13 +193,16 @@ class RigSession(SessionLife):
 
     @order(on_page=True, said="stopping")
     def stop(
-        self, reason: Annotated[str, Field(max_length=LONGEST_NAME)] = "stopped by request"
+        self,
+        reason: Annotated[
+            str, AfterValidator(clean_text), Field(max_length=LONGEST_NAME)
+        ] = "stopped by request",
     ) -> None:
         """Stop what is running, smoothly; the muscle stays homed."""
         carrier = self._carrier
         if carrier is None or carrier.run is None:
             raise RequestRefusedError(f"nothing is running: the state is {self.state}")
-        carrier.order({"do": "stop", "reason": clean_text(reason)})
+        carrier.order({"do": "stop", "reason": reason})
         self._announce_event("stopping", reason=reason)
 
     @order(on_page=True, said="idle")

@@ -24,7 +24,12 @@ from pamctl.processes.run_once import make_run_meta, new_ring_path
 from pamctl.realtime.loop import ControlLoop
 from pamctl.realtime.steering import SteeredProgram
 from pamctl.recording.drain import record_run
-from pamctl.recording.journal import SessionJournal, wait_for_recorder
+from pamctl.recording.journal import (
+    SessionJournal,
+    make_outcome_event,
+    put_event_for_dead_loop,
+    wait_for_recorder,
+)
 from pamctl.recording.ring import RecorderFlag, Ring, RingError, RingFull
 from pamctl.session.pamctl_error import hold_back_ctrl_c
 from pamctl.settings.build import build_ordered_program, build_tick_setup, nominal_zero_of
@@ -197,6 +202,8 @@ class InProcessLoop:
         self.begin_end()
         self._advance_whole(_NEVER)
         assert self._ending is not None
+        if self.run is not None and not self.run.ring.loop_done:  # it ended before it took the run
+            put_event_for_dead_loop(self.run.ring, make_outcome_event(self._ending))
         self.finish_run()
         if self._thread.is_alive():
             self._thread.join()

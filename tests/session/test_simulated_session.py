@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from support.runs import COUNT_M
 import pamctl
 from pamctl.daemon.rig_session import RigSession
 from pamctl.exit_codes import Ending, ExitCode
+from pamctl.log import read
 from pamctl.replay import replay_log
 from pamctl.runs.run_row import read_row
 from pamctl.session.in_process import InProcessLoop
@@ -248,6 +250,30 @@ def test_a_session_that_does_not_end_well_is_a_fault_and_not_idle(
     rig.goto(5e-3, within_s=0.5)
     rig.disarm()
     assert rig.state == "idle"
+
+
+def test_a_log_whose_loop_ends_before_its_first_tick_says_how_it_ended(
+    rig: pamctl.SimulatedRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begin = InProcessLoop.begin
+
+    def begin_after_a_stop(loop: InProcessLoop, *of: Any) -> None:
+        loop.stop_now()  # another thread, just before the run
+        begin(loop, *of)
+
+    monkeypatch.setattr(InProcessLoop, "begin", begin_after_a_stop)
+    with pytest.raises(pamctl.PamctlError, match="emergency stop"):
+        rig.goto(5e-3)
+    (log,) = tmp_path.glob("*.mcap")
+    assert read(log).events[-1]["reason"] == "emergency stop"
+
+
+def test_the_reason_of_a_stop_is_cleaned_wherever_it_is_told(rig: pamctl.SimulatedRig) -> None:
+    rig.goto(5e-3, within_s=0.5)
+    rig._ask("stop", reason="enough\x1b[2J of it")
+    (told,) = [each for each in rig.status()["events"] if each["event"] == "stopping"]
+    assert "enough" in told["reason"]
+    assert "\x1b" not in told["reason"]
 
 
 def test_a_wait_for_a_held_position_is_refused_at_once_and_one_with_an_end_returns(

@@ -66,7 +66,7 @@ def fix_of(code: int) -> str:
     return FIXES.get(code, "look into `dmesg`, and see whether a reboot helps")
 
 
-SONAME = "so.0"
+SONAME = "libcomedi.so.0"
 
 SUBD_AI, SUBD_AO, SUBD_DIO, SUBD_COUNTER = 1, 2, 5, 6
 SDF_INTERNAL, SDF_SOFT_CALIBRATED = 0x00040000, 0x2000
@@ -194,7 +194,7 @@ def load_library() -> Any:
 
 def find_library_path() -> str:
     """Return the path of the libcomedi that this process has loaded."""
-    return find_loaded_library("so")
+    return find_loaded_library("libcomedi.so")
 
 
 class ComediFile:

@@ -385,7 +385,7 @@ def _check_seconds(
         if seconds is None:
             return None
         if not math.isfinite(seconds):
-            raise typer.BadParameter(f"must be finite (got {seconds:g})")
+            raise typer.BadParameter(f"must be finite and {limits} (got {seconds:g})")
         is_low = seconds < at_least if at_least is not None else seconds <= (more_than or 0.0)
         if is_low or seconds > at_most:
             raise typer.BadParameter(f"must be {limits} (got {seconds:g})")

@@ -193,19 +193,25 @@ class RigSession(SessionLife):
 
     @order(on_page=True, said="stopping")
     def stop(
-        self, reason: Annotated[str, Field(max_length=LONGEST_NAME)] = "stopped by request"
+        self,
+        reason: Annotated[
+            str, AfterValidator(clean_text), Field(max_length=LONGEST_NAME)
+        ] = "stopped by request",
     ) -> None:
         """Stop what is running, smoothly; the muscle stays homed."""
         carrier = self._carrier
         if carrier is None or carrier.run is None:
             raise RequestRefusedError(f"nothing is running: the state is {self.state}")
-        carrier.order({"do": "stop", "reason": clean_text(reason)})
+        carrier.order({"do": "stop", "reason": reason})
         self._announce_event("stopping", reason=reason)
 
     @order(on_page=True, said="idle")
     def disarm(self) -> None:
         """End the session; the next run homes again."""
+        before = self.fault
         self._end_loop()
+        if self.fault and not before:
+            raise RequestRefusedError(f"the session did not end well: {self.fault}")
 
     @order(changes=False, at_once=True, on_page=True, said="emergency stop")
     def estop(self) -> None:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pamctl.daemon.protocol import Order, OrderTaker, RequestRefusedError
-from pamctl.exit_codes import Ending
+from pamctl.exit_codes import Ending, ExitCode
 
 if TYPE_CHECKING:
     from pamctl.daemon.carrier import CarriedRun, Carrier, CarrierMaker
@@ -296,8 +296,7 @@ class SessionLife(OrderTaker):
         if not carrier.is_alive:
             ending = self._close_loop(carrier)
             if not self._is_leaving:  # it ended by itself
-                self._latch.engage(ending.reason)
-                self._announce_event("fault", reason=ending.reason, code=int(ending.code))
+                self._note_fault(ending)
         elif carrier.run is not None and carrier.run.is_over:
             self._conclude_run(carrier, carrier.run)
         elif carrier.run is None and (self._latch.reason or self._is_parked_too_long):
@@ -338,9 +337,17 @@ class SessionLife(OrderTaker):
 
     def _end_loop(self) -> None:
         carrier = self._carrier
-        if carrier is not None:
-            self._close_loop(carrier)
+        if carrier is None:
+            return
+        ending = self._close_loop(carrier)
+        if ending.code in (ExitCode.OK, ExitCode.SIGTERM) or self._is_leaving:
             self._announce_event("idle")
+        else:  # it was dead already, or did not come to its end
+            self._note_fault(ending)
+
+    def _note_fault(self, ending: Ending) -> None:
+        self._latch.engage(ending.reason)
+        self._announce_event("fault", reason=ending.reason, code=int(ending.code))
 
     def _close_loop(self, carrier: Carrier) -> Ending:
         ending = carrier.close()

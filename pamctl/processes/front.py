@@ -192,6 +192,8 @@ def close_log(ring: Ring, recorder: subprocess.Popen[bytes], ending: Ending) -> 
             note += f"; the log could not be finished ({problem}). Its last ticks are kept in "
             note += f"{ring.path}: make room, and the next `pamctl run` finishes it"
             return FrontReport(worst, False, note)
+    # The front's recorder did so, or the one that a loop leaves behind when it misses the first.
+    if ring.recorder_pid != recorder.pid:
         note += f"; the log was finished from the ring: {ring.meta.log_path}"
     ring.unlink()
     return FrontReport(worst, not ring.recorder_flags & RecorderFlag.GAPS, note)

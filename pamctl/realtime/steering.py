@@ -172,10 +172,10 @@ class SteeredProgram:
         timing, raw = done.timing, done.raw
         match order["do"]:
             case "run":
-                if order["ring"] is None:
-                    self._begin_run(order, None, done)
-                else:
+                if order["ring"] is not None:
                     self._coming = self._attach(order)
+                elif self._run is not None:  # it may just have ended: without it there is no log
+                    self._begin_run(order, None, done)
             case "gains":
                 self._change_gains(order, timing, raw)
             case "stop":

@@ -24,7 +24,12 @@ from pamctl.processes.run_once import make_run_meta, new_ring_path
 from pamctl.realtime.loop import ControlLoop
 from pamctl.realtime.steering import SteeredProgram
 from pamctl.recording.drain import record_run
-from pamctl.recording.journal import SessionJournal, wait_for_recorder
+from pamctl.recording.journal import (
+    SessionJournal,
+    make_outcome_event,
+    put_event_for_dead_loop,
+    wait_for_recorder,
+)
 from pamctl.recording.ring import RecorderFlag, Ring, RingError, RingFull
 from pamctl.session.pamctl_error import hold_back_ctrl_c
 from pamctl.settings.build import build_ordered_program, build_tick_setup, nominal_zero_of
@@ -123,6 +128,13 @@ class InProcessLoop:
 
         An exception in the caller's thread, such as Ctrl-C, stops the time, not the run.
         """
+        # Ctrl-C just after the turn has come would be taken for one that came while it was awaited.
+        with self._turn, hold_back_ctrl_c() as pressed:
+            self._advance_whole(lambda: bool(pressed) or goal(), order)
+
+    def _advance_whole(
+        self, goal: Callable[[], bool], order: Mapping[str, Any] | None = None
+    ) -> None:
         with self._turn:
             if self._ending is None:
                 self._wants_turn, self._goal = False, goal
@@ -160,7 +172,7 @@ class InProcessLoop:
         short = replace(meta, config={}, attachments={}, metadata={}).to_text().decode()
         path = ring.meta.log_path
         order = {"do": "run", "ring": str(ring.path), "meta": short}
-        self.advance(lambda: self.log == path, order)
+        self._advance_whole(lambda: self.log == path, order)
         if before is not None:
             before.finish()
 
@@ -188,8 +200,10 @@ class InProcessLoop:
     def close(self) -> Ending:
         """End the loop; return how it ended."""
         self.begin_end()
-        self.advance(_NEVER)
+        self._advance_whole(_NEVER)
         assert self._ending is not None
+        if self.run is not None and not self.run.ring.loop_done:  # it ended before it took the run
+            put_event_for_dead_loop(self.run.ring, make_outcome_event(self._ending))
         self.finish_run()
         if self._thread.is_alive():
             self._thread.join()

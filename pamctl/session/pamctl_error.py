@@ -77,16 +77,19 @@ def require_package(name: str) -> Any:
 
 
 @contextmanager
-def hold_back_ctrl_c() -> Iterator[None]:
-    """Obey Ctrl-C after the block, not within it. Only the main thread gets it, and so waits."""
+def hold_back_ctrl_c() -> Iterator[list[tuple[int, FrameType | None]]]:
+    """Obey Ctrl-C after the block, not within it. Only the main thread gets it, and so waits.
+
+    The block is given a list that is empty until Ctrl-C comes.
+    """
     before = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or not callable(before):
-        yield
-        return
     came: list[tuple[int, FrameType | None]] = []
+    if threading.current_thread() is not threading.main_thread() or not callable(before):
+        yield came
+        return
     signal.signal(signal.SIGINT, lambda number, frame: came.append((number, frame)))
     try:
-        yield
+        yield came
     finally:
         signal.signal(signal.SIGINT, before)
         if came:

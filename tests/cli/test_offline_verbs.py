@@ -78,7 +78,7 @@ def test_the_table_of_a_what_if_is_never_written_over_a_file(log):
 
 @pytest.mark.parametrize("seconds", ["nan", "inf", "-1"])
 def test_a_replay_refuses_a_start_time_that_is_not_possible(seconds, log):
-    assert "must be seconds, 0 or more" in refused("replay", log, "--from", seconds)
+    assert f"at least 0 s (got {seconds})" in refused("replay", log, "--from", seconds)
 
 
 @pytest.mark.parametrize("options", [(), ("--set", "controller.eta=0")])

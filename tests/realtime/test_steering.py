@@ -23,7 +23,7 @@ from pamctl.recording.ring import LoopStage, Ring
 from pamctl.recording.rows import RowKind
 from pamctl.settings.build import build_ordered_program, build_tick_setup
 from pamctl.settings.resolve import resolve
-from pamctl.signals import TickRecord
+from pamctl.signals import Phase, TickRecord
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="rings need Linux")
 
@@ -187,3 +187,16 @@ def test_an_order_that_follows_a_run_holds_for_that_run(tmp_path, session) -> No
         session.tick()
         events = [entry for entry in ring.drain(ROWS).entries() if entry.kind == RowKind.EVENT]
         assert b"stopped by a client" in events[-1].payload
+
+
+def test_a_motion_that_would_go_on_in_a_log_that_has_just_ended_does_not_begin(session) -> None:
+    """No log would have its ticks, and nobody could stop it: nothing runs any more."""
+    hold = {"kind": "hold", "position_mm": 5.0}
+    session.slot.orders.append({"do": "run", "ring": None, "experiment": hold, "duration_s": None})
+    for _ in range(3):
+        session.tick()
+    assert session.slot.orders == []
+    record = tick(session.ticked)
+    reference, _ = session.program.next_reference(record.timing.t_s, record.raw)
+    assert reference is not None
+    assert reference.phase == Phase.OPEN_LOOP

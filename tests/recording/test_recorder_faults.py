@@ -21,11 +21,13 @@ from support.made_up import START_MONO_NS, columns, end, meta, put, recording, t
 from support.patience import PATIENCE_S
 
 from hal.child import child_command
+from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log import info, read
 from pamctl.log.check import check_log
 from pamctl.log.framing import FileRecord
 from pamctl.log.record_walk import find_records
 from pamctl.log.recover import recover_file, resume_log
+from pamctl.processes.front import close_log
 from pamctl.recording.recorder import (
     RecorderError,
     await_recorder,
@@ -112,6 +114,19 @@ def test_a_recorder_killed_before_it_had_a_file_costs_nothing(log):
         put_with_events(ring, range(500))
         finish(ring.path)
     assert_complete(log, 500)
+
+
+def test_a_front_whose_loop_has_had_the_log_finished_still_says_that_its_recorder_died(log):
+    with new_ring(log) as ring, recording(ring) as process:
+        put_with_events(ring, range(300))
+        process.kill()
+        process.wait()
+        finish(ring.path)  # the recorder of the loop comes before the front looks
+        report = close_log(ring, process, Ending(ExitCode.OK, ""))
+    assert report.log_is_whole
+    assert report.ending.code == ExitCode.UNEXPECTED
+    assert report.note.endswith(f"died with -9; the log was finished from the ring: {log}")
+    assert_complete(log, 300)
 
 
 def test_a_log_that_is_finished_twice_has_nothing_twice(log):

@@ -101,6 +101,23 @@ def test_a_fault_is_raised_with_its_code_and_its_log_and_acknowledged(up: Daemon
         assert rig.state == "idle"
 
 
+def test_an_acknowledgement_does_not_wait_for_the_monitor_to_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The monitor lives as long as the daemon does."""
+    with daemon(tmp_path, "watched", options=["--monitor"]) as made, connect(made.socket) as rig:
+        rig.estop()
+        status = rig.status()
+        assert list(status["pids"]) == ["monitor"]
+
+        def wait_in_vain(duration_s: float) -> None:
+            raise AssertionError("no loop is left to wait for")
+
+        monkeypatch.setattr(rig._link, "sleep", wait_in_vain)
+        assert rig.ack() == "emergency stop"
+        assert rig.state == "idle"
+
+
 def test_refusals_are_the_shells(up: Daemon, tmp_path: Path) -> None:
     with pytest.raises(pamctl.PamctlError, match="no daemon listens there") as absent:
         connect(tmp_path / "none.sock")

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,9 +17,12 @@ from support.processes.daemons import QUICK
 from support.runs import COUNT_M
 
 import pamctl
-from pamctl.exit_codes import ExitCode
+from pamctl.daemon.rig_session import RigSession
+from pamctl.exit_codes import Ending, ExitCode
+from pamctl.log import read
 from pamctl.replay import replay_log
 from pamctl.runs.run_row import read_row
+from pamctl.session.in_process import InProcessLoop
 from pamctl.session.simulated_rig import simulate
 from pamctl.settings.resolve import resolve
 from pamctl.signals import Phase
@@ -97,6 +102,41 @@ def test_an_exception_in_the_block_stops_the_run_smoothly_and_its_log_is_whole(
     assert run.ending.reason == "the session ended"
     assert run["valve_v"][-1] == pytest.approx(-5.0, abs=0.1)
     assert replay_log(run.log).is_equal
+
+
+def loop_of(rig: pamctl.SimulatedRig) -> InProcessLoop:
+    session: RigSession = rig._link._session  # type: ignore[attr-defined]
+    assert isinstance(session.carrier, InProcessLoop)
+    return session.carrier
+
+
+def test_ctrl_c_that_comes_with_the_end_of_a_wait_does_not_wait_for_another_end(
+    rig: pamctl.SimulatedRig,
+) -> None:
+    """The loop has given the turn back, and its caller has not seen it yet."""
+    rig.goto(5e-3, within_s=0.5)
+    loop = loop_of(rig)
+    turns = loop._done
+
+    class PressedAtTheTurn:
+        is_given = False
+
+        def get(self) -> None:
+            assert not self.is_given, "waits for a turn that it has"
+            turns.get()
+
+        def put(self, turn: None) -> None:
+            self.is_given = True
+            signal.raise_signal(signal.SIGINT)
+            turns.put(turn)
+
+    loop._done = PressedAtTheTurn()  # type: ignore[assignment]
+    with pytest.raises(KeyboardInterrupt):
+        rig.sleep(0.1)
+    loop._done = turns
+    before = rig.status()["tick"]["tick"]
+    rig.sleep(0.1)
+    assert rig.status()["tick"]["tick"] > before
 
 
 def test_ctrl_c_during_a_run_stops_it_and_leaves_the_log(tmp_path: Path) -> None:
@@ -179,6 +219,98 @@ def test_a_trip_names_its_reason_its_code_and_the_log_and_is_latched(tmp_path: P
             rig.goto(5e-3)
         assert "safety trip" in rig.ack()
         rig.goto(5e-3)
+
+
+def test_the_code_of_a_fault_is_not_that_of_the_one_before_it(
+    rig: pamctl.SimulatedRig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig.goto(5e-3, within_s=0.5)
+    late = Ending(ExitCode.OVERRUNS, "too many ticks were missed")
+    monkeypatch.setattr(loop_of(rig), "find_stop", lambda tick: late)
+    with pytest.raises(pamctl.PamctlError, match="too many ticks") as first:
+        rig.sleep(1.0)
+    assert first.value.exit_code == ExitCode.OVERRUNS
+    rig.ack()
+    rig.estop()  # while idle: no loop tells a code
+    with pytest.raises(pamctl.PamctlError, match="emergency stop") as second:
+        next(rig.live())
+    assert second.value.exit_code == ExitCode.SAFETY_TRIP
+
+
+def test_a_session_that_does_not_end_well_is_a_fault_and_not_idle(
+    rig: pamctl.SimulatedRig,
+) -> None:
+    rig.goto(5e-3, within_s=0.5)
+    loop_of(rig).stop_now()
+    with pytest.raises(pamctl.PamctlError, match="emergency stop") as ended:
+        rig.disarm()
+    assert ended.value.exit_code == ExitCode.SAFETY_TRIP
+    assert rig.state == "fault"
+    rig.ack()
+    rig.goto(5e-3, within_s=0.5)
+    rig.disarm()
+    assert rig.state == "idle"
+
+
+def test_a_log_whose_loop_ends_before_its_first_tick_says_how_it_ended(
+    rig: pamctl.SimulatedRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begin = InProcessLoop.begin
+
+    def begin_after_a_stop(loop: InProcessLoop, *of: Any) -> None:
+        loop.stop_now()  # another thread, just before the run
+        begin(loop, *of)
+
+    monkeypatch.setattr(InProcessLoop, "begin", begin_after_a_stop)
+    with pytest.raises(pamctl.PamctlError, match="emergency stop"):
+        rig.goto(5e-3)
+    (log,) = tmp_path.glob("*.mcap")
+    assert read(log).events[-1]["reason"] == "emergency stop"
+
+
+def test_the_reason_of_a_stop_is_cleaned_wherever_it_is_told(rig: pamctl.SimulatedRig) -> None:
+    rig.goto(5e-3, within_s=0.5)
+    rig._ask("stop", reason="enough\x1b[2J of it")
+    (told,) = [each for each in rig.status()["events"] if each["event"] == "stopping"]
+    assert "enough" in told["reason"]
+    assert "\x1b" not in told["reason"]
+
+
+def test_a_wait_for_a_held_position_is_refused_at_once_and_one_with_an_end_returns(
+    rig: pamctl.SimulatedRig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig.goto(5e-3, within_s=0.5)
+
+    def wait_in_vain(*_: object) -> None:
+        raise AssertionError("it waits for an end that does not come")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(loop_of(rig), "advance", wait_in_vain)
+        with pytest.raises(pamctl.PamctlError, match=r"has no end; stop\(\) ends it") as refused:
+            rig.wait()
+    assert refused.value.exit_code == ExitCode.USAGE
+    rig.stop()
+    assert rig.wait().ending.reason == "stopped by request"
+    rig.start(pamctl.Hold(position_mm=5), duration_s=0.5)
+    assert rig.wait().ending.code == ExitCode.OK
+
+
+def test_a_motion_that_another_thread_stops_has_not_arrived(
+    rig: pamctl.SimulatedRig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begin = rig._begin
+
+    def begin_and_be_stopped(order: str, /, **params: object) -> Path:
+        log = begin(order, **params)
+        rig.stop()  # the other thread has its turn just now
+        return log
+
+    monkeypatch.setattr(rig, "_begin", begin_and_be_stopped)
+    with pytest.raises(pamctl.PamctlError, match="the motion was stopped") as stopped:
+        rig.goto(5e-3)
+    assert stopped.value.exit_code == ExitCode.CHECK_FAILED
+    assert stopped.value.log is not None
+    assert pamctl.Run.open(stopped.value.log).ending.reason == "stopped by request"
 
 
 def test_the_emergency_stop_ends_the_run_at_once_and_is_latched(rig: pamctl.SimulatedRig) -> None:

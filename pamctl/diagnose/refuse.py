@@ -44,6 +44,8 @@ SHORTEST_STRETCH = 20
 """A stretch between gaps with fewer samples shows nothing."""
 HALF_SPAN = 0.5
 """A signal that moves by this share of its span between two samples is not resolved."""
+LEAST_COMMAND_V = 0.1
+"""A command that varies by less opens no valve."""
 STILL_TIMES_NOISE = 10.0
 """A signal that varies by less than this multiple of its noise tells nothing."""
 
@@ -276,6 +278,8 @@ def doubt_excitation(records: Sequence[Record], plant: PlantSettings) -> Iterato
 
 def _least_span(record: Record, plant: PlantSettings, channel: str) -> float:
     """Return the variation that a channel needs: more than its noise; of a muscle, a part of it."""
+    if channel == "valve_v":  # no sensor: the step of a square command is no resolution
+        return LEAST_COMMAND_V
     noise = max(estimate_white_noise(record[channel]), find_sensor_step(record[channel]))
     least: float = max(STILL_TIMES_NOISE * noise, 1e-12)
     if plant.actuator == "direct":
@@ -283,7 +287,6 @@ def _least_span(record: Record, plant: PlantSettings, channel: str) -> float:
     shares = {
         "pressure_pa": 0.02 * plant.parameters.tank_pressure_pa,
         "position_m": 2e-3 * plant.parameters.rest_length_m,
-        "valve_v": 0.1,
     }
     return max(least, shares.get(channel, 0.0))
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.diagnose.evidence.constants import REST_SHARE
+from pamctl.diagnose.evidence.sample_masks import find_resolution
 from pamctl.plant.drive import SampleGrid, build_grid
 
 Array = NDArray[np.float64]
@@ -86,7 +87,9 @@ def find_starts(position_m: Array, period_s: float, grid: SampleGrid) -> dict[st
 
     even_s = np.arange(0.0, grid.samples_s[-1] + period_s, period_s)
     even_m = np.interp(even_s, grid.samples_s, position_m)
-    noise_m = float(np.std(np.diff(even_m, 4))) / sqrt(70.0)
+    noise_m = max(
+        float(np.std(np.diff(even_m, 4))) / sqrt(70.0), find_resolution(position_m) / sqrt(12.0)
+    )
     widest = min(round(SMOOTH_S / period_s) | 1, (len(even_m) - 1) | 1)
     widths = [w for w in (7, 9, 13, 19, 27, 37, 51, 71, 101, 141, 201) if w < widest] + [widest]
     narrower = list[tuple[Array, float]]()

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from math import inf
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -267,6 +268,8 @@ LINE = 3.0
 """A line stands out of the amplitudes beside it by this factor."""
 STEADY = 0.25
 """Scatter of its phasor over its size: a motion has no such steady line, and a chirp passes by."""
+ELSEWHERE = 0.35
+"""By this share of its size it may be larger or smaller in any window quiet enough to show it."""
 LARGEST = 0.05
 """Share of the channel's span that hum may have; more would be an excitation."""
 COMMANDED = 1e-2
@@ -307,11 +310,16 @@ def remove_hum(values: Array, period_s: float, command: Array | None) -> tuple[A
         if not quiet.any():
             continue
         weights = (float(quiet.max()) / np.maximum(quiet, 1e-3 * float(quiet.max()))) ** 2
+        if weights.sum() ** 2 < FEWEST_WINDOWS * float(np.sum(weights**2)):
+            continue  # one quiet window agrees with itself
         mean = complex(np.sum(weights * still) / weights.sum())
         size = abs(mean)
         scatter = float(np.sqrt(np.sum(weights * np.abs(still - mean) ** 2) / weights.sum()))
         loud = size > LINE * float(np.sqrt(np.sum(weights * quiet**2) / weights.sum()))
         if not loud or scatter > STEADY * size or size > LARGEST * float(np.ptp(values)):
+            continue
+        off = np.abs(np.abs(line) - size)
+        if np.any(off > np.where(quiet < 0.5 * size, np.maximum(ELSEWHERE * size, 2 * quiet), inf)):
             continue
         if command is not None and np.ptp(command) > 0.0:
             asked = np.abs(_measure_phasors(command, centres, length, period_s * mains_hz))

@@ -94,7 +94,6 @@ def test_a_stiffness_that_differs_between_records_is_said_as_the_stiffness() -> 
     assert "stiffness" in sentence(found)
 
 
-@wrong("the droop's refill time ends at its range, so its kind alone is said")
 def test_a_drooping_supply_is_named_beside_a_hysteretic_spring() -> None:
     hidden = {
         "supply_droop__resistance_pa_s_per_kg": 2e7,

@@ -110,7 +110,7 @@ class NewPlantOptions(Options):
     out: Path = option("--out FILE.yaml", "New plant file", ...)
     actuator: str | None = option(
         f"--actuator {'|'.join(_ACTUATORS)}",
-        "What moves, or is filled",
+        "What moves, or is filled: one valve and one chamber, no piston with air on both sides",
         shown="muscle; with --from by the columns",
     )
     measured: list[Path] = option(
@@ -151,6 +151,9 @@ def make_plant(asked: NewPlantOptions) -> None:
         guessed = {name: guess._asdict() for name, guess in guesses.items()}
         print_json(document | ({"guessed": guessed} if records else {}))
     else:
+        if records and asked.actuator is None:
+            same = "; a cylinder has the same columns: --actuator cylinder"
+            typer.echo(f"by the columns: actuator {actuator}{same if actuator == 'muscle' else ''}")
         for name, guess in guesses.items():
             typer.echo(f"guessed: {name} = {guess.value:.4g}, {guess.how}")
         typer.echo(
@@ -258,13 +261,13 @@ def _collect_numbers(
         found = guess_numbers(records, actuator, values)
         guesses = {name: guess for name, guess in found.items() if name not in given}
     values |= {name: guess.value for name, guess in guesses.items()}
-    for question in questions:
-        if question.name not in values and not question.is_optional:
-            raise Failed(
-                ExitCode.USAGE,
-                f"{question.name} ({question.meaning}) has no default: "
-                f"give --value {question.name}='...' in {question.units}",
-            )
+    missing = [
+        f"{q.name} ({q.meaning}) has no default: give --value {q.name}='...' in {q.units}"
+        for q in questions
+        if q.name not in values and not q.is_optional
+    ]
+    if missing:
+        raise Failed(ExitCode.USAGE, "\n".join(missing))
     return values, guesses
 
 

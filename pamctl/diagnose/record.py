@@ -332,13 +332,17 @@ def _import_beside(path: Path, imported: Path) -> tuple[str, ...]:
     """Import a measured file; return how each column was read and what is doubtful."""
     from pamctl.log.importing.pipeline import import_log
 
-    done = import_log(path, imported)
-    if not done.written:
-        wrong = "; ".join(f.message for f in done.findings if f.severity == Severity.ERROR)
+    try:
+        done = import_log(path, imported)
+        if not done.written:
+            wrong = "; ".join(f.message for f in done.findings if f.severity == Severity.ERROR)
+            raise pamctl.log.LogError(f"not imported: {wrong}")
+    except pamctl.log.LogError as error:
+        named = "" if str(path) in str(error) else f"{path}: "
         raise pamctl.log.LogError(
-            f"{path}: not imported: {wrong}; `pamctl log import {path} OUT.mcap` shows each "
-            "column, and its --map says what a column holds"
-        )
+            f"{named}{error}\nA map says what a column holds: "
+            f"`pamctl log import {path} OUT.mcap --map MAP.yaml`, then give OUT.mcap here"
+        ) from error
     read_as = ", ".join(f"{c.name} as {c.read_as}" for c in done.columns if c.read_as)
     unused = ", ".join(f"{c.name} ({c.left_out})" for c in done.columns if c.left_out)
     notes = [f"imported: {read_as}", *([f"not used: {unused}"] if unused else [])]

@@ -163,6 +163,8 @@ def test_numbers_without_a_default_must_be_given(tmp_path: Path) -> None:
     assert (lacking.exit_code, Path(out).exists()) == (2, False)
     assert "stiffness_n_per_m" in lacking.stderr
     assert "has no default" in lacking.stderr
+    nothing = make("--out", out, "--actuator", "cylinder")
+    assert nothing.stderr.count("has no default") == 6  # all at once
     done = make("--out", out, "--actuator", "direct", *values,
                 "--value", "stiffness_n_per_m=1")  # fmt: skip
     assert done.exit_code == 0, done.stderr
@@ -203,3 +205,15 @@ def test_numbers_are_guessed_from_measured_text_and_say_so(tmp_path: Path) -> No
     for name, true in (("mass_kg", 3.0), ("damping_n_s_per_m", 40.0), ("stiffness_n_per_m", 500.0)):
         assert document["guessed"][name]["value"] == pytest.approx(true, rel=0.1)
     assert "guessed, from the balance of forces" in out.read_text()
+
+
+def test_a_file_whose_columns_are_not_clear_is_refused_with_the_way_to_a_map(
+    tmp_path: Path,
+) -> None:
+    source = tmp_path / "odd.csv"
+    rows = "".join(f"{k},{k % 7},{k % 5}\n" for k in range(200))
+    source.write_text("time_ms,Force thing,Way\n" + rows)
+    done = make("--from", str(source), "--out", str(tmp_path / "odd.yaml"))
+    assert done.exit_code == 65
+    assert str(source) in done.stderr
+    assert "--map MAP.yaml" in done.stderr

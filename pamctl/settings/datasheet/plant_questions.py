@@ -61,7 +61,8 @@ _PLAIN_WORDS = {
     "valve_gain_m2_per_v": "opening of the valve per volt of command, K_Av",
     "chamber_volume_m3": "volume behind the valve, tubes included",
     "cylinder_area_m2": "area of the piston",
-    "cylinder_volume_m3": "volume behind the piston at position 0, tubes included",
+    "cylinder_volume_m3": "volume behind the piston at position 0, tubes included; half or twice "
+    "will do, it is fitted",
     "stroke_m": "stroke: the piston moves from 0 to here",
 }
 """What the settings describe by the paper's symbols."""

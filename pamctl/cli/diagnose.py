@@ -28,7 +28,7 @@ from pamctl.cli.options import (
     require_linux,
     verb,
 )
-from pamctl.cli.output import print_json, print_result
+from pamctl.cli.output import print_json, print_result, read_records
 from pamctl.exit_codes import ExitCode
 from pamctl.new_file import NewFileError, require_empty_folder
 
@@ -93,7 +93,7 @@ def diagnose(asked: DiagnoseOptions) -> None:
     assert out is not None  # only --dry-run, which is for --on-rig, goes without
     from pamctl.diagnose import diagnose as find_missing_effects
     from pamctl.diagnose import summary
-    from pamctl.diagnose.record import record_of, require_held_out
+    from pamctl.diagnose.record import require_held_out
     from pamctl.diagnose.refuse import read_acceptances
     from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
     from pamctl.diagnose.report.diagnosis_page import write_diagnosis
@@ -101,12 +101,8 @@ def diagnose(asked: DiagnoseOptions) -> None:
     accepted = read_acceptances(asked.accept)
     require_held_out(asked.logs, asked.holdout)
     stated = asked.read_noise()
-    train = [record_of(path) for path in asked.logs]
-    held = [record_of(path) for path in asked.holdout]
+    train, held = read_records(asked.logs), read_records(asked.holdout)
     records = [*train, *held]
-    for record in records:
-        for note in record.notes:
-            typer.echo(f"{record.name}: {note}", err=True)
     if not held:
         typer.echo("no --holdout: two stretches of each log are held out", err=True)
     diagnosis = find_missing_effects(

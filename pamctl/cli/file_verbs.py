@@ -10,7 +10,7 @@ import typer
 
 from pamctl.cli.failure import Failed
 from pamctl.cli.options import Options, argument, flag, option, verb
-from pamctl.cli.output import print_json
+from pamctl.cli.output import print_json, read_records
 from pamctl.cli.settings_from_options import SettingsOptions, find_argument_file
 from pamctl.exit_codes import ExitCode
 from pamctl.new_file import require_place, write_files
@@ -136,7 +136,7 @@ def make_plant(asked: NewPlantOptions) -> None:
         raise typer.BadParameter(which, param_hint="--actuator")
     from pamctl.settings.datasheet.plant_file import build_plant, format_new_plant
 
-    records = _read_measured(asked.measured)
+    records = read_records(asked.measured)
     actuator = asked.actuator or _guess_actuator(records)
     texts = _split_given(asked.given, actuator)
     values, guesses = _collect_numbers(actuator, texts, records)
@@ -213,18 +213,6 @@ def _split_given(given: list[str], actuator: str) -> dict[str, str]:
             )
         texts[name] = number
     return texts
-
-
-def _read_measured(paths: list[Path]) -> list[Record]:
-    if not paths:
-        return []
-    from pamctl.diagnose.record import record_of
-
-    records = [record_of(path) for path in paths]
-    for record in records:
-        for note in record.notes:
-            typer.echo(f"{record.name}: {note}", err=True)
-    return records
 
 
 def _guess_actuator(records: list[Record]) -> str:

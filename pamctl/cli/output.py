@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
 from pamctl.cli.failure import Failed
 from pamctl.json_text import to_json
 from pamctl.new_file import NewFileError
+
+if TYPE_CHECKING:
+    from pamctl.diagnose.record import Record
 
 PAGE_BEGIN = "<"
 """An older page is replaced; a file that begins otherwise is something else."""
@@ -18,6 +23,17 @@ PAGE_BEGIN = "<"
 def print_json(document: object) -> None:
     """Print one JSON document; floats that are not finite are "nan", "inf" and "-inf"."""
     typer.echo(json.dumps(json.loads(to_json(document)), indent=2))
+
+
+def read_records(paths: Iterable[Path]) -> list[Record]:
+    """Read logs and measured files; say on standard error what is doubtful in each."""
+    from pamctl.diagnose.record import record_of
+
+    records = [record_of(path) for path in paths]
+    for record in records:
+        for note in record.notes:
+            typer.echo(f"{record.name}: {note}", err=True)
+    return records
 
 
 def print_result(

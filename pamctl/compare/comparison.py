@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.diagnose.evidence.measured_motion import SMOOTH_S, find_rates, judge_motion
+from pamctl.diagnose.evidence.measured_motion import find_starts, judge_motion
 from pamctl.diagnose.evidence.run_pieces import WINDOW_S
 from pamctl.log import NO_PHASE, Log, LogError, Signals, signals
 from pamctl.plant.drive import (
@@ -208,7 +208,7 @@ def _begin_again(
     """Return the measured state at the begin of a stretch, and at its every so many seconds."""
     assert part.position_m is not None
     period_s = _find_usual_s(part)
-    rates = find_rates(part.position_m, period_s, SMOOTH_S, build_grid(part.dt_s[1:], len(part), 1))
+    rates = find_starts(part.position_m, period_s, build_grid(part.dt_s[1:], len(part), 1))
     step = max(1, round(every_s / period_s))
     rows = np.arange(step, len(part), step)
     pressure_pa = plant.atmospheric_pressure_pa

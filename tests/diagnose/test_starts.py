@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 
 from pamctl.diagnose import Record, diagnose
 from pamctl.diagnose.evidence.measured_motion import find_starts
+from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.plant.drive import build_grid
 from pamctl.plant.model import PlantSettings
 
@@ -56,3 +57,8 @@ def test_of_an_exact_axis_nothing_is_missing_and_its_numbers_lie_in_their_interv
     assert not [f.name for f in found.findings if f.says_name]
     assert found.evidence is not None
     assert found.evidence.gap["recalibrated"]["position_m"] < 1e-5
+    numbers = build_diagnosis_document(found)["recalibrated"]
+    # Between samples the model's force is a straight line: that costs less than a thousandth.
+    for name, true in (("mass_kg", 6.5), ("damping_n_s_per_m", 45.0)):
+        low, high = numbers[name]["ci90"]
+        assert low - 1e-3 * true < true < high + 1e-3 * true, name

@@ -24,9 +24,9 @@ from pamctl.daemon.client import Client, DaemonDeclinedError
 from pamctl.daemon.protocol import TOO_MANY, Method, NoParams
 from pamctl.daemon.server import Server
 
-REACHES_VALVE_S = 0.02
-REACHES_VALVE_IN_A_QUEUE_S = 0.1
-"""Whoever connects waits for those that have connected before, which the kernel keeps in order."""
+REACHES_VALVE_S = 0.5
+"""A stop that waits for its turn takes as long as the flood lasts; one that does not, milliseconds,
+or some tenths of a second where other work keeps both CPUs."""
 TRIES = 3
 """The other processes of a busy PC may delay one stop or the other; a flood delays most."""
 STOP_RAMP_S = 0.05
@@ -101,9 +101,6 @@ def parked(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_emergency_stop_reaches_the_valve_at_once_in_a_flood(parked: Daemon, kind: str) -> None:
-    most_s = REACHES_VALVE_S
-    if kind == "clients that come and go":
-        most_s = REACHES_VALVE_IN_A_QUEUE_S
     took_s = []
     for _ in range(TRIES):
         leave_safe_voltage(parked)
@@ -116,7 +113,7 @@ def test_an_emergency_stop_reaches_the_valve_at_once_in_a_flood(parked: Daemon, 
             took_s.append(measure_stop_s(parked, stop))
             assert json.loads(client.makefile("rb").readline())["id"] == 7
         retry(lambda: parked.ask("ack"))
-        if has_median_below(took_s, most_s):
+        if has_median_below(took_s, REACHES_VALVE_S):
             return
     pytest.fail(f"{took_s} s")
 

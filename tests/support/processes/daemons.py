@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from hal.sim import peek_v
-from pamctl.daemon.client import Client, DaemonUnreachableError
+from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
 from pamctl.processes.backends import ao_path
 from support.patience import BUSY_PC, PATIENCE_S
 
@@ -81,6 +81,19 @@ class Daemon:
                 return status
             assert time.monotonic() < deadline_s, status
             time.sleep(0.02)
+
+    def acknowledge(self) -> None:
+        """Acknowledge the fault as soon as the loop that it ended has ended."""
+        self.wait_until(lambda status: status["state"] == "fault")
+        deadline_s = time.monotonic() + PATIENCE_S
+        while True:
+            try:
+                self.ask("ack")
+                return
+            except DaemonDeclinedError as error:
+                if "try again" not in str(error) or time.monotonic() > deadline_s:
+                    raise
+                time.sleep(0.02)
 
     def wait_ticks(self, count: int) -> None:
         """Return when the loop is this many ticks further."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -218,7 +218,7 @@ def kind_of(path: Path, data: Mapping[str, object]) -> str:
     """Determine a file's kind from its folder, or else from its keys."""
     if path.resolve().parent.name in SECTIONS:
         return path.resolve().parent.name
-    known = {kind: names_in(adapter.json_schema()) & data.keys() for kind, adapter in KINDS.items()}
+    known = {kind: names_in(_schema_of(adapter)) & data.keys() for kind, adapter in KINDS.items()}
     known["run"] = SECTIONS.keys() & data.keys()
     best, second = sorted(known, key=lambda kind: len(known[kind]), reverse=True)[:2]
     if len(known[best]) == len(known[second]):
@@ -463,6 +463,12 @@ def _run_and_collect_problems(steps: Iterable[Callable[[], None]]) -> None:
         raise ConfigError(problems)
 
 
+@cache
+def _schema_of(adapter: TypeAdapter[Any]) -> dict[str, Any]:
+    """Return the JSON schema, which takes longer to make than all else of an error."""
+    return adapter.json_schema()
+
+
 def validate_settings(
     adapter: TypeAdapter[Settings], raw: RawSettings, title: str = ""
 ) -> Settings:
@@ -475,7 +481,7 @@ def validate_settings(
         return adapter.validate_json(json.dumps(raw.data), strict=True)
     except ValidationError as error:
         errors = error.errors(include_url=False)
-        found = explain_errors(errors, adapter.json_schema(), title)
+        found = explain_errors(errors, _schema_of(adapter), title)
         for at, message in found.items():
             if at[-1:] == ("law",) and (why := _explain_law(raw, at)):
                 found[at] = f"{message}; {why}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +18,7 @@ from pamctl.plant.catalogue import CATALOGUE
 
 RIGS = [DirtyRig(3), DirtyRig(2, "direct")]
 """With cross-talk and a bowed sensor; with a spring, a stop, a late column and a loose clamp."""
+OTHER = DirtyRig(4)
 
 
 def show(rig: HiddenRig, dirty: DirtyRig, dirts: tuple[Dirt, ...] = ()) -> NDArray[np.float64]:
@@ -67,7 +67,7 @@ def test_each_small_thing_leaves_its_share_of_what_the_effect_leaves(rig: DirtyR
 
 @pytest.mark.long
 def test_the_same_seed_makes_the_same_rig_and_another_seed_another() -> None:
-    first, again, other = DirtyRig(3), DirtyRig(3), DirtyRig(4)
+    first, again, other = RIGS[0], DirtyRig(3), OTHER
     assert json.dumps(first.describe()) == json.dumps(again.describe()) != other.describe()
     for one, two in zip(first.records()[0], again.records()[0], strict=True):
         for name, column in one.columns().items():
@@ -76,7 +76,7 @@ def test_the_same_seed_makes_the_same_rig_and_another_seed_another() -> None:
 
 @pytest.mark.long
 def test_the_truth_file_holds_what_was_simulated() -> None:
-    rig = DirtyRig(4)
+    rig = OTHER
     told = rig.describe()
     assert told["effect"] == "chamber_leak"
     assert told["numbers"] == {"chamber_leak_m2": rig.affected.truth.chamber_leak_m2}
@@ -109,13 +109,10 @@ def test_a_force_climbs_while_friction_holds_the_carriage() -> None:
     assert np.ptp(record.position_m[before]) < 0.01 * np.ptp(record.position_m)
 
 
-@pytest.mark.long
-def test_every_kind_of_dirt_comes_up_and_has_a_place() -> None:
+def test_every_kind_of_dirt_has_a_place() -> None:
     for kind in DIRT.values():
         assert all(place in PLACES and law in (*KINDS, "") for place, law in kind.where)
         assert set(kind.names) <= {*NAMES, "skew.pressure_pa", "skew.position_m"}
-    found = Counter(d.kind.name for seed in range(12) for d in DirtyRig(seed).dirts)
-    assert set(found) >= {*DIRT} - {"uneven_friction", "missing_codes"}, found
 
 
 # --- the rungs --------------------------------------------------------------------------------

@@ -245,8 +245,10 @@ def judge_dialect(dialect: dict[str, Any]) -> str:
         return "refused"
     told = " ".join(finding.message for finding in done.findings)
     rows = len(measured.t_s)
-    # What a cut took away is told; no row in the middle goes.
-    assert rows == ROWS or (dialect["cut"] and ("left out" in told or rows >= ROWS - 3)), told
+    # What a cut took away is told; no row in the middle goes. A last line between spaces that lacks
+    # a cell looks like one that was cut.
+    looks_cut = dialect["cut"] or (not dialect["delimiter"].strip(" ") and not dialect["missing"])
+    assert rows == ROWS or (looks_cut and ("left out" in told or rows >= ROWS - 3)), told
     np.testing.assert_allclose(measured.t_s, T_S[:rows], atol=1e-9)
     for name, values in TRUTH.items():
         got = getattr(measured, name)

@@ -1,7 +1,7 @@
 """Which column of a table is which quantity: by its header, or by asking.
 
-`Pressure [bar]`, `Muscle pressure (kPa abs)`, `Weg/mm`, `position_mm`. The unit says which quantity
-a column can hold; the words must agree. A word that is not known leaves a doubt, and a word for
+`Pressure [bar]`, `Chamber pressure (bar g)`, `Kolbenweg/mm`, `position_mm`. The unit says which
+quantity a column can hold; the words must agree. A word that is not known leaves a doubt, a word for
 something else (a set point, the supply) rules the column out. A doubt is a question: the refusal
 holds a map that can be used as it stands.
 """
@@ -49,22 +49,27 @@ class HeaderMeaning(NamedTuple):
 
 _NAMES: Mapping[str, frozenset[str]] = {
     TIME: frozenset({"time", "t", "timestamp", "zeit", "messzeit", "uhrzeit", "temps", "tiempo"}),
-    "valve_v": frozenset({"valve", "command", "cmd", "control", "u", "ventil", "stellgroesse"}),
-    "pressure_pa": frozenset({"pressure", "p", "druck", "pression", "presion"}),
+    "valve_v": frozenset(
+        {"valve", "command", "cmd", "control", "u", "ao", "ventil", "stell", "stellgroesse"}
+    ),
+    "pressure_pa": frozenset({"pressure", "p", "pm", "druck", "ueberdruck", "pression", "presion"}),
     "position_m": frozenset(
         {"position", "pos", "displacement", "disp", "contraction", "stroke", "x", "weg", "hub",
-         "encoder", "enc", "kontraktion", "auslenkung", "deplacement"}
+         "lage", "encoder", "enc", "kontraktion", "auslenkung", "deplacement"}
     ),
-    "force_n": frozenset({"force", "f", "kraft"}),
+    "force_n": frozenset({"force", "f", "fm", "kraft", "thrust"}),
 }  # fmt: skip
 """Words for a quantity, in the languages of many labs."""
 _BESIDE = frozenset({
-    "muscle", "muskel", "pam", "actuator", "measured", "meas", "gemessen", "actual", "act", "ist",
-    "sensor", "channel", "ch", "ai", "ao", "signal", "value", "wert", "applied",
+    "muscle", "muskel", "pam", "actuator", "aktor", "measured", "meas", "gemessen", "actual", "act",
+    "ist", "sensor", "channel", "ch", "ai", "signal", "value", "wert", "applied", "feedback",
     "elapsed", "relative", "rel", "absolute", "abs", "absolut", "gauge", "internal", "inner",
     "voltage", "spannung", "since", "start", "cell", "load", "axial", "linear", "number", "no",
+    "chamber", "vessel", "cylinder", "piston", "rod", "carriage", "slide", "axis", "drive", "motor",
+    "kammer", "behaelter", "zylinder", "kolben", "stange", "schlitten", "achse", "antrieb", "mess",
+    "proportional", "prop", "laser", "lvdt", "transducer", "aufnehmer", "zelle", "last",
 })  # fmt: skip
-"""Words that change nothing."""
+"""Words that change nothing: what is measured, and with what."""
 _OTHER = frozenset({
     "set", "setpoint", "sp", "soll", "sollwert", "target", "reference", "ref", "desired", "des",
     "demand", "demanded", "wanted", "error", "err", "fehler", "deviation", "supply", "tank",
@@ -136,10 +141,14 @@ def understand_header(name: str, unit: str = "") -> HeaderMeaning | None:
     """
     label, said, found = _split_unit(name, unit)
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", label).lower().translate(_LETTERS)
-    words = set(re.findall(r"[^\W\d_]+", spaced))  # numbers count for nothing
+    # Numbers count for nothing.
+    words = {part for word in re.findall(r"[^\W\d_]+", spaced) for part in _split_compound(word)}
     named = [quantity for quantity, its in _NAMES.items() if its & words]
     if found is not None and found.quantity in named:
         named = [found.quantity]
+    elif found is not None and not named and words and found.quantity != "valve_v":
+        # `Load cell (N)`, `ist_mm`: volts may be those of any sensor, other units tell.
+        named = [found.quantity] if words <= _BESIDE else []
     if len(named) != 1:
         return None
     quantity = named[0]
@@ -152,6 +161,16 @@ def understand_header(name: str, unit: str = "") -> HeaderMeaning | None:
     if found is not None and found.quantity == quantity:
         return HeaderMeaning(quantity, found.unit, is_gauge, is_sure, said)
     return HeaderMeaning(quantity, "", is_gauge, is_sure, said) if is_sure else None
+
+
+def _split_compound(word: str) -> tuple[str, ...]:
+    """Return the two known words that a word such as `kolbenposition` joins, or the word."""
+    known = _BESIDE.union(_OTHER, *_NAMES.values())
+    if word not in known:
+        for at in range(3, len(word) - 2):
+            if word[at:] in known and {word[:at], word[:at].removesuffix("s")} & known:
+                return word[:at] if word[:at] in known else word[: at - 1], word[at:]
+    return (word,)
 
 
 def _split_unit(name: str, unit: str) -> tuple[str, str, SaidQuantity | None]:
@@ -168,7 +187,7 @@ def _split_unit(name: str, unit: str) -> tuple[str, str, SaidQuantity | None]:
 def _tell_gauge(found: SaidQuantity | None, words: set[str]) -> bool | None:
     if found is not None and found.is_gauge is not None:
         return found.is_gauge
-    if words & {"gauge", "relative", "rel"}:
+    if words & {"gauge", "relative", "rel", "ueberdruck"}:
         return True
     return False if words & {"absolute", "abs", "absolut"} else None
 

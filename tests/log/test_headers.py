@@ -1,0 +1,54 @@
+"""Headers as laboratories and machine controllers write them: understood, or left as a question."""
+
+import pytest
+
+from pamctl.log.importing.column_roles import HeaderMeaning, understand_header
+
+UNDERSTOOD = {
+    "Chamber pressure (bar g)": ("pressure_pa", "bar", True),
+    "Kammerdruck [bar ü]": ("pressure_pa", "bar", True),
+    "Überdruck / mbar": ("pressure_pa", "mbar", True),
+    "Istdruck [kPa abs]": ("pressure_pa", "kPa", False),
+    "p_rel (mbar)": ("pressure_pa", "mbar", True),
+    "pm_kPa_abs": ("pressure_pa", "kPa", False),
+    "PressureSensor.Value [bar]": ("pressure_pa", "bar", None),
+    "Piston position [mm]": ("position_m", "mm", None),
+    "Kolbenposition_mm": ("position_m", "mm", None),
+    "ist_mm": ("position_m", "mm", None),
+    "Laser (um)": ("position_m", "um", None),
+    "actPos mm": ("position_m", "mm", None),
+    "Carriage position (inch)": ("position_m", "in", None),
+    "Fm_N": ("force_n", "N", None),
+    "Load cell (kN)": ("force_n", "kN", None),
+    "Kraftaufnehmer [N]": ("force_n", "N", None),
+    "Ventilspannung [V]": ("valve_v", "V", None),
+    "Proportional valve command (V)": ("valve_v", "V", None),
+    "Stellgröße [V]": ("valve_v", "V", None),
+    "AO0 (V)": ("valve_v", "V", None),
+    "Zeit in ms": ("t_s", "ms", None),
+    "zeit": ("t_s", "", None),
+}
+DOUBTFUL = ["F_z [N]", "Chamber A pressure [bar]", "pressure_cap_bar", "nActPos [mm]"]
+NOT_MEASURED = [
+    "Sollposition [mm]", "Position set point (mm)", "Supply pressure [bar]", "Versorgungsdruck_bar",
+    "AI0 (V)", "Output voltage [V]", "y_mm", "Temperature (C)", "Position error [mm]",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("header", "meaning"), UNDERSTOOD.items())
+def test_a_header_says_quantity_unit_and_sense(header: str, meaning: tuple[object, ...]) -> None:
+    found = understand_header(header)
+    assert found is not None
+    assert found.is_sure
+    assert found[:3] == meaning
+
+
+@pytest.mark.parametrize("header", DOUBTFUL)
+def test_a_word_that_may_mean_another_sensor_is_a_question(header: str) -> None:
+    assert isinstance(found := understand_header(header), HeaderMeaning)
+    assert not found.is_sure
+
+
+@pytest.mark.parametrize("header", NOT_MEASURED)
+def test_another_thing_than_a_measured_quantity_is_not_read(header: str) -> None:
+    assert understand_header(header) is None

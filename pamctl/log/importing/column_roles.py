@@ -1,9 +1,9 @@
 """Which column of a table is which quantity: by its header, or by asking.
 
 `Pressure [bar]`, `Chamber pressure (bar g)`, `Kolbenweg/mm`, `position_mm`. The unit says which
-quantity a column can hold; the words must agree. A word that is not known leaves a doubt, a word for
-something else (a set point, the supply) rules the column out. A doubt is a question: the refusal
-holds a map that can be used as it stands.
+quantity a column can hold; the words must agree. A word that is not known leaves a doubt, a word
+for something else (a set point, the supply) rules the column out. A doubt is a question: the
+refusal holds a map that can be used as it stands.
 """
 
 from __future__ import annotations

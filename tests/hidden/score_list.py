@@ -27,7 +27,7 @@ from hidden.hostile.misread import NULLS, NullCase
 from hidden.hostile.situations import HostileCase, Situation, all_cases, all_situations
 from hidden.hostile.visible import is_hopeless
 from hidden.rig import Record
-from hidden.rungs import NAMES, Cause, Said, Where, carried_rung, named_cause, where_of
+from hidden.rungs import NAMES, Cause, Rung, Said, Where, carried_rung, named_cause, where_of
 from hidden.uncatalogued import UNCATALOGUED
 
 Handed = tuple[list[Record], list[Record]]
@@ -192,8 +192,9 @@ def _from_hostile(case: HostileCase) -> Made:
 def _hostile_causes(case: HostileCase) -> list[Cause]:
     answer, causes = case.answer, []
     is_free = answer.silent or is_hopeless(case)
-    for effect in answer.effects:
-        causes.append(named_cause(TO_CATALOGUE.get(effect, effect), "none" if is_free else "name"))
+    for effect in {**dict.fromkeys(answer.effects), **case.effects}:
+        rung: Rung = "name" if effect in answer.effects and not is_free else "none"
+        causes.append(named_cause(TO_CATALOGUE.get(effect, effect), rung))
     for c in (*answer.setup, *answer.also):
         label = f"{c.kind}.{c.number or 'command'}"
         is_asked = c in answer.setup and not is_free and c.number not in FITTED

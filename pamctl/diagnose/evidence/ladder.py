@@ -20,7 +20,7 @@ from pamctl.diagnose.evidence.constants import (
     RIVAL_SHARE,
     SURE,
 )
-from pamctl.diagnose.evidence.fit import KEPT_PROMISE, Array, WeighedModel, bound_gain
+from pamctl.diagnose.evidence.fit import KEPT_PROMISE, Array, WeighedModel, Weigher, bound_gain
 from pamctl.diagnose.evidence.measuring_chain import HOME
 from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.pool import CHAIN, Hypothesis
@@ -105,6 +105,11 @@ def _find_level(
     promised = {s.name: s.gain for s in scored}
     rivals = search.refit(without, scored, len(scored), float(own.sum())) if scored else []
     weigher.meet(without, m)
+    close = m.total + RIVAL_SHARE * own.sum()
+    for rival in rivals:
+        if weigher.leave_out(rival).total < close:
+            weigher.settle(rival, 4)  # as the model was: on a ridge a fit goes on for long
+    weigher.meet(without, m)
     says_place = says_kind = True
     # Where a law without a name is missing too, what is a name there may be a part of it.
     says_name = not mine.is_term and not any(
@@ -118,7 +123,7 @@ def _find_level(
         extra = len(rival.x) - len(m.x)
         beaten = (
             least > RIVAL_SHARE * own.sum()
-            or (least > NAME_NATS and takes_enough(search, rival, m))
+            or (least > NAME_NATS and takes_enough(weigher, rival, m))
             or (extra > 0 and lead.sum() > -extra)  # it gains nothing for its further numbers
         )
         if (
@@ -151,7 +156,7 @@ def _find_level(
         and not u.low + 1e-3 * u.scale < m.values[u.name] < u.high - 1e-3 * u.scale
     )
     is_first = name == m.names[0]
-    enough = takes_enough(search, without, m, LEFT_SHARE if is_first else 2.0 * LEFT_SHARE)
+    enough = takes_enough(weigher, without, m, LEFT_SHARE if is_first else 2.0 * LEFT_SHARE)
     low, _, high = bound_gain(own)
     search.weigher.meet(base, m)
     whole = max(base.total - m.total, 1e-9)
@@ -191,10 +196,9 @@ def fit_number(name: str, value: float, interval: tuple[float, float]) -> Fitted
 
 
 def takes_enough(
-    search: NameSearch, without: WeighedModel, m: WeighedModel, share: float = LEFT_SHARE
+    weigher: Weigher, without: WeighedModel, m: WeighedModel, share: float = LEFT_SHARE
 ) -> bool:
     """Tell whether what a name takes off some channel is not small beside what stays there."""
-    weigher = search.weigher
     taken = weigher.find_imprint(without, m)
     left2 = weigher.find_robust2(m) / weigher.find_noise2(m) - 1.0
     there = int(taken.argmax())

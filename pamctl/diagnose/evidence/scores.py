@@ -1,8 +1,9 @@
 """The score of a hypothesis without a fit: what secants at fitting doses would gain.
 
 A hypothesis is simulated at a dose that grows or shrinks until it moves the residual of some
-channel by about that residual itself. Beside the model's own tangent a weighted least-squares fit
-of dose and numbers predicts the residual, and the likelihood what that is worth.
+channel by about that residual itself, less what the model's own numbers do as well, while these
+move by a scale at most: their tangent holds so far. Beside that tangent a weighted least-squares
+fit of dose and numbers predicts the residual, and the likelihood what that is worth.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ HOPE_NATS = 4.0
 """Where the first shape of a hypothesis promises less, no other is asked."""
 ALIKE = 1e-4
 """Of a secant's square: what is smaller beside the model's tangent is rounding."""
+NEARLY_OWN = 0.1
+"""Share of a secant that the model's own numbers leave, below which both are simulated moved."""
 LIKELY_MOVE = 10.0
 """Scales that a number may move beside a new hypothesis: what no sample shows stays."""
 STUCK = 1e-3
@@ -124,10 +127,18 @@ class _Beside:
                 d = self.weigher.find_residual({**held, **sizes})
                 secants.append((d - self.here).ravel())
             secants_now = np.stack(secants)
-            yield directions * dose, secants_now
-            moved2 = (secants_now.reshape(len(secants), *self.m.d.shape) ** 2).sum(axis=(2, 3))
+            own = (secants_now * self.root) @ self.weighed.T @ self.inverse
+            rest = secants_now - own @ self.tangent
+            if len(own) == 1 and (rest**2).sum() < NEARLY_OWN**2 * (secants_now**2).sum():
+                # Where both move, not a tangent but a simulation tells what they leave.
+                both = {**held, **sizes, **self._move_own(-own[0])}
+                rest = (self.weigher.find_residual(both) - self.here).reshape(rest.shape)
+                secants_now = rest + own @ self.tangent
+            moved2 = (rest.reshape(len(own), *self.m.d.shape) ** 2).sum(axis=(2, 3))
             self.weigher.pushes[name] = moved2.max(axis=0) / dose**2
             big = float((moved2 / self.size2).max())
+            yield directions * dose, secants_now
+            room = min(room, dose / max(float(np.abs(own).max(initial=0.0)), 1e-30))
             if again == 2 or big == 0.0 or 0.1 <= big <= 4.0:
                 return
             if big > 4.0:
@@ -137,6 +148,16 @@ class _Beside:
             if grown < 1.5 * dose:
                 return
             dose = grown
+
+    def _move_own(self, scales: Array) -> dict[str, float]:
+        """Return the model's own numbers, moved by so many scales within their ranges."""
+        move = np.zeros(len(self.m.x))
+        move[self.free] = scales
+        move = np.clip(move, *self.room)
+        return {
+            n.name: float(v + k * n.scale)
+            for n, v, k in zip(self.m.numbers, self.m.x, move, strict=True)
+        }
 
     def _predict(
         self, name: str, variant: Variant, directions: Array, secants: Array

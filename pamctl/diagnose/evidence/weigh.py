@@ -8,14 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.diagnose.evidence.constants import FIT_STEPS
-from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
-from pamctl.diagnose.evidence.ladder import Finding, climb_ladder, fit_number
+from pamctl.diagnose.evidence.constants import FIT_STEPS, NAME_NATS
+from pamctl.diagnose.evidence.fit import WeighedModel, Weigher, bound_gain
+from pamctl.diagnose.evidence.ladder import Finding, climb_ladder, fit_number, takes_enough
 from pamctl.diagnose.evidence.measuring_chain import free_home, list_of_chain
 from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.pool import (
     CHAIN,
     PAPER_SCALES,
+    WIDER,
     Hypothesis,
     Scales,
     Unknown,
@@ -129,7 +130,7 @@ def weigh_evidence(
     """
     plant = plant or PlantSettings()
     weigher, start = prepare_weigher(records, held_out, plant, noise, jobs, holds_out=True)
-    base = weigher.settle(replace(start), FIT_STEPS)
+    base = free_mistyped(weigher, start, weigher.settle(replace(start), FIT_STEPS))
     tell("recalibrated")
     pool = {
         h.name: h
@@ -146,6 +147,29 @@ def weigh_evidence(
     left = np.sqrt(weigher.find_noise2(m))
     noise_rms = dict(zip(weigher.train.channels, map(float, left), strict=True))
     return EvidenceVerdict(findings, start, base, m, weigher, pool, gap, noise_rms)
+
+
+def free_mistyped(weigher: Weigher, start: WeighedModel, base: WeighedModel) -> WeighedModel:
+    """Return the model in which numbers that end at their range go on, if that explains enough.
+
+    A tank's pressure that was typed as the gauge shows it is no effect; a number that an effect
+    pulls to its range stays there, since the effect explains more.
+    """
+    held = {
+        n.name for n, v in zip(base.numbers, base.x, strict=True)
+        if n.value and not n.low < v < n.high and n.high < 2.0 * n.value
+    }  # fmt: skip
+    if not held:
+        return base
+    numbers = tuple(
+        replace(n, low=max(n.value - WIDER * (n.value - n.low), n.value / WIDER),
+                high=n.value + WIDER * (n.high - n.value)) if n.name in held else n
+        for n in start.numbers
+    )  # fmt: skip
+    wide = weigher.settle(replace(base, numbers=numbers, x=base.x.copy()), FIT_STEPS)
+    weigher.meet(base, wide)
+    is_sure = bound_gain(base.left_out - wide.left_out)[0] > NAME_NATS
+    return wide if is_sure and takes_enough(weigher, base, wide) else base
 
 
 def prepare_weigher(

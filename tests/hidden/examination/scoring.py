@@ -43,7 +43,7 @@ class Answer:
     def of(cls, document: Mapping[str, Any]) -> Answer:
         """Read DESIGN section 7's document."""
         labels = {_LABELS[kind] + number: name for name, (kind, number) in SAME_SETUP.items()}
-        found = {(f["kind"], f["number"]) for f in document.get("setup", ()) if f["is_corrected"]}
+        found = {(f["kind"], f["number"]) for f in document.get("setup", ())}
         by_setup = frozenset(name for name, same in SAME_SETUP.items() if same in found)
         names = frozenset(effect["name"] for effect in document["effects"])
         is_silent = document["verdict"] in SILENT

@@ -31,10 +31,7 @@ def said(verdict: str, *names: str, sets: tuple[tuple[str, ...], ...] = (), **mo
         "ambiguous": [list(group) for group in sets],
         "blind_spots": [{"name": name} for name in more.get("blind", ())],
         "gap": more.get("gap", {}),
-        "setup": [
-            {"kind": kind, "number": number, "is_corrected": True}
-            for kind, number in more.get("setup", ())
-        ],
+        "setup": [{"kind": kind, "number": number} for kind, number in more.get("setup", ())],
     }
 
 

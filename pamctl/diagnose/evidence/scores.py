@@ -128,8 +128,9 @@ class _Beside:
                 secants.append((d - self.here).ravel())
             secants_now = np.stack(secants)
             own = (secants_now * self.root) @ self.weighed.T @ self.inverse
-            rest = secants_now - own @ self.tangent
-            if len(own) == 1 and (rest**2).sum() < NEARLY_OWN**2 * (secants_now**2).sum():
+            rest, most = secants_now - own @ self.tangent, float(np.abs(own).max(initial=0.0))
+            is_own = (rest**2).sum() < NEARLY_OWN**2 * (secants_now**2).sum() and most < 1.0
+            if len(own) == 1 and is_own:
                 # Where both move, not a tangent but a simulation tells what they leave.
                 both = {**held, **sizes, **self._move_own(-own[0])}
                 rest = (self.weigher.find_residual(both) - self.here).reshape(rest.shape)
@@ -138,7 +139,7 @@ class _Beside:
             self.weigher.pushes[name] = moved2.max(axis=0) / dose**2
             big = float((moved2 / self.size2).max())
             yield directions * dose, secants_now
-            room = min(room, dose / max(float(np.abs(own).max(initial=0.0)), 1e-30))
+            room = min(room, dose / max(most, 1e-30))
             if again == 2 or big == 0.0 or 0.1 <= big <= 4.0:
                 return
             if big > 4.0:

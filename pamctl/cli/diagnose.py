@@ -19,6 +19,7 @@ from pamctl.cli.failure import Failed, print_error
 from pamctl.cli.options import (
     INTERACTIVE,
     JOBS,
+    MAP,
     MAY_MOVE,
     SOCKET,
     DataOptions,
@@ -54,6 +55,7 @@ class DiagnoseOptions(DataOptions):
         "Log that is not fitted: it judges what is said, and shows the gap; can be repeated",
         shown="none",
     )
+    map_path: Path | None = MAP
     without: list[str] = option(
         "--without EFFECT", "Effect not to ask; can be repeated", shown="none"
     )
@@ -101,7 +103,7 @@ def diagnose(asked: DiagnoseOptions) -> None:
     accepted = read_acceptances(asked.accept)
     require_held_out(asked.logs, asked.holdout)
     stated = asked.read_noise()
-    train, held = read_records(asked.logs), read_records(asked.holdout)
+    train, held = (read_records(p, asked.map_path) for p in (asked.logs, asked.holdout))
     records = [*train, *held]
     if not held:
         typer.echo("no --holdout: two stretches of each log are held out", err=True)
@@ -162,12 +164,11 @@ def _require_known(names: Sequence[str]) -> None:
 def diagnose_on_rig(asked: DiagnoseOptions, plant: PlantSettings) -> None:
     """Run the rounds on the daemon's rig; write and print what was found, however they end."""
     from pamctl.commissioning.bench import Terminal
-    from pamctl.diagnose.record import record_of
     from pamctl.on_rig.decide_on_rig import Investigation, write_investigation
     from pamctl.on_rig.rig_plan import Budget, make_rig_plan
     from pamctl.session.daemon_rig import connect
 
-    records = [record_of(path) for path in asked.logs]
+    records = read_records(asked.logs, asked.map_path)
     with connect(asked.socket) as rig:
         first = None if records else asked.experiment
         budget = Budget(asked.runs, asked.minutes)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
 from pamctl.cli.failure import Failed
-from pamctl.cli.options import Options, argument, flag, option, verb
+from pamctl.cli.options import MAP, Options, argument, flag, option, verb
 from pamctl.cli.output import print_json, read_records
 from pamctl.cli.settings_from_options import SettingsOptions, find_argument_file
 from pamctl.exit_codes import ExitCode
@@ -118,6 +119,7 @@ class NewPlantOptions(Options):
         "Log, or measured file such as CSV, from which numbers are guessed; can be repeated",
         shown="none",
     )
+    map_path: Path | None = MAP
     given: list[str] = option(
         "--value NAME=NUMBER",
         "A number with its unit, such as rest_length_m='200 mm'; can be repeated",
@@ -136,7 +138,7 @@ def make_plant(asked: NewPlantOptions) -> None:
         raise typer.BadParameter(which, param_hint="--actuator")
     from pamctl.settings.datasheet.plant_file import build_plant, format_new_plant
 
-    records = read_records(asked.measured)
+    records = read_records(asked.measured, asked.map_path)
     actuator = asked.actuator or _guess_actuator(records)
     texts = _split_given(asked.given, actuator)
     values, guesses = _collect_numbers(actuator, texts, records)
@@ -156,10 +158,12 @@ def make_plant(asked: NewPlantOptions) -> None:
             typer.echo(f"by the columns: actuator {actuator}{same if actuator == 'muscle' else ''}")
         for name, guess in guesses.items():
             typer.echo(f"guessed: {name} = {guess.value:.4g}, {guess.how}")
+        files = shlex.join(map(str, asked.measured)) or "LOG"
+        files += f" --map {shlex.quote(str(asked.map_path))}" if asked.map_path else ""
         typer.echo(
             f"plant: {out}\n`pamctl diagnose` will fit {fitted}, from these values on; "
             "it takes the other numbers as they are\n"
-            f"next: pamctl diagnose LOG --plant {out} --out DIR"
+            f"next: pamctl diagnose {files} --plant {out} --out DIR"
         )
 
 

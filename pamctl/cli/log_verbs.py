@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from pamctl.cli.failure import print_error
-from pamctl.cli.options import Options, argument, flag, option, verb
-from pamctl.cli.output import print_json
+from pamctl.cli.options import MAP, Options, argument, flag, option, verb
+from pamctl.cli.output import print_json, read_map
 from pamctl.exit_codes import ExitCode
 from pamctl.plain_text import escape_name
 from pamctl.settings.problems import ConfigError
@@ -18,7 +18,6 @@ from pamctl.settings.problems import ConfigError
 if TYPE_CHECKING:
     from pamctl.log.check import LogCheckReport
     from pamctl.log.edit import CutLog
-    from pamctl.log.importing.column_map import ImportMap
     from pamctl.log.recover import Recovery
 
 log_app = typer.Typer(
@@ -305,9 +304,7 @@ class ImportOptions(Options):
 
     source: Path = argument("IN", "Measurement: text, MAT, TDMS, LVM, Excel, HDF5, NPZ")
     destination: Path = argument("OUT", "New log")
-    map_path: Path | None = option(
-        "--map FILE", "File that says what the columns hold", shown="by their names"
-    )
+    map_path: Path | None = MAP
     resample_hz: float | None = option(
         "--resample HZ", "Rate of an even time grid to resample to, Hz", shown="not resampled",
         low=1e-3,
@@ -328,7 +325,7 @@ def import_file(asked: ImportOptions) -> None:
     done = import_log(
         asked.source,
         asked.destination,
-        _read_map(asked.map_path) if asked.map_path else None,
+        read_map(asked.map_path),
         resample_hz=asked.resample_hz,
         accept_units=asked.accept_units,
     )
@@ -342,12 +339,3 @@ def import_file(asked: ImportOptions) -> None:
         page = format_page(head, done.columns, done.findings, done.map_text)
         typer.echo("\n".join(page))
     raise typer.Exit(ExitCode.OK if done.written else ExitCode.BAD_DATA)
-
-
-def _read_map(path: Path) -> ImportMap:
-    from pydantic import TypeAdapter
-
-    from pamctl.log.importing.column_map import ImportMap
-    from pamctl.settings.resolve import RawSettings, validate_settings
-
-    return validate_settings(TypeAdapter(ImportMap), RawSettings.read(path))

@@ -163,6 +163,9 @@ CLUSTER = option(
 INTERACTIVE = flag(
     "--interactive", "Let a script in the page zoom its plots and read values; it needs no network"
 )
+MAP = option(
+    "--map FILE", "File that says what the columns of a measured file hold", shown="by their names"
+)
 SOCKET = option(
     "--socket PATH", "Control socket of the daemon", shown="this user's, else the system's"
 )

@@ -15,6 +15,7 @@ from pamctl.new_file import NewFileError
 
 if TYPE_CHECKING:
     from pamctl.diagnose.record import Record
+    from pamctl.log.importing.column_map import ImportMap
 
 PAGE_BEGIN = "<"
 """An older page is replaced; a file that begins otherwise is something else."""
@@ -25,11 +26,24 @@ def print_json(document: object) -> None:
     typer.echo(json.dumps(json.loads(to_json(document)), indent=2))
 
 
-def read_records(paths: Iterable[Path]) -> list[Record]:
+def read_map(path: Path | None) -> ImportMap | None:
+    """Read the file of `--map`, if there is one. Raise ConfigError with each wrong key."""
+    if path is None:
+        return None
+    from pydantic import TypeAdapter
+
+    from pamctl.log.importing.column_map import ImportMap
+    from pamctl.settings.resolve import RawSettings, validate_settings
+
+    return validate_settings(TypeAdapter(ImportMap), RawSettings.read(path))
+
+
+def read_records(paths: Iterable[Path], map_path: Path | None = None) -> list[Record]:
     """Read logs and measured files; say on standard error what is doubtful in each."""
     from pamctl.diagnose.record import record_of
 
-    records = [record_of(path) for path in paths]
+    column_map = read_map(map_path)
+    records = [record_of(path, column_map) for path in paths]
     for record in records:
         for note in record.notes:
             typer.echo(f"{record.name}: {note}", err=True)

@@ -9,8 +9,9 @@ from functools import cached_property
 from hashlib import sha256
 from math import isfinite, sqrt
 from pathlib import Path
+from shlex import quote
 from tempfile import TemporaryDirectory
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +27,9 @@ from pamctl.log.record_problems import find_sensor_step
 from pamctl.log.run_meta import Moment, list_moments
 from pamctl.plain_text import escape_name
 from pamctl.signals import Phase
+
+if TYPE_CHECKING:
+    from pamctl.log.importing.column_map import ImportMap
 
 Array = NDArray[np.float64]
 
@@ -304,8 +308,10 @@ def _hash_content(path: Path) -> bytes:
     return sha256(map_log_file(path)).digest()
 
 
-def record_of(path: str | Path) -> Record:
+def record_of(path: str | Path, column_map: ImportMap | None = None) -> Record:
     """Read a log, or import a measured file, and return its measurement after homing.
+
+    `column_map` says what the columns of a measured file hold; by default their names do.
 
     The ramp to the safe voltage at the end is left out, and so are ticks whose write failed. The
     record's notes say what is doubtful in it, and how the columns of a measured file were read.
@@ -316,7 +322,7 @@ def record_of(path: str | Path) -> Record:
         return _make_record(path, pamctl.log.read(path), ())
     with TemporaryDirectory() as folder:
         imported = Path(folder, "imported.mcap")
-        notes = _import_beside(path, imported)
+        notes = _import_beside(path, imported, column_map)
         return _make_record(path, pamctl.log.read(imported), notes)
 
 
@@ -328,20 +334,20 @@ def _is_log(path: Path) -> bool:
         return file.read(len(MAGIC)) == MAGIC
 
 
-def _import_beside(path: Path, imported: Path) -> tuple[str, ...]:
+def _import_beside(path: Path, imported: Path, column_map: ImportMap | None) -> tuple[str, ...]:
     """Import a measured file; return how each column was read and what is doubtful."""
     from pamctl.log.importing.pipeline import import_log
 
     try:
-        done = import_log(path, imported)
+        done = import_log(path, imported, column_map)
         if not done.written:
             wrong = "; ".join(f.message for f in done.findings if f.severity == Severity.ERROR)
             raise pamctl.log.LogError(f"not imported: {wrong}")
     except pamctl.log.LogError as error:
         named = "" if str(path) in str(error) else f"{path}: "
         raise pamctl.log.LogError(
-            f"{named}{error}\nA map says what a column holds: "
-            f"`pamctl log import {path} OUT.mcap --map MAP.yaml`, then give OUT.mcap here"
+            f"{named}{error}\nA map says what a column holds: write it to MAP.yaml and add --map "
+            f"MAP.yaml, or `pamctl log import {quote(str(path))} OUT.mcap --map MAP.yaml` once"
         ) from error
     read_as = ", ".join(f"{c.name} as {c.read_as}" for c in done.columns if c.read_as)
     unused = ", ".join(f"{c.name} ({c.left_out})" for c in done.columns if c.left_out)

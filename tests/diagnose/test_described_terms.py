@@ -53,7 +53,6 @@ def test_a_spring_that_begins_on_the_way_is_described_by_place_and_kind() -> Non
     assert found.gap["position_m"].extended < 0.1 * found.gap["position_m"].recalibrated
 
 
-@pytest.mark.xfail(strict=True, reason="open: the second pass says that a little more is missing")
 def test_its_plant_file_predicts_and_serves_the_next_diagnosis() -> None:
     found = of_a_second_spring()
     plant = PlantSettings.model_validate(parse_yaml_value(format_plant_file(found, ["x.mcap"])))

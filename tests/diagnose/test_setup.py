@@ -87,7 +87,6 @@ def test_a_clock_that_runs_fast_is_told_from_the_physics() -> None:
     assert abs(fault.value) == pytest.approx(2e-3, rel=0.1)
 
 
-@pytest.mark.xfail(strict=True, reason="open: a curve of the braid's friction takes its place")
 @pytest.mark.long
 def test_times_that_are_all_too_long_are_said() -> None:
     found = diagnose_spoiled(hidden_rig(seed=4), lambda r: replace(r, t_s=1.03 * r.t_s))

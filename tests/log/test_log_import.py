@@ -264,7 +264,6 @@ def test_a_file_that_is_not_there_is_named_with_its_path(tmp_path, name):
         (changed(valve_v=VALVE_V + 5.0), "unit", "0..10 V"),
         (changed(valve_v=np.where(VALVE_V > 0, 5.0, 0.0)), "unit", "which level fills"),
         (changed(position_m=np.full_like(T_S, np.nan)), "empty", "has no values"),
-        ({"t_s": T_S, "valve_v": VALVE_V}, "columns", "nothing was measured"),
         ({name: column[:1] for name, column in GOOD.items()}, "short", "there is 1 row"),
     ],
 )

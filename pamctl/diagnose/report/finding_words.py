@@ -86,7 +86,8 @@ def spell_names(*names: str) -> str:
     for name in (part for joined in names for part in joined.split(" and ")):
         is_label = " of " in name
         named = label_term(name) if "~" in name else name
-        spelled.append(named if is_label else named.replace("_", " ").replace(":", " of "))
+        is_key = is_label or name in UNITS
+        spelled.append(named if is_key else named.replace("_", " ").replace(":", " of "))
     return " and ".join(spelled)
 
 
@@ -392,6 +393,9 @@ class SetupFault:
         if self.kind == "skew":
             word = "late" if value > 0.0 else "early"
             return f"{column} is logged {1e3 * abs(value):.2f} ms too {word} against the others"
+        if self.kind == "clock_rate" and number == "t_s":
+            word = "long" if value > 0.0 else "short"
+            return f"all times are {100.0 * abs(value):.2g} % too {word}"
         if self.kind == "clock_rate":
             return f"{column} runs away from the others by {1e6 * value:+.0f} us in each second"
         if self.kind == "filtered":

@@ -274,6 +274,8 @@ def choose_by_header(table: MeasuredTable) -> ChosenColumns:
         elif rivals:
             columns[quantity] = rivals[0].column
             keys[KEYS[quantity]] = _read_as(table, rivals[0], doubts, warnings)
+    if not doubts and TIME in columns and not columns.keys() & {"pressure_pa", "position_m"}:
+        doubts.append("no column is a pressure or a position by its name")
     if doubts or TIME not in columns:
         settled = {q: key for q in columns if (key := keys[KEYS[q]]).get("gauge", 0) is not None}
         raise ImportRefused(_refuse(table, doubts, settled, candidates))

@@ -1,0 +1,61 @@
+"""A laboratory's own files, whose headers say nothing: a map, a plant file, a diagnosis."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from support.command_line import run_pamctl
+
+MASS_KG, DAMPING, STIFFNESS = 2.0, 35.0, 900.0
+MAP = """\
+time: {column: Zeit_ms, unit: ms}
+force: {column: S1, unit: N}
+position: {column: A, unit: mm}
+"""
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a table of a mass on a spring, by another solver, with decimal commas."""
+    t_s = np.arange(2000) / 250.0
+    force_n = sum(8.0 * np.sin(2.0 * np.pi * hz * t_s) for hz in (0.4, 1.1, 2.3, 4.9))
+
+    def rates(at_s: float, xv: np.ndarray) -> list[float]:
+        push_n = np.interp(at_s, t_s, force_n)
+        return [xv[1], (push_n - DAMPING * xv[1] - STIFFNESS * xv[0]) / MASS_KG]
+
+    position_m = solve_ivp(rates, (0.0, t_s[-1]), [0.0, 0.0], t_eval=t_s, rtol=1e-8, atol=1e-11).y[
+        0
+    ]
+    position_m += np.random.default_rng(1).normal(0.0, 2e-6, len(t_s))
+    rows = zip(t_s * 1e3, force_n, position_m * 1e3, strict=True)
+    lines = [f"{at:.0f};{n:.4f};{mm:.5f}".replace(".", ",") for at, n, mm in rows]
+    path = tmp_path_factory.mktemp("lab") / "run 1.csv"
+    path.write_text("\n".join(["Zeit_ms;S1;A", *lines]) + "\n")
+    path.with_name("map.yaml").write_text(MAP)
+    return path
+
+
+def test_headers_that_say_nothing_are_a_question_with_a_way_on(table: Path) -> None:
+    for verb in (["plant", "new", "--from", table], ["diagnose", table]):
+        done = run_pamctl(*verb, "--out", table.with_name("never.yaml"))
+        assert done.returncode == 65
+        assert "no column is a pressure or a position by its name" in done.stderr
+        assert "'S1', 'A'" in done.stderr
+        assert "add --map MAP.yaml" in done.stderr
+
+
+def test_with_a_map_they_make_a_plant_file_and_a_diagnosis(table: Path) -> None:
+    column_map, plant = table.with_name("map.yaml"), table.with_name("rig.yaml")
+    made = run_pamctl("plant", "new", "--from", table, "--map", column_map, "--out", plant)
+    assert made.returncode == 0, made.stderr
+    assert f"next: pamctl diagnose '{table}' --map {column_map} --plant {plant}" in made.stdout
+    out = table.with_name("found")
+    done = run_pamctl("diagnose", table, "--map", column_map, "--plant", plant, "--out", out)
+    assert done.returncode == 0, done.stderr
+    found = json.loads((out / "diagnosis.json").read_text())
+    assert found["verdict"] in ("no_discrepancy", "miscalibrated")
+    mass = found["recalibrated"]["mass_kg"]
+    assert mass["value"] == pytest.approx(MASS_KG, rel=0.005)

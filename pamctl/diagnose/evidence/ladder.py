@@ -22,7 +22,7 @@ from pamctl.diagnose.evidence.constants import (
 )
 from pamctl.diagnose.evidence.fit import KEPT_PROMISE, Array, WeighedModel, Weigher, bound_gain
 from pamctl.diagnose.evidence.measuring_chain import HOME
-from pamctl.diagnose.evidence.name_search import NameSearch
+from pamctl.diagnose.evidence.name_search import NameSearch, list_at_range
 from pamctl.diagnose.evidence.pool import CHAIN, Hypothesis
 from pamctl.diagnose.evidence.scores import EvidenceScore
 from pamctl.diagnose.plant_numbers import FittedNumber, unit_of
@@ -149,12 +149,7 @@ def _find_level(
             intervals[u.name][0] <= (u.neutral or 0.0) <= intervals[u.name][1]
             for u in m.picked[name].sizes
         )
-    at_range = tuple(
-        u.name
-        for u in m.picked[name].free
-        if m.values[u.name] != u.neutral
-        and not u.low + 1e-3 * u.scale < m.values[u.name] < u.high - 1e-3 * u.scale
-    )
+    at_range = list_at_range(m, name)
     is_first = name == m.names[0]
     enough = takes_enough(weigher, without, m, LEFT_SHARE if is_first else 2.0 * LEFT_SHARE)
     low, _, high = bound_gain(own)

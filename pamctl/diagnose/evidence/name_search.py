@@ -27,6 +27,16 @@ POLISHED = 4
 Tell = Callable[[str], None]
 
 
+def list_at_range(m: WeighedModel, name: str) -> tuple[str, ...]:
+    """Return the numbers of a name that are at an end of their range, and not at their neutral."""
+    return tuple(
+        u.name
+        for u in m.picked[name].free
+        if m.values[u.name] != u.neutral
+        and not u.low + 1e-3 * u.scale < m.values[u.name] < u.high - 1e-3 * u.scale
+    )
+
+
 def _gain_of(fitted: tuple[float, WeighedModel]) -> float:
     return fitted[0]
 
@@ -166,7 +176,10 @@ class NameSearch:
         return fits
 
     def choose_form(self, m: WeighedModel, e: WeighedModel) -> WeighedModel:
-        """Return the form of a model's last name that does best; of equal ones the simplest."""
+        """Return the form of a model's last name that does best; of equal ones the simplest.
+
+        A form of which a number ends at its range is not the one, unless the first has that too.
+        """
         weigher, its = self.weigher, self.pool[e.names[-1]]
         forms: dict[tuple[object, ...], list[Variant]] = {}
         for variant in its.variants:
@@ -177,7 +190,8 @@ class NameSearch:
             scored = score_all(weigher, m, [replace(its, variants=tuple(variants))])
             for score in scored:
                 other = weigher.polish(extend_model(weigher, m, score))
-                if other.total + len(other.x) < e.total + len(e.x):
+                is_inside = not list_at_range(other, its.name) or list_at_range(e, its.name)
+                if is_inside and other.total + len(other.x) < e.total + len(e.x):
                     e = other
         return e
 

@@ -13,10 +13,13 @@ from pamctl.diagnose.evidence.pool import CHAIN, Hypothesis, Unknown, Variant
 from pamctl.plant.effects.description import Actuator
 
 ATMOSPHERE = "atmospheric_pressure_pa"
+"""Of the plant; behind CHAIN a gauge sensor's readings follow it, as the file added the plant's."""
 TURNED = "turned"
 """The kind of a column of the wrong sign."""
 ADDED = "added"
 """The kind of a pressure to which the atmosphere was added twice."""
+HIGH_UP = 0.4
+"""Of the air's pressure at sea level, the share that the highest laboratories lack."""
 SWITCHED = (TURNED, ADDED)
 """Kinds that are so or not: there is nothing between."""
 
@@ -79,7 +82,11 @@ def list_of_chain(
             "atmosphere_added", "pressure_sensor", ADDED, (Variant({}, (added,)),),
             "atmosphere_added", setup=(ADDED, "pressure_pa"),
         )  # fmt: skip
-        yield _make_number("atmosphere", "pressure_sensor", f"{CHAIN}atmosphere", air, 0.02, 0.16)
+        gauge, absolute = (
+            _make_number("atmosphere", "pressure_sensor", number, air, 0.02, HIGH_UP)
+            for number in (f"{CHAIN}atmosphere", ATMOSPHERE)
+        )
+        yield replace(gauge, variants=(*gauge.variants, *absolute.variants))
     if actuator == "muscle":
         for name, share in (("rest_length_m", 0.01), ("temperature_k", 0.02)):
             place = "pull" if name == "rest_length_m" else "air"

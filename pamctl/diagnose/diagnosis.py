@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from pamctl.diagnose.audit import Audit
 from pamctl.diagnose.deciding_program import DecidingProgram
+from pamctl.diagnose.evidence.constants import LEFT_TIMES
 from pamctl.diagnose.evidence.ladder import Finding
 from pamctl.diagnose.evidence.weigh import EvidenceVerdict
 from pamctl.diagnose.explanations import JudgedForecast
@@ -19,8 +20,6 @@ from pamctl.plant.model import PlantSettings
 
 OPEN_TIMES = 1.2
 """Of the sensor's noise: what is left above it is visible."""
-LEFT_TIMES = 3.0
-"""A channel that is left at so many times its sensor's noise (RMS) holds something more."""
 
 
 class Verdict(StrEnum):

@@ -75,6 +75,10 @@ LEFT_SHARE = 0.5
 sensor's noise). Else something larger is still missing, and only its place is said. What comes
 after the first finding takes off twice that share, or it only mends the model."""
 
+LEFT_TIMES = 3.0
+"""Times a sensor's noise: a channel that is left at more (RMS) holds something more. Half: noise
+that differs between records is called a gap."""
+
 EXCHANGE_SHARE = 0.3
 """Only names whose removal costs less than this share of the whole gain are exchanged."""
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.diagnose.evidence.constants import FIT_STEPS, NAME_NATS
+from pamctl.diagnose.evidence.constants import FIT_STEPS, LEFT_TIMES, NAME_NATS
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher, bound_gain
-from pamctl.diagnose.evidence.ladder import Finding, climb_ladder, fit_number, takes_enough
+from pamctl.diagnose.evidence.ladder import Finding, climb_ladder, fit_number
 from pamctl.diagnose.evidence.measuring_chain import free_home, list_of_chain
 from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.pool import (
@@ -152,8 +152,8 @@ def weigh_evidence(
 def free_mistyped(weigher: Weigher, start: WeighedModel, base: WeighedModel) -> WeighedModel:
     """Return the model in which numbers that end at their range go on, if that explains enough.
 
-    A tank's pressure that was typed as the gauge shows it is no effect; a number that an effect
-    pulls to its range stays there, since the effect explains more.
+    A tank's pressure that was typed as the gauge shows it is no effect: with it, nothing is left.
+    A number that an effect pulls to its range stays there, since the effect explains more.
     """
     held = {
         n.name for n, v in zip(base.numbers, base.x, strict=True)
@@ -167,9 +167,10 @@ def free_mistyped(weigher: Weigher, start: WeighedModel, base: WeighedModel) -> 
         for n in start.numbers
     )  # fmt: skip
     wide = weigher.settle(replace(base, numbers=numbers, x=base.x.copy()), FIT_STEPS)
+    left2 = weigher.find_robust2(wide) / weigher.find_noise2(wide)
     weigher.meet(base, wide)
     is_sure = bound_gain(base.left_out - wide.left_out)[0] > NAME_NATS
-    return wide if is_sure and takes_enough(weigher, base, wide) else base
+    return wide if is_sure and left2.max() < LEFT_TIMES**2 else base
 
 
 def prepare_weigher(

@@ -389,7 +389,7 @@ class SetupFault:
         number, value, unit = self.number, self.value, self.unit
         column = _CALLED.get(number, number)
         if self.kind == "plant_constant":
-            return f"{number} is {value:.5g} {unit}".rstrip() + f", the plant file says {self.said}"
+            return f"{number} is {value:.5g} {unit}, the plant file says {self.said:.5g}"
         if self.kind == "skew":
             word = "late" if value > 0.0 else "early"
             return f"{column} is logged {1e3 * abs(value):.2f} ms too {word} against the others"

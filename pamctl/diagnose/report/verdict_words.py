@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-from pamctl.diagnose.diagnosis import LEFT_TIMES, Diagnosis, Verdict
+from pamctl.diagnose.diagnosis import Diagnosis, Verdict
+from pamctl.diagnose.evidence.constants import LEFT_TIMES
 from pamctl.diagnose.evidence.pool import CHAIN
 from pamctl.diagnose.plant_numbers import FittedNumber
 from pamctl.diagnose.report.finding_words import (

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
-from typing import Any, Generic, TypeVar
-from weakref import WeakSet
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -22,7 +21,6 @@ class BoundedMemory(Generic[Result]):
     def __init__(self, most_bytes: int) -> None:
         self._most_bytes, self._bytes = most_bytes, 0
         self._known: OrderedDict[Hashable, tuple[Result, Sequence[object]]] = OrderedDict()
-        _MEMORIES.add(self)
 
     def recall(
         self, key: Hashable, made_from: Sequence[object], make: Callable[[], Result]
@@ -38,20 +36,6 @@ class BoundedMemory(Generic[Result]):
             oldest, _ = self._known.popitem(last=False)[1]
             self._bytes -= _count_bytes(oldest)
         return result
-
-    def forget(self) -> None:
-        """Drop all results, and what they were made from."""
-        self._known.clear()
-        self._bytes = 0
-
-
-_MEMORIES: WeakSet[BoundedMemory[Any]] = WeakSet()
-
-
-def forget_results() -> None:
-    """Drop what all memories of this process hold: the work that asked for it is done."""
-    for memory in _MEMORIES:
-        memory.forget()
 
 
 def _count_bytes(result: Sequence[object]) -> int:

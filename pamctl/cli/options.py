@@ -296,23 +296,6 @@ RtOption = Annotated[
         show_default="auto",
     ),
 ]
-ClusterOption = Annotated[
-    str | None,
-    typer.Option(
-        "--cluster",
-        metavar="ADDRESS",
-        help="Scheduler of a Dask cluster whose workers share the work, such as tcp://HOST:8786; "
-        "needs the extra 'cluster'",
-        show_default="this machine",
-    ),
-]
-InteractiveOption = Annotated[
-    bool,
-    typer.Option(
-        "--interactive",
-        help="Let a script in the page zoom its plots and read values; it needs no network",
-    ),
-]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document as the result")]
 SocketOption = Annotated[
     Path | None,

@@ -195,8 +195,8 @@ def test_a_daemon_that_ends_within_a_program_takes_no_round_with_it(
 
 
 def ask(log: Path, out: Path, socket: Path | None) -> DiagnoseOptions:
-    asked = {"logs": [log], "out": out, "experiment": "diagnosis", "runs": 3, "minutes": 2.0}
-    more = {"socket": socket, "dry_run": False, "yes": True, "as_json": False}
+    asked = {"logs": [log], "map_path": None, "out": out, "experiment": "diagnosis", "runs": 3}
+    more = {"minutes": 2.0, "socket": socket, "dry_run": False, "yes": True, "as_json": False}
     return DiagnoseOptions(None, asked | more)
 
 

@@ -65,11 +65,13 @@ def _weigh_file(path: Path) -> int:
     return len(source) * (4 if b"import subprocess" in source or b"import daemon" in source else 1)
 
 
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     """Run one file more than there are CPUs: runs in real time mostly wait."""
     return len(os.sched_getaffinity(0)) + 1
 
 
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """Share out files, but keep those together that share one investigation of a rig."""
     from xdist.scheduler import LoadFileScheduling

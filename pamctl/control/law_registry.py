@@ -11,9 +11,11 @@ import json
 import os
 import re
 import sys
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
+from importlib import import_module, metadata
 from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import Annotated, Any, NamedTuple, Union
@@ -21,10 +23,11 @@ from typing import Annotated, Any, NamedTuple, Union
 from pydantic import Field, GetCoreSchemaHandler
 from pydantic_core import CoreSchema
 
+from pamctl import __version__
 from pamctl.control.law import Law, LawSettings, LawTerms, Term, answer
-from pamctl.entry_points import OWN_PACKAGE, list_additions
 
 GROUP = "pamctl.laws"
+OWN_PACKAGE = "pamctl"
 FILE_VARIABLE = "PAMCTL_CONTROLLER_FROM"
 """Environment variable with the law file: the processes of a run inherit it."""
 
@@ -51,6 +54,26 @@ class LawOrigin:
         return not self.package
 
 
+class Addition(NamedTuple):
+    """One entry point, not yet loaded."""
+
+    name: str
+    target: str
+    """`module:attribute`."""
+    package: str
+    """Name of the distribution that brings it."""
+    version: str
+
+    @property
+    def module(self) -> str:
+        """The module that defines it."""
+        return self.target.partition(":")[0]
+
+    def load(self) -> Any:
+        """Import its module and return the object; raise whatever that raises."""
+        return getattr(import_module(self.module), self.target.partition(":")[2])
+
+
 @dataclass
 class _Registry:
     laws: dict[str, Law] = field(default_factory=dict)
@@ -72,7 +95,7 @@ class _Registry:
 @cache
 def _load_registry() -> _Registry:
     registry = _Registry()
-    for one in list_additions(GROUP):
+    for one in _list_additions():
         if one.name in registry.laws:
             first = registry.origins[one.name].package
             print(
@@ -313,3 +336,30 @@ def _find_record(registry: _Registry, module: ModuleType, name: str, path: Path)
         which = ", ".join(own) or "none"
         raise LawError(f"{path} must define one Law, and defines {which}; or name it: FILE.py:NAME")
     return next(iter(own.values()))
+
+
+def _list_additions() -> list[Addition]:
+    """Return the entry points of laws, those of pamctl first."""
+    installed = [
+        Addition(point.name, point.value, point.dist.name, point.dist.version)
+        for point in metadata.entry_points(group=GROUP)
+        if point.dist is not None
+    ]
+    own = _read_checkout() or [one for one in installed if one.package == OWN_PACKAGE]
+    return own + [one for one in installed if one.package != OWN_PACKAGE]
+
+
+def _read_checkout() -> list[Addition]:
+    """Return what the checkout's pyproject.toml lists; nothing where pamctl is installed.
+
+    An editable install that is older than the checkout does not list all of it.
+    """
+    try:
+        text = (Path(__file__).parents[2] / "pyproject.toml").read_text()
+        project = tomllib.loads(text)["project"]
+    except (OSError, ValueError, KeyError):
+        return []
+    if project["name"] != OWN_PACKAGE:
+        return []
+    points = project.get("entry-points", {}).get(GROUP, {})
+    return [Addition(name, target, OWN_PACKAGE, __version__) for name, target in points.items()]

@@ -176,7 +176,8 @@ def test_an_open_loop_square_moves_the_muscle_as_the_model_says(tmp_path: Path) 
 
 @pytest.mark.parametrize("controller", ["smc", "pid"])
 def test_each_other_law_runs_the_experiment_to_its_end(tmp_path: Path, controller: str) -> None:
-    report, _ = fast_run(tmp_path, "--controller", controller, *BRISK)
+    options = [*BRISK, "--set", "rig.homing.enabled=false", "--duration", "4"]
+    report, _ = fast_run(tmp_path, "--controller", controller, *options)
     assert report["exit_code"] == 0
     assert report["tracking"]["measured"]["max_m"] < 292e-6
 

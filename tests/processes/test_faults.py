@@ -197,7 +197,12 @@ CASES = [
 ]
 
 
-def ran(bench: str, fault: str, settings: RunSettings) -> tuple[Ending, MemoryJournal, float]:
+def ran(
+    bench: str,
+    fault: str,
+    settings: RunSettings,
+    supervisor: ScriptedSupervisor | None = None,
+) -> tuple[Ending, MemoryJournal, float]:
     """Run with a fault; return how it ended, what is on record, and what is on the output."""
     made, journal = BENCHES[bench](settings, fault), MemoryJournal()
     try:
@@ -208,7 +213,7 @@ def ran(bench: str, fault: str, settings: RunSettings) -> tuple[Ending, MemoryJo
             nominal_zero=nominal_zero_of(settings),
             program=build_program(settings),
             journal=journal,
-            supervisor=ScriptedSupervisor(),
+            supervisor=supervisor or ScriptedSupervisor(),
             truth=made.truth,
         ).run()
         return ending, journal, made.output_v()
@@ -221,7 +226,8 @@ def ran(bench: str, fault: str, settings: RunSettings) -> tuple[Ending, MemoryJo
 def test_an_open_input_that_stands_still_is_noticed_by_nothing_in_a_run(bench: str) -> None:
     """It is why the wiring page asks for a pull-down: this voltage is quiet and plausible."""
     settings = run_settings(*MOVING, controller="qsmc")
-    ending, journal, output_v = ran(bench, "open input stands", settings)
+    stopped = ScriptedSupervisor(Ending(ExitCode.OK, "long enough"), stop_at=BEGINS + 2500)
+    ending, journal, output_v = ran(bench, "open input stands", settings, stopped)
     assert ending.code == ExitCode.OK
     assert len({tick.raw.pressure_v for tick in journal.ticks[-500:]}) == 1
     assert output_v == pytest.approx(SAFE_V, abs=AO_STEP_V)

@@ -22,7 +22,7 @@ import pytest
 from support.patience import BUSY_PC, PATIENCE_S
 from support.processes.children import PARTS, await_children, await_gone
 from support.processes.killing import kill_as_one
-from support.processes.rings import await_ring, await_tick, ring_left
+from support.processes.rings import age_ring, await_ring, await_tick, ring_left
 from support.runs import AO_STEP_V
 
 from hal.sim import peek_v
@@ -264,7 +264,7 @@ def test_after_everything_was_killed_at_once_pamctl_safe_closes_the_valve(
         assert done.returncode == 0, done.stderr
         assert "safe" in done.stdout
         assert run.output_v == pytest.approx(SAFE_V, abs=AO_STEP_V)
-    time.sleep(2.1)  # a ring younger than that might belong to a run that is just starting
+    age_ring(ring)
     assert_next_start_finishes(run, ring, tmp_path, device)
     assert_log_complete_to(run, before)
 

@@ -26,6 +26,12 @@ def await_ring(front: int) -> Path:
     return path
 
 
+def age_ring(path: Path) -> None:
+    """Make a dead loop's last sign of life old; a young one might be of a run that just starts."""
+    with Ring.attach(path) as ring:
+        ring.loop_beat_ns = 1
+
+
 def await_tick(front: int, holds: Callable[[dict[str, Any]], bool]) -> None:
     """Return once the newest tick is one for which `holds` is true."""
     deadline_s = time.monotonic() + PATIENCE_S

@@ -28,6 +28,7 @@ from pamctl.exit_codes import ExitCode
 from pamctl.settings.config_files import DEFAULT_NAMES
 
 if TYPE_CHECKING:
+    from pamctl.log.annotation import Annotation
     from pamctl.plant.model import PlantSettings
 
 NO_CHANGES = "no changes"
@@ -107,7 +108,7 @@ class Options:
 def verb(do: Callable[[Any], None]) -> Callable[..., None]:
     """Make what typer takes of a verb and its class of options."""
     (asked, *_) = get_type_hints(do).values()
-    fields = list(_list_fields(asked))
+    fields = list(list_fields(asked))
     lists = [one.name for one in fields if "list[" in str(get_args(one.annotation)[0])]
 
     @wraps(do)
@@ -125,16 +126,14 @@ def verb(do: Callable[[Any], None]) -> Callable[..., None]:
 _BY_NAME = inspect.Parameter.KEYWORD_ONLY
 
 
-def _list_fields(asked: type[Options]) -> Iterator[inspect.Parameter]:
+def list_fields(asked: type[Options]) -> Iterator[inspect.Parameter]:
+    """Yield a class of options as the parameters that typer takes."""
     hints = get_type_hints(asked, include_extras=True)
     names = dict.fromkeys(
         name for kind in asked.__mro__[:-1] for name in inspect.get_annotations(kind)
     )
     for name in names:
         declared, kind = getattr(asked, name), hints[name]
-        if not isinstance(declared, _Declared):  # an Annotated of typer, and its default
-            yield inspect.Parameter(name, _BY_NAME, default=declared, annotation=kind)
-            continue
         default = inspect.Parameter.empty if declared.default is ... else declared.default
         if default is None:
             kind = kind | None
@@ -148,11 +147,15 @@ def _list_fields(asked: type[Options]) -> Iterator[inspect.Parameter]:
 PLANT = option(
     "--plant NAME|FILE", "Plant file with the model of the muscle", shown=DEFAULT_NAMES["plant"]
 )
+CONTROLLER = option(
+    "--controller NAME|FILE", "Control law and its gains", shown=DEFAULT_NAMES["controller"]
+)
 CONTROLLER_FROM = option(
     "--controller-from FILE.py[:NAME]",
     "Python file that defines the control law; its gains come from --controller",
     shown="none",
 )
+LOGS = option("--logs DIRECTORY", "Directory with the logs", Path("logs"))
 JOBS = option("--jobs N", "Number of parallel workers", shown="all CPUs", low=1)
 CLUSTER = option(
     "--cluster ADDRESS",
@@ -213,121 +216,22 @@ class DataOptions(PlantOptions):
             raise typer.BadParameter(str(error), param_hint="--noise") from error
 
 
-# --- what to run ------------------------------------------------------------------------------
-
-ControllerOption = Annotated[
-    str | None,
-    typer.Option(
-        "--controller",
-        metavar="NAME|FILE",
-        help="Control law and its gains",
-        show_default=DEFAULT_NAMES["controller"],
-    ),
-]
-ControllerFromOption = Annotated[
-    str | None,
-    typer.Option(
-        "--controller-from",
-        metavar="FILE.py[:NAME]",
-        help="Python file that defines the control law; its gains come from --controller",
-        show_default="none",
-    ),
-]
-ExperimentOption = Annotated[
-    str | None,
-    typer.Option(
-        "--experiment",
-        metavar="NAME|FILE",
-        help="Experiment to run",
-        show_default=DEFAULT_NAMES["experiment"],
-    ),
-]
-RigOption = Annotated[
-    str | None,
-    typer.Option(
-        "--rig",
-        metavar="NAME|FILE",
-        help="Rig file with calibration and limits",
-        show_default="that of --backend, sim",
-    ),
-]
-PlantOption = Annotated[
-    str | None,
-    typer.Option(
-        "--plant",
-        metavar="NAME|FILE",
-        help="Plant file with the model of the muscle",
-        show_default=DEFAULT_NAMES["plant"],
-    ),
-]
-SetOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="Setting to change, such as controller.lambda_per_s=12; can be repeated",
-        show_default=NO_CHANGES,
-    ),
-]
-SeedOption = Annotated[
-    int | None,
-    typer.Option(
-        "--seed", metavar="N", help="Seed of the simulated noise, 0 or more", show_default="0"
-    ),
-]
-DurationOption = Annotated[
-    float | None,
-    typer.Option(
-        "--duration",
-        metavar="SECONDS",
-        help="End the run this long after homing, more than 0 s",
-        show_default="length of the experiment",
-    ),
-]
-FastOption = Annotated[
-    bool, typer.Option("--fast", help="Simulate without a clock, as fast as possible")
-]
-RtOption = Annotated[
-    str | None,
-    typer.Option(
-        "--rt",
-        metavar="auto|require|off",
-        help="Use of real-time scheduling; 'require' fails where it is not permitted",
-        show_default="auto",
-    ),
-]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document as the result")]
-SocketOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--socket",
-        metavar="PATH",
-        help="Control socket of the daemon",
-        show_default="this user's, else the system's",
-    ),
-]
-
 # --- what is said of a run --------------------------------------------------------------------
 
-NoteOption = Annotated[
-    str | None, typer.Option("--note", metavar="TEXT", help="Note for the log", show_default="none")
-]
-OperatorOption = Annotated[
-    str | None, typer.Option("--operator", metavar="NAME", help="Who runs it", show_default="none")
-]
-SampleOption = Annotated[
-    str | None,
-    typer.Option("--sample", metavar="NAME", help="Muscle or part on the rig", show_default="none"),
-]
-TagOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--tag",
-        metavar="TAG",
-        help="Tag of the log, one word; can be repeated",
-        show_default="none",
-    ),
-]
+
+class AnnotationOptions(Options):
+    """What the user says of a run, for its log."""
+
+    note: str | None = option("--note TEXT", "Note for the log", shown="none")
+    operator: str | None = option("--operator NAME", "Who runs it", shown="none")
+    sample: str | None = option("--sample NAME", "Muscle or part on the rig", shown="none")
+    tags: list[str] = option("--tag TAG", "Tag of the log, one word; can be repeated", shown="none")
+
+    def make_annotation(self) -> Annotation:
+        """Return it; raise `AnnotationError` where a log cannot hold it."""
+        from pamctl.log.annotation import make_annotation
+
+        return make_annotation(self.tags, self.note, self.operator, self.sample)
 
 
 def require_one_place(cluster: str | None, jobs: int | None) -> None:

@@ -4,25 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypedDict, Unpack
+from typing import Any, NamedTuple, TypedDict, Unpack, cast
 
 import typer
 
 from hal.backend import find_backends, hint_at_missing
-from pamctl.cli.backend_option import BackendOption
-from pamctl.cli.options import (
-    ControllerFromOption,
-    ControllerOption,
-    DurationOption,
-    ExperimentOption,
-    FastOption,
-    Options,
-    PlantOption,
-    RigOption,
-    RtOption,
-    SeedOption,
-    SetOption,
-)
+from pamctl.cli.options import CONTROLLER, CONTROLLER_FROM, NO_CHANGES, PLANT, Options, flag, option
 from pamctl.log.run_meta import CHANGES, describe_changes
 from pamctl.settings.config_files import DEFAULT_NAMES, find_config_file, list_shipped
 from pamctl.settings.envelope import find_excesses
@@ -62,42 +49,65 @@ class VerbOptions(TypedDict, total=False):
 class RigOptions(Options):
     """The rig that a verb works on."""
 
-    backend: BackendOption = None
-    rig: RigOption = None
-    overrides: SetOption = None
+    backend: str | None = option(
+        f"--backend {'|'.join(find_backends().found)}", "Backend to drive",
+        shown="that of --rig, sim",
+    )  # fmt: skip
+    rig: str | None = option(
+        "--rig NAME|FILE", "Rig file with calibration and limits", shown="that of --backend, sim"
+    )
+    overrides: list[str] = option(
+        "--set KEY=VALUE",
+        "Setting to change, such as controller.lambda_per_s=12; can be repeated",
+        shown=NO_CHANGES,
+    )
 
     def resolve(self) -> ResolvedOptions:
         """Return the settings of a run on this rig; raise `ConfigError`."""
         return resolve_options(self.backend, self.rig, self.overrides, fast=False)
 
 
-class SettingsOptions(RigOptions):
-    """All that settles a run."""
+class LoopOptions(RigOptions):
+    """The rig, and what works on it."""
 
-    controller: ControllerOption = None
-    controller_from: ControllerFromOption = None
-    experiment: ExperimentOption = None
-    plant: PlantOption = None
-    seed: SeedOption = None
-    duration_s: DurationOption = None
-    fast: FastOption = False
-    rt: RtOption = None
+    controller: str | None = CONTROLLER
+    plant: str | None = PLANT
+    seed: int | None = option("--seed N", "Seed of the simulated noise, 0 or more", shown="0")
+    rt: str | None = option(
+        "--rt auto|require|off",
+        "Use of real-time scheduling; 'require' fails where it is not permitted",
+        shown="auto",
+    )
 
     def resolve(self) -> ResolvedOptions:
-        """Return the settings of the run; raise `ConfigError`."""
-        return resolve_options(
-            self.backend,
-            self.rig,
-            self.overrides,
-            controller=self.controller,
-            controller_from=self.controller_from,
-            experiment=self.experiment,
-            plant=self.plant,
-            seed=self.seed,
-            duration_s=self.duration_s,
-            fast=self.fast or None,
-            rt=self.rt,
-        )
+        """Return the settings; raise `ConfigError`."""
+        return self.resolve_with(self.overrides)
+
+    def resolve_with(self, overrides: Sequence[str]) -> ResolvedOptions:
+        """Return the settings with other changes than those of `--set`; raise `ConfigError`."""
+        given = vars(self)
+        # A flag that was not given leaves what the files say.
+        options = {
+            name: given[name]
+            for name in VerbOptions.__annotations__
+            if name in given and given[name] is not False
+        }
+        return resolve_options(self.backend, self.rig, overrides, **cast(VerbOptions, options))
+
+
+class SettingsOptions(LoopOptions):
+    """All that settles a run."""
+
+    controller_from: str | None = CONTROLLER_FROM
+    experiment: str | None = option(
+        "--experiment NAME|FILE", "Experiment to run", shown=DEFAULT_NAMES["experiment"]
+    )
+    duration_s: float | None = option(
+        "--duration SECONDS",
+        "End the run this long after homing, more than 0 s",
+        shown="length of the experiment",
+    )
+    fast: bool = flag("--fast", "Simulate without a clock, as fast as possible")
 
 
 def resolve_options(

@@ -5,106 +5,63 @@ from __future__ import annotations
 import signal
 import sys
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
-from pamctl.cli.backend_option import BackendOption
 from pamctl.cli.failure import Failed
-from pamctl.cli.options import (
-    ControllerOption,
-    PlantOption,
-    RigOption,
-    RtOption,
-    SeedOption,
-    SetOption,
-    SocketOption,
-    require_linux,
-    seconds_option,
-)
-from pamctl.cli.settings_from_options import read_file_gains, resolve_options
+from pamctl.cli.options import SOCKET, Options, flag, option, require_linux, verb
+from pamctl.cli.settings_from_options import LoopOptions, read_file_gains, resolve_options
 from pamctl.exit_codes import ExitCode
 from pamctl.plant.model import PlantSettings
 from pamctl.settings.resolve import RunSettings
 
 
-def daemon(
-    backend: BackendOption = None,
-    controller: ControllerOption = None,
-    rig: RigOption = None,
-    plant: PlantOption = None,
-    seed: SeedOption = None,
-    overrides: SetOption = None,
-    rt: RtOption = None,
-    socket: SocketOption = None,
-    group: Annotated[
-        str | None,
-        typer.Option(
-            "--group",
-            metavar="GROUP",
-            help="Group that may steer the rig, besides this user",
-            show_default="this user's group",
-        ),
-    ] = None,
-    logs: Annotated[
-        Path, typer.Option("--logs", metavar="DIRECTORY", help="Directory for the log of each run")
-    ] = Path("logs"),
-    keep: Annotated[
-        int | None,
-        typer.Option(
-            "--keep",
-            metavar="N",
-            min=1,
-            help="Number of the daemon's logs to keep; older ones are removed",
-            show_default="all",
-        ),
-    ] = None,
-    idle_after_s: Annotated[
-        float,
-        seconds_option("--idle-after", "Idle time before the session ends", at_least=1.0),
-    ] = 600.0,
-    monitor: Annotated[
-        bool,
-        typer.Option("--monitor", help="Compare every run with the plant file, and say if it fits"),
-    ] = False,
-    monitor_plant: Annotated[
-        str | None,
-        typer.Option(
-            "--monitor-plant",
-            metavar="NAME|FILE",
-            help="Plant that --monitor compares with",
-            show_default="that of --plant",
-        ),
-    ] = None,
-    monitor_trips: Annotated[
-        bool,
-        typer.Option("--monitor-trips", help="Stop at the safe voltage at the monitor's alarm"),
-    ] = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print each event as one line of JSON")
-    ] = False,
-) -> None:
-    """Stay up: home, run experiments and hold positions as clients such as `pamctl start` ask."""
-    settings, names = resolve_options(
-        backend, rig, overrides, controller=controller, plant=plant, seed=seed, rt=rt
+class DaemonOptions(LoopOptions):
+    """`pamctl daemon`."""
+
+    socket: Path | None = SOCKET
+    group: str | None = option(
+        "--group GROUP",
+        "Group that may steer the rig, besides this user",
+        shown="this user's group",
     )
-    if (monitor_plant is not None or monitor_trips) and not monitor:
+    logs: Path = option("--logs DIRECTORY", "Directory for the log of each run", Path("logs"))
+    keep: int | None = option(
+        "--keep N", "Number of the daemon's logs to keep; older ones are removed",
+        shown="all", low=1,
+    )  # fmt: skip
+    idle_after_s: float = option(
+        "--idle-after SECONDS", "Idle time before the session ends", 600.0, low=1.0
+    )
+    monitor: bool = flag("--monitor", "Compare every run with the plant file, and say if it fits")
+    monitor_plant: str | None = option(
+        "--monitor-plant NAME|FILE", "Plant that --monitor compares with", shown="that of --plant"
+    )
+    monitor_trips: bool = flag("--monitor-trips", "Stop at the safe voltage at the monitor's alarm")
+    as_json: bool = flag("--json", "Print each event as one line of JSON")
+
+
+@verb
+def daemon(asked: DaemonOptions) -> None:
+    """Stay up: home, run experiments and hold positions as clients such as `pamctl start` ask."""
+    settings, names = asked.resolve()
+    if (asked.monitor_plant is not None or asked.monitor_trips) and not asked.monitor:
         raise typer.BadParameter("--monitor-plant and --monitor-trips go with --monitor")
     del names["experiment"]  # each start names its own
-    watched = _choose_watched_plant(settings, monitor_plant) if monitor else None
+    watched = _choose_watched_plant(settings, asked.monitor_plant) if asked.monitor else None
     require_linux()
     from pamctl.daemon.client import own_socket
     from pamctl.daemon.serving import ServiceOptions, serve_daemon  # no other verb waits for it
 
     options = ServiceOptions(
-        socket or own_socket(),
-        group,
-        logs,
-        keep,
-        idle_after_s,
-        announce=as_json,
+        asked.socket or own_socket(),
+        asked.group,
+        asked.logs,
+        asked.keep,
+        asked.idle_after_s,
+        announce=asked.as_json,
         watched=watched,
-        monitor_trips=monitor_trips,
+        monitor_trips=asked.monitor_trips,
         file_gains=read_file_gains(settings, names["controller"]),
     )
     raise typer.Exit(int(serve_daemon(settings, names, options)))
@@ -118,59 +75,46 @@ def _choose_watched_plant(settings: RunSettings, name: str | None) -> PlantSetti
     return watched.plant
 
 
-def watch(
-    web: Annotated[bool, typer.Option("--web", help="Serve a page to browsers of this PC")] = False,
-    port: Annotated[
-        int,
-        typer.Option(
-            "--port",
-            metavar="PORT",
-            min=0,
-            max=65535,
-            help="Port of the page; 0 picks a free one",
-        ),
-    ] = 8642,
-    allow_control: Annotated[
-        bool,
-        typer.Option("--allow-control", help="Let the page of --web stop and move the muscle"),
-    ] = False,
-    socket: SocketOption = None,
-    count: Annotated[
-        int | None,
-        typer.Option(
-            "--count",
-            metavar="N",
-            min=1,
-            help="Number of lines or pictures, after which it ends",
-            show_default="no end",
-        ),
-    ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one line of JSON ten times a second")
-    ] = False,
-) -> None:
+class WatchOptions(Options):
+    """`pamctl watch`."""
+
+    web: bool = flag("--web", "Serve a page to browsers of this PC")
+    port: int = option(
+        "--port PORT", "Port of the page; 0 picks a free one", 8642, low=0, high=65535
+    )
+    allow_control: bool = flag("--allow-control", "Let the page of --web stop and move the muscle")
+    socket: Path | None = SOCKET
+    count: int | None = option(
+        "--count N", "Number of lines or pictures, after which it ends", shown="no end", low=1
+    )
+    as_json: bool = flag("--json", "Print one line of JSON ten times a second")
+
+
+@verb
+def watch(asked: WatchOptions) -> None:
     """Show state, position, error, pressure, command and timing ten times a second."""
-    if allow_control and not web:
+    if asked.allow_control and not asked.web:
         raise typer.BadParameter("it goes with --web; in the terminal there are the other verbs")
-    if web and (as_json or count is not None):
+    if asked.web and (asked.as_json or asked.count is not None):
         raise typer.BadParameter("--json and --count are for the terminal and for pipes")
     require_linux()
     from pamctl.daemon.client import default_socket
 
-    where = socket or default_socket()
+    where = asked.socket or default_socket()
     # However it ends, the terminal gets its cursor back.
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
-    if not web:
+    if not asked.web:
         from pamctl.live.feed import watch_in_terminal
 
         # Tell a script that asked for some lines or pictures that there was no daemon.
-        if not watch_in_terminal(where, count, as_json=as_json) and count is not None:
+        found = watch_in_terminal(where, asked.count, as_json=asked.as_json)
+        if not found and asked.count is not None:
             raise typer.Exit(ExitCode.UNAVAILABLE)
         return
     from pamctl.live.web import serve_page
 
     try:
-        serve_page(where, port, allow_control=allow_control)
+        serve_page(where, asked.port, allow_control=asked.allow_control)
     except OSError as error:
-        why = f"port {port}: {error.strerror or error}; choose another with --port"
+        why = f"port {asked.port}: {error.strerror or error}; choose another with --port"
         raise Failed(ExitCode.UNAVAILABLE, why) from error

@@ -23,14 +23,15 @@ import typer
 from pamctl.cli.failure import Failed
 from pamctl.cli.options import (
     NO_CHANGES,
-    JsonOption,
-    NoteOption,
-    OperatorOption,
-    SampleOption,
-    SocketOption,
-    TagOption,
+    SOCKET,
+    AnnotationOptions,
+    Options,
+    argument,
+    list_fields,
+    option,
     require_linux,
     seconds_option,
+    verb,
 )
 from pamctl.cli.output import print_json
 from pamctl.cli.verbs import VERBS
@@ -48,6 +49,12 @@ _PLAIN = {
 }
 """Orders without arguments, each with what its verb prints."""
 _METRES = {"": 1e-3, "mm": 1e-3, "m": 1.0, "um": 1e-6, "in": 25.4e-3}
+
+
+class OrderOptions(Options):
+    """What every order is asked."""
+
+    socket: Path | None = SOCKET
 
 
 # --- verbs that are made of their orders -----------------------------------------------------
@@ -80,7 +87,7 @@ def make_verb(order: Order) -> Callable[..., None]:
 def _make_verb(
     name: str, told: str, said: str, given: Sequence[inspect.Parameter], names_user: bool = False
 ) -> Callable[..., None]:
-    def verb(socket: SocketOption = None, as_json: JsonOption = False, **params: Any) -> None:
+    def give_order(socket: Path | None, as_json: bool, **params: Any) -> None:
         user = {"operator": _find_user()} if names_user else {}
         answer = ask(socket, name, {**params, **user})
         if as_json or said or not answer:
@@ -88,12 +95,12 @@ def _make_verb(
         else:
             print_settings(answer, as_json=False)
 
-    shared = list(inspect.signature(verb, eval_str=True).parameters.values())[:2]
-    options = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in (*given, *shared)]
-    verb.__signature__ = inspect.Signature(options)  # type: ignore[attr-defined]
-    verb.__annotations__ = {one.name: one.annotation for one in options}
-    verb.__name__, verb.__doc__ = name, told
-    return verb
+    options = [*given, *list_fields(OrderOptions)]
+    made: Any = give_order
+    made.__signature__ = inspect.Signature(options)
+    made.__annotations__ = {one.name: one.annotation for one in options}
+    made.__name__, made.__doc__ = name, told
+    return give_order
 
 
 def _make_parameter(order: Order, name: str) -> inspect.Parameter:
@@ -189,10 +196,11 @@ def _read_section(section: str, name: str, overrides: Sequence[str] = ()) -> dic
 # --- verbs that do more ----------------------------------------------------------------------
 
 
-def status(socket: SocketOption = None, as_json: JsonOption = False) -> None:
+@verb
+def status(asked: OrderOptions) -> None:
     """Show what the daemon is doing."""
-    answer = ask(socket, "status")
-    if as_json:
+    answer = ask(asked.socket, "status")
+    if asked.as_json:
         print_json(answer)
         return
     from pamctl.live.feed import format_status
@@ -200,73 +208,65 @@ def status(socket: SocketOption = None, as_json: JsonOption = False) -> None:
     typer.echo(format_status(answer))
 
 
-def start(
-    experiment: Annotated[
-        str, typer.Argument(metavar="NAME|FILE", help="Experiment to run, as for pamctl run")
-    ],
-    duration_s: Annotated[
-        float | None,
-        seconds_option(
-            "--duration",
-            "End the run this long after homing",
-            more_than=0.0,
-            show_default="length of the experiment",
-        ),
-    ] = None,
-    overrides: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="Key of the experiment to change, such as amplitude_mm=2; can be repeated",
-            show_default=NO_CHANGES,
-        ),
-    ] = None,
-    note: NoteOption = None,
-    operator: OperatorOption = None,
-    sample: SampleOption = None,
-    tags: TagOption = None,
-    socket: SocketOption = None,
-    as_json: JsonOption = False,
-) -> None:
+class StartOptions(OrderOptions, AnnotationOptions):
+    """`pamctl start`."""
+
+    experiment: str = argument("NAME|FILE", "Experiment to run, as for pamctl run")
+    duration_s: float | None = option(
+        "--duration SECONDS", "End the run this long after homing",
+        shown="length of the experiment", above=0.0,
+    )  # fmt: skip
+    overrides: list[str] = option(
+        "--set KEY=VALUE",
+        "Key of the experiment to change, such as amplitude_mm=2; can be repeated",
+        shown=NO_CHANGES,
+    )
+
+
+@verb
+def start(asked: StartOptions) -> None:
     """Run an experiment; home first if the muscle is not homed."""
-    from pamctl.log.annotation import make_annotation
     from pamctl.log.run_meta import file_safe_name
 
-    said = make_annotation(tags or (), note, operator, sample)
-    data = _read_section("experiment", experiment, overrides or ())
-    asked = {"experiment": data, "name": file_safe_name(experiment), "duration_s": duration_s}
-    answer = ask(socket, "start", {**asked, **asdict(said), "tags": list(said.tags)})
-    print_answer(answer, "log: {log}", as_json=as_json)
+    said = asked.make_annotation()
+    params = {
+        "experiment": _read_section("experiment", asked.experiment, asked.overrides),
+        "name": file_safe_name(asked.experiment),
+        "duration_s": asked.duration_s,
+        **asdict(said),
+        "tags": list(said.tags),
+    }
+    print_answer(ask(asked.socket, "start", params), "log: {log}", as_json=asked.as_json)
 
 
 gains_app = typer.Typer(no_args_is_help=True, help="Load and show the daemon's gains.")
 
 
+class LoadOptions(OrderOptions):
+    """`pamctl gains load`."""
+
+    file: str = argument("NAME|FILE", "Controller file with the new gains")
+    ramp_s: float = option(
+        "--ramp SECONDS", "Time over which the gains change", 0.5, low=0.0, high=60.0
+    )
+
+
 @gains_app.command("load")
-def load_gains(
-    file: Annotated[
-        str, typer.Argument(metavar="NAME|FILE", help="Controller file with the new gains")
-    ],
-    ramp_s: Annotated[
-        float,
-        seconds_option("--ramp", "Time over which the gains change", at_least=0.0, at_most=60.0),
-    ] = 0.5,
-    socket: SocketOption = None,
-    as_json: JsonOption = False,
-) -> None:
+@verb
+def load_gains(asked: LoadOptions) -> None:
     """Take the gains of a controller file, on a ramp; another law only between runs."""
     from pamctl.log.run_meta import file_safe_name
 
-    data = _read_section("controller", file)
-    params = {"controller": data, "name": file_safe_name(file), "ramp_s": ramp_s}
-    print_settings(ask(socket, "load", params), as_json=as_json)
+    data = _read_section("controller", asked.file)
+    params = {"controller": data, "name": file_safe_name(asked.file), "ramp_s": asked.ramp_s}
+    print_settings(ask(asked.socket, "load", params), as_json=asked.as_json)
 
 
 @gains_app.command("show")
-def show_gains(socket: SocketOption = None, as_json: JsonOption = False) -> None:
+@verb
+def show_gains(asked: OrderOptions) -> None:
     """Print the gains in use, as a controller file."""
-    print_settings(ask(socket, "status")["controller"], as_json=as_json)
+    print_settings(ask(asked.socket, "status")["controller"], as_json=asked.as_json)
 
 
 def check_remark(text: str) -> str:
@@ -274,28 +274,23 @@ def check_remark(text: str) -> str:
     text = clean_text(text)
     if not 1 <= len(text) <= LONGEST_REMARK:
         message = f"must have 1 to {LONGEST_REMARK} characters (got {len(text)})"
-        raise typer.BadParameter(message)
+        raise typer.BadParameter(message, param_hint="'TEXT'")
     return text
 
 
-def mark(
-    text: Annotated[
-        str,
-        typer.Argument(callback=check_remark, help="Remark of 1 to 2000 characters"),
-    ],
-    log: Annotated[
-        Path | None,
-        typer.Option(
-            "--log",
-            metavar="FILE",
-            help="Log of the run to mark, where several go on",
-            show_default="the only one",
-        ),
-    ] = None,
-    socket: SocketOption = None,
-    as_json: JsonOption = False,
-) -> None:
+class MarkOptions(OrderOptions):
+    """`pamctl mark`."""
+
+    text: str = argument("TEXT", "Remark of 1 to 2000 characters")
+    log: Path | None = option(
+        "--log FILE", "Log of the run to mark, where several go on", shown="the only one"
+    )
+
+
+@verb
+def mark(asked: MarkOptions) -> None:
     """Put a remark into the log of the run that goes on, of the daemon or of pamctl run."""
+    text, log, socket = check_remark(asked.text), asked.log, asked.socket
     require_linux()
     from pamctl.processes.mark_desk import list_running_runs, mark_run
 
@@ -311,11 +306,11 @@ def mark(
             )
     if runs:
         mark_run(runs[0], text)
-        print_answer({"log": str(runs[0].log)}, "marked", as_json=as_json)
+        print_answer({"log": str(runs[0].log)}, "marked", as_json=asked.as_json)
         return
     if log is not None and _find_daemon_log(socket) != [str(log.absolute())]:
         raise Failed(ExitCode.CHECK_FAILED, f"no run that takes marks writes {log}")
-    print_answer(ask(socket, "mark", {"text": text}), "marked", as_json=as_json)
+    print_answer(ask(socket, "mark", {"text": text}), "marked", as_json=asked.as_json)
 
 
 def _find_daemon_log(socket: Path | None = None) -> list[str]:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import typer
 
-from pamctl.cli.backend_option import BackendOption
 from pamctl.cli.failure import Failed
-from pamctl.cli.options import JsonOption, RigOption, SetOption, require_linux
+from pamctl.cli.options import require_linux, verb
 from pamctl.cli.output import print_json
-from pamctl.cli.settings_from_options import resolve_options
+from pamctl.cli.settings_from_options import RigOptions
 from pamctl.exit_codes import ExitCode
 from pamctl.settings.resolve import RunSettings
 
@@ -16,14 +15,10 @@ _PATIENCE_S = 0.5
 """Time for a process that holds the device and is dying; a living one must be stopped first."""
 
 
-def safe(
-    backend: BackendOption = None,
-    rig: RigOption = None,
-    overrides: SetOption = None,
-    as_json: JsonOption = False,
-) -> None:
+@verb
+def safe(asked: RigOptions) -> None:
     """Drive the rig to its safe voltage, in any situation."""
-    settings, _ = resolve_options(backend, rig, overrides, fast=False)
+    settings, _ = asked.resolve()
     require_linux()
     from pamctl.processes.backends import device_of
 
@@ -32,7 +27,7 @@ def safe(
     if failure is not None:
         reason = f"NOT SAFE, {device}: {volts:g} V could not be driven: {failure}"
         raise Failed(ExitCode.UNAVAILABLE, reason, device=device, safe_volts=volts)
-    if as_json:
+    if asked.as_json:
         print_json({"exit_code": 0, "device": device, "safe_volts": volts, "reason": ""})
     else:
         cal = settings.rig.calibration

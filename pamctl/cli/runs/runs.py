@@ -6,11 +6,11 @@ import sys
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from pamctl.cli.options import Options, argument, flag, option, verb
+from pamctl.cli.options import LOGS, Options, argument, flag, option, verb
 from pamctl.cli.output import print_json
 from pamctl.plain_text import escape_name
 
@@ -20,16 +20,13 @@ if TYPE_CHECKING:
 runs_app = typer.Typer(
     invoke_without_command=True, help="Find runs again by law, date, error, tag or setting."
 )
-LogsOption = Annotated[
-    Path, typer.Option("--logs", metavar="DIRECTORY", help="Directory with the logs")
-]
 _ANY = "any"
 
 
 class RunsOptions(Options):
     """`pamctl runs`."""
 
-    logs: LogsOption = Path("logs")
+    logs: Path = LOGS
     tags: list[str] = option("--tag TAG", "Tag; can be repeated, all must be there", shown=_ANY)
     where: list[str] = option(
         "--where CONDITION",

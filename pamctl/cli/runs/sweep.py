@@ -6,34 +6,22 @@ import sys
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from pamctl.cli.backend_option import BackendOption
 from pamctl.cli.failure import print_error
 from pamctl.cli.options import (
-    ControllerFromOption,
-    ControllerOption,
-    DurationOption,
-    ExperimentOption,
-    FastOption,
-    JsonOption,
-    NoteOption,
-    OperatorOption,
-    PlantOption,
-    RigOption,
-    RtOption,
-    SampleOption,
-    SeedOption,
-    SocketOption,
-    TagOption,
+    LOGS,
+    SOCKET,
+    AnnotationOptions,
+    flag,
+    option,
     require_linux,
+    verb,
 )
 from pamctl.cli.output import PAGE_BEGIN, print_json
-from pamctl.cli.runs.runs import LogsOption
-from pamctl.cli.settings_from_options import resolve_options
-from pamctl.log.annotation import make_annotation
+from pamctl.cli.settings_from_options import SettingsOptions, resolve_options
 from pamctl.log.run_meta import file_safe_name
 from pamctl.new_file import require_folder, write_files
 from pamctl.settings.config_files import DEFAULT_NAMES
@@ -43,112 +31,80 @@ if TYPE_CHECKING:
     from pamctl.sweep.run_sweep import SweepEnd, SweepPlan
 
 
-def sweep(
-    overrides: Annotated[
-        list[str],
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE,...",
-            help="Setting to sweep, such as controller.lambda_per_s=20,40,80; with one value it "
-            "is the same in all runs; can be repeated",
-        ),
-    ],
-    repeats: Annotated[
-        int, typer.Option("--repeat", metavar="N", min=1, max=1000, help="Runs of each combination")
-    ] = 1,
-    name: Annotated[
-        str | None,
-        typer.Option(
-            "--name",
-            metavar="NAME",
-            help="Name of the sweep and tag of its logs; the name of an earlier one continues it",
-            show_default="sweep-DATE",
-        ),
-    ] = None,
-    logs: LogsOption = Path("logs"),
-    backend: BackendOption = None,
-    controller: ControllerOption = None,
-    controller_from: ControllerFromOption = None,
-    experiment: ExperimentOption = None,
-    rig: RigOption = None,
-    plant: PlantOption = None,
-    duration_s: DurationOption = None,
-    fast: FastOption = False,
-    seed: SeedOption = None,
-    rt: RtOption = None,
-    by_daemon: Annotated[
-        bool, typer.Option("--daemon", help="Run on the daemon; only its gains can be swept")
-    ] = False,
-    socket: SocketOption = None,
-    note: NoteOption = None,
-    operator: OperatorOption = None,
-    sample: SampleOption = None,
-    tags: TagOption = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print no progress")] = False,
-    as_json: JsonOption = False,
-) -> None:
+class SweepOptions(SettingsOptions, AnnotationOptions):
+    """`pamctl sweep`."""
+
+    overrides: list[str] = option(
+        "--set KEY=VALUE,...",
+        "Setting to sweep, such as controller.lambda_per_s=20,40,80; with one value it is the "
+        "same in all runs; can be repeated",
+        ...,
+    )
+    repeats: int = option("--repeat N", "Runs of each combination", 1, low=1, high=1000)
+    name: str | None = option(
+        "--name NAME",
+        "Name of the sweep and tag of its logs; the name of an earlier one continues it",
+        shown="sweep-DATE",
+    )
+    logs: Path = LOGS
+    by_daemon: bool = flag("--daemon", "Run on the daemon; only its gains can be swept")
+    socket: Path | None = SOCKET
+    quiet: bool = flag("--quiet", "Print no progress")
+
+
+@verb
+def sweep(asked: SweepOptions) -> None:
     """Run every combination of some settings, repeated; write a table and a page beside the logs.
 
     An interrupted sweep keeps its logs and goes on with the same command and --name.
     """
-    said = make_annotation(tags or (), note, operator, sample)
-    title = name or datetime.now().strftime("sweep-%Y%m%d-%H%M%S")
+    said = asked.make_annotation()
+    title = asked.name or datetime.now().strftime("sweep-%Y%m%d-%H%M%S")
     if file_safe_name(title) != title:
         allowed = "letters, digits and . _ - only, 60 at most"
         raise typer.BadParameter(f"{title!r}: {allowed}", param_hint="--name")
-    request = parse_sweep(overrides, repeats)
-    tell = partial(_tell, quiet=quiet or as_json)
-    if by_daemon:
-        own = (backend, controller, controller_from, rig, plant, seed, rt, fast or None)
-        if any(option is not None for option in own):
+    request = parse_sweep(asked.overrides, asked.repeats)
+    silent = asked.quiet or asked.as_json
+    tell = partial(_tell, quiet=silent)
+    if asked.by_daemon:
+        own = ["backend", "controller", "controller_from", "rig", "plant", "seed", "rt", "fast"]
+        if any(map(asked.is_typed, own)):
             raise typer.BadParameter(
                 "the daemon has its own rig, plant and gains; give only --experiment, --duration "
                 "and --set controller.KEY=...",
                 param_hint="--daemon",
             )
-        named = experiment or DEFAULT_NAMES["experiment"]
-        settings, _ = resolve_options(None, None, None, experiment=named, duration_s=duration_s)
+        named = asked.experiment or DEFAULT_NAMES["experiment"]
+        settings, _ = resolve_options(
+            None, None, None, experiment=named, duration_s=asked.duration_s
+        )
         require_end(settings)
         require_linux()
         from pamctl.daemon.client import Client, default_socket
         from pamctl.sweep.run_sweep import DaemonRunner, run_sweep
 
         with (
-            Client(socket or default_socket()) as client,
+            Client(asked.socket or default_socket()) as client,
             DaemonRunner(client, settings, file_safe_name(named)) as runner,
         ):
-            plan = runner.plan_sweep(request, repeats, title, said)
+            plan = runner.plan_sweep(request, asked.repeats, title, said)
             end = run_sweep(plan, runner, tell)
     else:
-        choose = partial(
-            resolve_options,
-            backend,
-            rig,
-            controller=controller,
-            controller_from=controller_from,
-            experiment=experiment,
-            plant=plant,
-            seed=seed,
-            duration_s=duration_s,
-            fast=fast or None,
-            rt=rt,
-        )
-        base, names = choose(overrides=request.fixed)
+        base, names = asked.resolve_with(request.fixed)
         # Every point is checked before the first run.
-        points = [choose(overrides=whole).settings for whole in request.list_overrides()]
+        points = [asked.resolve_with(whole).settings for whole in request.list_overrides()]
         for settings in points:
             require_end(settings)
         require_linux()
-        require_folder(logs)
-        logs.mkdir(parents=True, exist_ok=True)
+        require_folder(asked.logs)
+        asked.logs.mkdir(parents=True, exist_ok=True)
         from pamctl.report.progress_line import ProgressLine
         from pamctl.sweep.run_sweep import OwnRunner, run_sweep
 
-        silent = quiet or as_json
-        own_runner = OwnRunner(points, names, logs, lambda: ProgressLine(quiet=silent))
-        plan = own_runner.plan_sweep(base, request, repeats, title, said)
+        own_runner = OwnRunner(points, names, asked.logs, lambda: ProgressLine(quiet=silent))
+        plan = own_runner.plan_sweep(base, request, asked.repeats, title, said)
         end = run_sweep(plan, own_runner, tell)
-    _conclude(plan, end, as_json=as_json)
+    _conclude(plan, end, as_json=asked.as_json)
 
 
 def _tell(line: str, *, quiet: bool) -> None:

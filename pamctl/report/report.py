@@ -10,8 +10,7 @@
     write_html(report)                           # pamctl.report.html_page
     report.document                              # for --json, in SI
 
-Numbers are spelled by `spell_number` and `spell_um`, so that a value has the same digits
-everywhere.
+Errors are spelled by `spell_um`, so that they have the same digits everywhere.
 """
 
 from __future__ import annotations
@@ -163,28 +162,6 @@ def _is_number(cell: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def spell_number(value: float, unit: str = "", *, within: float | None = None) -> str:
-    """Write a value in its unit, rounded by half of its interval: `24.95 mV ± 0.04`.
-
-    Of the interval one digit is shown, two where the first is a 1. Without one the value has four.
-    """
-    if not math.isfinite(value):
-        return "-"
-    end = f" {unit}" if unit else ""
-    if within is not None and math.isfinite(within) and within > 0.0:
-        place = math.floor(math.log10(float(f"{within:.0e}")))
-        place -= float(f"{within:.1e}") < 2.0 * 10.0**place
-        if -6 < place < 6:
-            value, within = round(value, -place), round(within, -place)
-            digits = max(0, -place)
-            return f"{value:.{digits}f}{end} ± {within:.{digits}f}"
-        return f"{value:.3e}{end} ± {within:.0e}"
-    size = abs(value)
-    if size and not 1e-4 <= size < 1e6:
-        return f"{value:.3e}{end}"
-    return f"{value:.{max(0, 3 - math.floor(math.log10(size))) if size else 0}f}{end}"
 
 
 def spell_um(value_m: float | None) -> str:

@@ -16,28 +16,7 @@ from pamctl.report.report import (
     Section,
     Text,
     format_terminal,
-    spell_number,
 )
-
-
-@pytest.mark.parametrize(
-    ("value", "within", "said"),
-    [
-        (24.951, 0.0412, "24.95 mV ± 0.04"),
-        (24.951, 0.0961, "24.95 mV ± 0.10"),
-        (24.951, 0.0141, "24.951 mV ± 0.014"),
-        (1234.0, 57.0, "1230 mV ± 60"),
-        (0.5, None, "0.5000 mV"),
-        (24.951, None, "24.95 mV"),
-        (0.0, None, "0 mV"),
-        (-3.2e-9, None, "-3.200e-09 mV"),
-        (float("nan"), 1.0, "-"),
-    ],
-)
-def test_a_number_has_the_digits_that_its_interval_leaves(
-    value: float, within: float | None, said: str
-) -> None:
-    assert spell_number(value, "mV", within=within) == said
 
 
 def test_terminal_and_page_say_the_same_and_the_terminal_in_ascii() -> None:

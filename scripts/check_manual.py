@@ -11,7 +11,7 @@ numbers are in it; `...` stands for lines left out. A comment in the line above 
     <!-- file: lab.yaml -->      the block, of whatever language, is a file of this name
     <!-- run: slow -->           takes more than some seconds: left out by --quick
     <!-- run: card -->           needs the card: runs over the stand-in driver of tests/standin
-    <!-- run: checkout -->       runs in the checkout itself
+    <!-- run: checkout -->       runs in a fresh copy of the checkout
     <!-- skip: REASON -->        is never run
 
 `pamctl` and `python` are those of the interpreter that runs this script.
@@ -22,6 +22,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -45,6 +46,7 @@ _FENCE = re.compile(
 )
 _EXIT_CODE = re.compile(r"\s+# exit code (\d+)$")
 _KNOWN = {"slow", "card", "checkout"}
+_NOT_COPIED = shutil.ignore_patterns(".git", ".venv", "__pycache__", ".*_cache", "logs")
 
 QUICK_TIMEOUT_S, SLOW_TIMEOUT_S = 120.0, 1800.0
 
@@ -214,7 +216,7 @@ def _run_block(
     with tempfile.TemporaryFile() as said:
         process = subprocess.Popen(
             ["bash", "-c", write_script(block.commands)],
-            cwd=ROOT if "checkout" in block.marks else work,
+            cwd=_copy_checkout(work) if "checkout" in block.marks else work,
             env=environment,
             stdin=subprocess.DEVNULL,
             stdout=said,
@@ -237,6 +239,14 @@ def _run_block(
     return BlockResult(
         name, block.line, block.commands[0], status, time.monotonic() - begin_s, output
     )
+
+
+def _copy_checkout(work: Path) -> Path:
+    """Return a copy of the checkout beside the page's folder: what a page makes goes with it."""
+    copy = work.with_name("checkout")
+    if not copy.exists():
+        shutil.copytree(ROOT, copy, ignore=_NOT_COPIED)
+    return copy
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

@@ -113,10 +113,6 @@ class GainAxis(NamedTuple):
     """Where a search begins by default."""
 
 
-def _copy_numbers(numbers: dict[str, float]) -> dict[str, Any]:
-    return dict(numbers)
-
-
 def read_numbers(gains: dict[str, Any]) -> dict[str, float]:
     """Return the numbers among the keys of a gains file."""
     return {name: float(value) for name, value in gains.items() if isinstance(value, int | float)}
@@ -128,7 +124,7 @@ class SearchSpace(NamedTuple):
     fixed: dict[str, Any]
     """Keys of the gains file that every candidate has; `law` is among them."""
     axes: tuple[GainAxis, ...]
-    to_gains: Callable[[dict[str, float]], dict[str, Any]] = _copy_numbers
+    to_gains: Callable[[dict[str, float]], dict[str, Any]] = dict
     """Turns the numbers of the axes into keys of a gains file."""
     from_gains: Callable[[dict[str, Any]], dict[str, float]] = read_numbers
     """Turns the keys of a gains file back into the numbers of the axes."""

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from pamctl.kernel.calls import Call, PlainCall
 from pamctl.plant.parameters import PlantParameters, PlantState, vented_state
 from pamctl.plant.step import advance_plant, sensed_position_m, sensed_pressure_pa
-
-if TYPE_CHECKING:
-    from pamctl.plant.parameters import PlantParameters, PlantState
-
 
 LONGEST_STEP_S = 0.5e-3
 """Two steps a tick at 1 kHz: 0.6 um from the converged solution."""

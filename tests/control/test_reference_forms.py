@@ -15,7 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 from pamctl.control.course import Course, Plan, Segment, reference_at
 from pamctl.control.experiment import ExperimentSettings, plan_experiment
 from pamctl.control.sketch import MOST_SEGMENTS
-from pamctl.control.waves import Faded, Sampled, Shape, SpeedChange, Sweep, Tone, Tones
+from pamctl.control.waves import Faded, Sampled, Shape, SpeedChange, Sweep, Tone, Tones, Transition
 from pamctl.signals import Phase, Reference
 
 SETTINGS: TypeAdapter[Any] = TypeAdapter(ExperimentSettings)
@@ -76,6 +76,7 @@ def assert_derivatives(shape: Shape, t_s: float, step_s: float = 1e-4) -> None:
         Sweep(0.002, 6.0, 0.5, 8.0, False),
         Sweep(0.002, 2.0, 2.0, 8.0, True),
         SpeedChange(0.003, 0.004, -0.006, 3.0),
+        Transition(0.003, 0.006, 3.0),
         Faded(Tones((Tone(0.002, 12.0, 0.3),)), 0.01, 0.7, 0.0, 1.0, 2.0),
         Faded(Sweep(0.002, 0.5, 6.0, 8.0, True), 0.01, 5.0, 1.0, 0.0, 2.5),
         Sampled((0.0, 0.5, 1.1, 1.5, 2.5, 3.0), (0.003, 0.004, 0.006, 0.005, 0.005, 0.0035)),

@@ -24,7 +24,7 @@ from support.patience import PATIENCE_S
 
 from pamctl.kernel.build import find_compiler
 from pamctl.kernel.c_source import CSource
-from pamctl.kernel.calls import NotKernelData, machine, make_frame, prepare, write_source
+from pamctl.kernel.calls import NotKernelData, make_frame, prepare, write_source
 from pamctl.kernel.expressions import NotInC
 
 Kernel = Callable[..., Any]
@@ -142,16 +142,6 @@ def test_a_loop_that_an_error_ends_in_python_ends_in_c(
         check=False,
     )
     assert done.stderr.splitlines()[-1].startswith(error.__name__)
-
-
-def test_an_int_beyond_64_bits_is_computed_in_python() -> None:
-    into = array("d", (0.0,))
-    machine(take_an_int)(2**70, into)
-    assert into[0] == 2.0**70
-
-
-def take_an_int(n: int, into: Any) -> None:
-    into[0] = n
 
 
 # --- kernels and their sources -----------------------------------------------------------------

@@ -16,7 +16,7 @@ How to read any log, also an imported one:
     pamctl.log.read("long.mcap", fields=("t_s", "position_m"))  # saves memory
 
 The command line's tools are functions too: `check.check_log`, `recover.recover_file`,
-`cut.cut_log`, `export.export_ticks` and `importing.pipeline.import_log`.
+`edit.cut_log`, `export.export_ticks` and `importing.pipeline.import_log`.
 
 Names are loaded when they are first used: the loop process imports parts of this package and
 must not load numpy.

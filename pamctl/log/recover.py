@@ -107,22 +107,6 @@ NO_TICK, NO_ROW = -(1 << 62), -1
 """Before the first."""
 
 
-class MessagePlace:
-    """How far the messages of a log go: the last tick, and the last row of all that is no tick."""
-
-    def __init__(self) -> None:
-        """Begin before the first message."""
-        self.last_tick, self.last_row = NO_TICK, NO_ROW
-
-    def note(self, topic: str, messages: NDArray[Any]) -> None:
-        """Take note of messages of one topic."""
-        if topic in JSON_SCHEMAS:
-            rows = (message.get("row", NO_ROW) for message in parse_messages(messages))
-            self.last_row = max(self.last_row, *rows)
-        elif topic == TICK_TOPIC:
-            self.last_tick = max(self.last_tick, int(messages["sequence"].max()))
-
-
 class LogCopy:
     """Copies the undamaged parts of a log into another log, whose summary is computed again."""
 
@@ -294,19 +278,23 @@ def resume_log(
         return ResumedLog(LogWriter(stream), "nothing was in it", NO_TICK, NO_ROW)
     writer = LogWriter(stream, begins=False)
     file = map_log_file(path)
-    place = MessagePlace()
+    last_tick, last_row = NO_TICK, NO_ROW
     damage, ended = "", False
 
     def take(loaded: Loaded) -> None:
-        nonlocal ended
+        nonlocal ended, last_tick, last_row
         beat()
         ended = ended or loaded.record.opcode == Opcode.DATA_END
         if ended:
             return
         writer.take_over(loaded)
-        for part in loaded.parts:
-            if isinstance(part, MessageRun):
-                place.note(writer.topic(part.channel), part.records)
+        for run in (part for part in loaded.parts if isinstance(part, MessageRun)):
+            topic = writer.topic(run.channel)
+            if topic == TICK_TOPIC:
+                last_tick = max(last_tick, int(run.records["sequence"].max()))
+            elif topic in JSON_SCHEMAS:
+                rows = (message.get("row", NO_ROW) for message in parse_messages(run.records))
+                last_row = max(last_row, *rows)
 
     def lose(hole: Hole) -> None:
         nonlocal damage
@@ -316,7 +304,7 @@ def resume_log(
 
     load_records(path, file, take, lose)
     writer.go_on(lambda size: compute_checksum(file[:size]))
-    return ResumedLog(writer, damage, place.last_tick, place.last_row)
+    return ResumedLog(writer, damage, last_tick, last_row)
 
 
 class _Found(LogError):

@@ -124,8 +124,7 @@ def import_log(
     if not stopped:
         t_s, quantities = _shift_columns(import_map.parts(), t_s, quantities, findings)
         if resample_hz is not None:
-            _note_resampling(t_s, resample_hz, findings)
-            t_s, quantities = _resample_to_grid(t_s, quantities, resample_hz)
+            t_s, quantities = _resample_to_grid(t_s, quantities, resample_hz, findings)
         story = _tell_story(source, len(rows), chosen, columns, findings, t_s, resample_hz)
         if import_map.valve and import_map.valve.acts_after_s:
             story["acts_after_s"] = repr(import_map.valve.acts_after_s)
@@ -234,12 +233,20 @@ def _describe_columns(table: MeasuredTable, chosen: ChosenColumns) -> tuple[Impo
     roles = {id(column): describe_reading(parts[q]) for q, column in chosen.columns.items()}
     found = []
     for number, column in enumerate(table.columns, 1):
-        read_as = roles.get(id(column), "")
+        read_as, values = roles.get(id(column), ""), column.values
         why = "" if read_as else chosen.left_out.get(number, "")
         if column.bad_cell:
             why += "; not all its cells are numbers"
+        good = values[np.isfinite(values)]
+        plot, rests = "", None
+        if read_as and len(good) and not read_as.startswith(TIME):
+            moves = np.abs(np.diff(_average(values, max(min(_PIECES, len(values) // 10), 1))))
+            rests = float(np.mean(moves <= _STILL * np.ptp(good))) if len(moves) else None
+            plot = _draw_course(values)
+        low, high = (float(good.min()), float(good.max())) if len(good) else (None, None)
+        gone = len(values) - len(good)
         found.append(
-            describe_column(number, column.name, column.values, read_as=read_as, left_out=why)
+            ImportedColumn(number, column.name, read_as, why, low, high, gone, rests, plot)
         )
     return tuple(found)
 
@@ -300,23 +307,13 @@ def _interpolate_at(grid: Floats, t_s: Floats, values: Floats, name: str) -> Flo
 
 
 def _resample_to_grid(
-    t_s: Floats, quantities: dict[str, Floats], rate_hz: float
+    t_s: Floats, quantities: dict[str, Floats], rate_hz: float, findings: LogFindings
 ) -> tuple[Floats, dict[str, Floats]]:
-    """Return the measurement at `rate_hz`; raise ImportRefused if fewer than two ticks remain."""
-    grid_s, there = resample_columns(t_s, quantities, rate_hz)
-    if len(grid_s) < 2:
-        lasts_s, was_hz = t_s[-1] - t_s[0], 1.0 / nominal_period_s(t_s)
-        detail = f"--resample {rate_hz:g} leaves 1 tick of {lasts_s:.6g} s"
-        way_out = f"give a rate in Hz nearer to the measurement's own {was_hz:.6g}"
-        raise ImportRefused(f"{detail}; a measurement needs at least two: {way_out}")
-    return grid_s, there
-
-
-def _note_resampling(t_s: Floats, rate_hz: float, findings: LogFindings) -> None:
-    ticks = (t_s[-1] - t_s[0]) * rate_hz
+    """Return the measurement at `rate_hz`; raise ImportRefused for too many ticks, or too few."""
+    lasts_s, was_hz = t_s[-1] - t_s[0], 1.0 / nominal_period_s(t_s)
+    ticks = lasts_s * rate_hz
     if ticks > MOST_TICKS:
         raise ImportRefused(f"--resample {rate_hz:g} would make {ticks:.3g} ticks: is it in Hz?")
-    was_hz = 1.0 / nominal_period_s(t_s)
     findings.note(
         "resampled",
         f"from {was_hz:.6g} to {rate_hz:.6g} Hz; measured values interpolated, the command held",
@@ -324,6 +321,12 @@ def _note_resampling(t_s: Floats, rate_hz: float, findings: LogFindings) -> None
     if rate_hz < 0.9 * was_hz:
         detail = f"signals faster than {rate_hz / 2:.6g} Hz are aliased: there is no filter"
         findings.warning("aliasing", detail)
+    grid_s, there = resample_columns(t_s, quantities, rate_hz)
+    if len(grid_s) < 2:
+        detail = f"--resample {rate_hz:g} leaves 1 tick of {lasts_s:.6g} s"
+        way_out = f"give a rate in Hz nearer to the measurement's own {was_hz:.6g}"
+        raise ImportRefused(f"{detail}; a measurement needs at least two: {way_out}")
+    return grid_s, there
 
 
 # What the log keeps.
@@ -435,24 +438,9 @@ class ImportedColumn:
     """Its course in blocks, from its lowest to its highest value."""
 
 
-def describe_column(
-    number: int, name: str, values: Floats, *, read_as: str = "", left_out: str = ""
-) -> ImportedColumn:
-    """Return what the page says of a column, values of shape (n,) as the file has them."""
-    good = values[np.isfinite(values)]
-    plot, rests = "", None
-    if read_as and len(good) and not read_as.startswith(TIME):
-        moves = np.abs(np.diff(_average(values, max(min(_PIECES, len(values) // 10), 1))))
-        rests = float(np.mean(moves <= _STILL * np.ptp(good))) if len(moves) else None
-        plot = draw_course(values, _PLOT_WIDTH)
-    low, high = (float(good.min()), float(good.max())) if len(good) else (None, None)
-    missing = len(values) - len(good)
-    return ImportedColumn(number, name, read_as, left_out, low, high, missing, rests, plot)
-
-
-def draw_course(values: Floats, width: int) -> str:
-    """Return the course of values of shape (n,) in so many characters; a space where none are."""
-    heights = _average(values, min(width, len(values)))
+def _draw_course(values: Floats) -> str:
+    """Return the course of values of shape (n,) in blocks; a space where none are."""
+    heights = _average(values, min(_PLOT_WIDTH, len(values)))
     low, span = np.nanmin(heights), np.nanmax(heights) - np.nanmin(heights)
     levels = np.nan_to_num((heights - low) / (span or 1.0) * (len(_BARS) - 1) + 0.5)
     return "".join(

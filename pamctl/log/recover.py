@@ -236,21 +236,17 @@ class LogCopy:
         return chosen
 
     def _look_ahead(self, writer: LogWriter, first: FileRecord) -> None:
-        """Learn the channels from the first chunk behind `first` that describes them."""
+        """Learn the channels from the chunks from `first` on: the first description counts."""
         if self._has_looked_ahead:
             return
         self._has_looked_ahead = True
 
         def learn(loaded: Loaded) -> None:
-            descriptions = _find_descriptions(loaded.parts)
-            if loaded.chunk is None or loaded.record.start < first.start or not descriptions:
-                return
-            for description in descriptions:
-                writer.learn(description)
-            raise _Found
+            if loaded.chunk is not None and loaded.record.start >= first.start:
+                for description in _find_descriptions(loaded.parts):
+                    writer.learn(description)
 
-        with suppress(_Found):
-            self._load(learn, lambda hole: None)
+        self._load(learn, lambda hole: None)
 
 
 class ResumedLog(NamedTuple):
@@ -305,10 +301,6 @@ def resume_log(
     load_records(path, file, take, lose)
     writer.go_on(lambda size: compute_checksum(file[:size]))
     return ResumedLog(writer, damage, last_tick, last_row)
-
-
-class _Found(LogError):
-    """What was looked for."""
 
 
 def _find_descriptions(parts: Iterable[Part]) -> list[FileRecord]:

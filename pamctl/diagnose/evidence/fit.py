@@ -115,7 +115,8 @@ class Weigher:
             self.like_held = Likelihood(held_out.find_kept(level), least2)
         self.floor2 = least2
         self.pushes: dict[str, Array] = {}
-        """Of each hypothesis, the square that a unit dose adds to each channel's residual."""
+        """Of each hypothesis, the square of what a unit dose adds to each channel's residual, and
+        the model's own numbers do not."""
         one = np.zeros_like(train.shown)
         self._zeros = {}
         for c, channel in enumerate(train.channels):

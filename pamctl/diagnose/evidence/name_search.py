@@ -29,12 +29,7 @@ Tell = Callable[[str], None]
 
 def list_at_range(m: WeighedModel, name: str) -> tuple[str, ...]:
     """Return the numbers of a name that are at an end of their range, and not at their neutral."""
-    return tuple(
-        u.name
-        for u in m.picked[name].free
-        if m.values[u.name] != u.neutral
-        and not u.low + 1e-3 * u.scale < m.values[u.name] < u.high - 1e-3 * u.scale
-    )
+    return tuple(u.name for u in m.picked[name].free if u.ends_at(m.values[u.name]))
 
 
 def _gain_of(fitted: tuple[float, WeighedModel]) -> float:

@@ -26,6 +26,8 @@ WIDER = 10.0
 """A mechanism's ranges go so much further than a muscle's of the same force."""
 SPREAD = 5.0
 """A shape with a unit is tried at its usual value, and at this factor to either side."""
+END = 1e-3
+"""Scales from an end of its range at which a number stands at it."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,11 @@ class Unknown:
     """Of a size: where it does nothing. None: a shape, or a number of the plant."""
     smallest: float = 0.0
     """The smallest size of interest."""
+
+    def ends_at(self, value: float) -> bool:
+        """Tell whether a value stands at an end of the range that is not the neutral one."""
+        inside = self.low + END * self.scale < value < self.high - END * self.scale
+        return value != self.neutral and not inside
 
 
 class Variant(NamedTuple):

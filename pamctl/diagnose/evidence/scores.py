@@ -8,7 +8,7 @@ fit of dose and numbers predicts the residual, and the likelihood what that is w
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -32,7 +32,8 @@ HOPE_NATS = 4.0
 ALIKE = 1e-4
 """Of a secant's square: what is smaller beside the model's tangent is rounding."""
 NEARLY_OWN = 0.1
-"""Share of a secant that the model's own numbers leave, below which both are simulated moved."""
+"""Share of a secant that the model's own numbers leave, below which no tangent tells the rest: then
+these are simulated moved beside the dose."""
 LIKELY_MOVE = 10.0
 """Scales that a number may move beside a new hypothesis: what no sample shows stays."""
 STUCK = 1e-3
@@ -126,19 +127,12 @@ class _Beside:
                 }
                 d = self.weigher.find_residual({**held, **sizes})
                 secants.append((d - self.here).ravel())
-            secants_now = np.stack(secants)
-            own = (secants_now * self.root) @ self.weighed.T @ self.inverse
-            rest, most = secants_now - own @ self.tangent, float(np.abs(own).max(initial=0.0))
-            is_own = (rest**2).sum() < NEARLY_OWN**2 * (secants_now**2).sum() and most < 1.0
-            if len(own) == 1 and is_own:
-                # Where both move, not a tangent but a simulation tells what they leave.
-                both = {**held, **sizes, **self._move_own(-own[0])}
-                rest = (self.weigher.find_residual(both) - self.here).reshape(rest.shape)
-                secants_now = rest + own @ self.tangent
+            own, rest = self._find_rest(np.stack(secants), {**held, **sizes})
+            most = float(np.abs(own).max(initial=0.0))
             moved2 = (rest.reshape(len(own), *self.m.d.shape) ** 2).sum(axis=(2, 3))
             self.weigher.pushes[name] = moved2.max(axis=0) / dose**2
             big = float((moved2 / self.size2).max())
-            yield directions * dose, secants_now
+            yield directions * dose, rest + own @ self.tangent
             room = min(room, dose / max(most, 1e-30))
             if again == 2 or big == 0.0 or 0.1 <= big <= 4.0:
                 return
@@ -150,15 +144,25 @@ class _Beside:
                 return
             dose = grown
 
-    def _move_own(self, scales: Array) -> dict[str, float]:
-        """Return the model's own numbers, moved by so many scales within their ranges."""
+    def _find_rest(self, secants: Array, dosed: Mapping[str, float]) -> tuple[Array, Array]:
+        """Return the own numbers' part of secants, in scales, and what they leave of them.
+
+        `dosed` are the values of which a single secant was simulated.
+        """
+        own = (secants * self.root) @ self.weighed.T @ self.inverse
+        rest = secants - own @ self.tangent
+        is_own = (rest**2).sum() < NEARLY_OWN**2 * (secants**2).sum() and np.abs(own).max() < 1.0
+        if len(own) > 1 or not is_own:
+            return own, rest
         move = np.zeros(len(self.m.x))
-        move[self.free] = scales
+        move[self.free] = -own[0]
         move = np.clip(move, *self.room)
-        return {
+        moved = {
             n.name: float(v + k * n.scale)
             for n, v, k in zip(self.m.numbers, self.m.x, move, strict=True)
         }
+        both = (self.weigher.find_residual({**dosed, **moved}) - self.here).ravel()
+        return -move[None, self.free], both[None]
 
     def _predict(
         self, name: str, variant: Variant, directions: Array, secants: Array

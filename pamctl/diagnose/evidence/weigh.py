@@ -103,7 +103,7 @@ class EvidenceVerdict:
         return tuple(
             n.name
             for n, v in zip(self.model.numbers, self.model.x, strict=True)
-            if not n.low < v < n.high and v != n.neutral and not n.name.startswith(CHAIN)
+            if n.ends_at(float(v)) and not n.name.startswith(CHAIN)
         )
 
     @property
@@ -130,7 +130,7 @@ def weigh_evidence(
     """
     plant = plant or PlantSettings()
     weigher, start = prepare_weigher(records, held_out, plant, noise, jobs, holds_out=True)
-    base = free_mistyped(weigher, start, weigher.settle(replace(start), FIT_STEPS))
+    base = _free_mistyped(weigher, start, weigher.settle(replace(start), FIT_STEPS))
     tell("recalibrated")
     pool = {
         h.name: h
@@ -149,16 +149,17 @@ def weigh_evidence(
     return EvidenceVerdict(findings, start, base, m, weigher, pool, gap, noise_rms)
 
 
-def free_mistyped(weigher: Weigher, start: WeighedModel, base: WeighedModel) -> WeighedModel:
+def _free_mistyped(weigher: Weigher, start: WeighedModel, base: WeighedModel) -> WeighedModel:
     """Return the model in which numbers that end at their range go on, if that explains enough.
 
     A tank's pressure that was typed as the gauge shows it is no effect: with it, nothing is left.
     A number that an effect pulls to its range stays there, since the effect explains more.
     """
     held = {
-        n.name for n, v in zip(base.numbers, base.x, strict=True)
-        if n.value and not n.low < v < n.high and n.high < 2.0 * n.value
-    }  # fmt: skip
+        n.name
+        for n, v in zip(base.numbers, base.x, strict=True)
+        if n.ends_at(float(v)) and n.high < 2.0 * n.value
+    }
     if not held:
         return base
     numbers = tuple(

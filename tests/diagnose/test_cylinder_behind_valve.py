@@ -7,6 +7,9 @@ import pytest
 from support.cylinder import Array, Cylinder, excite
 
 from pamctl.diagnose import Record, diagnose
+from pamctl.diagnose.evidence.fit import WeighedModel
+from pamctl.diagnose.evidence.name_search import NameSearch
+from pamctl.diagnose.evidence.weigh import list_pool, prepare_weigher
 
 T_S = np.arange(0.0, 8.0, 2e-3)
 GUESSED = Cylinder(
@@ -45,3 +48,28 @@ def test_of_a_cylinder_that_lacks_nothing_no_effect_is_named() -> None:
     rig = Cylinder(stroke_m=0.2)
     found = diagnose([record(rig, 1)], [record(rig, 2)], GUESSED.plant())
     assert not [f.name for f in found.findings if f.says_name]
+
+
+@pytest.mark.long
+def test_a_model_that_was_led_astray_is_fitted_anew_from_the_numbers_of_the_plant_file() -> None:
+    rig, plant = Cylinder(stroke_m=0.2, coulomb_n=15.0, exponent=1.4), GUESSED.plant()
+    weigher, start = prepare_weigher([record(rig, 1), record(rig, 2)], [], plant)
+    pool = {h.name: h for h in list_pool(weigher.train, weigher.base, plant)}
+    names = ("coulomb_friction", "polytropic")
+    friction = pool["coulomb_friction"].variants[0]
+    air = max(pool["polytropic"].variants, key=lambda v: len(v.free))
+    freed = [*friction.free, *air.free]
+    astray = [3.0 * n.value for n in start.numbers]
+    m = WeighedModel(
+        names, (*start.numbers, *freed), {**friction.held, **air.held},
+        np.array([*astray, *(u.value for u in freed)]),
+        {"coulomb_friction": friction, "polytropic": air},
+    )  # fmt: skip
+    weigher.refine(m)
+    weigher.set_floor(m)
+    weigher.leave_out(m)
+    found = NameSearch(weigher, pool).settle_anew(m).values
+    assert found["coulomb_friction.force_n"] == pytest.approx(15.0, rel=0.02)
+    assert found["polytropic.exponent"] == pytest.approx(1.4, abs=0.01)
+    assert found["mass_kg"] == pytest.approx(rig.mass_kg, rel=0.02)
+    assert found["cylinder_volume_m3"] == pytest.approx(rig.volume_m3, rel=0.02)

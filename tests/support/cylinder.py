@@ -1,7 +1,7 @@
 """A cylinder with a spring behind a valve, by the equations of a textbook and LSODA.
 
     M x'' = A (P - P_a) - F_0 - k x - c x' - F_c sign(x') + ends
-    (V_0 + A x) P' = R T m - P A x',   m = K (|u| - dead band) Psi - leak
+    (V_0 + A x) P' = n (R T m - P A x'),   m = K (|u| - dead band) Psi - leak
 
 It shares no code with pamctl. Ends are stiff springs that absorb speed.
 """
@@ -42,7 +42,7 @@ def psi(up_pa: float, down_pa: float) -> float:
 
 @dataclass(frozen=True)
 class Cylinder:
-    """The numbers of the rig; the last four are what a plain plant file lacks."""
+    """The numbers of the rig; the last five are what a plain plant file lacks."""
 
     area_m2: float = 4.9e-4
     volume_m3: float = 3e-5
@@ -56,6 +56,8 @@ class Cylinder:
     coulomb_n: float = 0.0
     dead_band_v: float = 0.0
     leak_m2: float = 0.0
+    exponent: float = 1.0
+    """n of the air: 1 where it keeps its temperature, 1.4 where it exchanges no heat."""
 
     def plant(self) -> PlantSettings:
         """Return the plant file of these numbers, without what it lacks."""
@@ -100,7 +102,8 @@ class Cylinder:
             if x >= self.stroke_m:
                 force -= END_N_PER_M * (x - self.stroke_m) + END_N_S_PER_M * max(v, 0.0)
             grows = RT * self.flow_kg_per_s(command_v, pressure) - pressure * self.area_m2 * v
-            return [v, force / self.mass_kg, grows / (self.volume_m3 + self.area_m2 * x)]
+            grows *= self.exponent / (self.volume_m3 + self.area_m2 * x)
+            return [v, force / self.mass_kg, grows]
 
         state = np.array([0.0, 0.0, AIR_PA])
         rows = [state]

@@ -10,7 +10,9 @@ import numpy as np
 from pamctl.diagnose.evidence.constants import (
     EXCHANGE_SHARE,
     FIRST_SHARE,
+    FIT_STEPS,
     KEPT,
+    LEFT_TIMES,
     MOST_NAMES,
     NAME_NATS,
     SHORTLIST,
@@ -34,6 +36,18 @@ def list_at_range(m: WeighedModel, name: str) -> tuple[str, ...]:
 
 def _gain_of(fitted: tuple[float, WeighedModel]) -> float:
     return fitted[0]
+
+
+def _begin_anew(m: WeighedModel, picked: Mapping[str, Variant]) -> WeighedModel:
+    """Return the model, unfitted, at its start numbers; what a name still frees stays there."""
+    new = {u.name for v in m.picked.values() for u in v.free}
+    freed = [u for n in m.names for u in picked[n].free]
+    numbers = (*(n for n in m.numbers if n.name not in new), *freed)
+    x = [m.values[n.name] if n.name in new else n.value for n in numbers]
+    taken, names = {k for v in m.picked.values() for k in v.held}, {u.name for u in freed}
+    held = {k: v for k, v in m.held.items() if k not in taken}
+    held |= {k: v for n in m.names for k, v in picked[n].held.items() if k not in names}
+    return WeighedModel(m.names, numbers, held, np.array(x), {**picked})
 
 
 class NameSearch:
@@ -73,8 +87,31 @@ class NameSearch:
             if taken is None:
                 break
             taken = self.choose_form(m, taken)
-            m = self.exchange(base, self.weigher.settle(taken, 4))
+            m = self.exchange(base, self.settle_anew(self.weigher.settle(taken, 4)))
         return self.prune(m)
+
+    def settle_anew(self, m: WeighedModel) -> WeighedModel:
+        """Return the model fitted again from the plant file's numbers, if that explains more.
+
+        The own numbers first stood in for all that was missing: from where that took them, a fit
+        may not find the way back, and a form was chosen there. So the names are fitted in their
+        forms, and in their simplest ones. It is asked only where much is left.
+        """
+        weigher = self.weigher
+        left2 = weigher.find_robust2(m) / weigher.find_noise2(m)
+        if left2.max() < LEFT_TIMES**2:
+            return m
+        forms = [m.picked]
+        simple = {n: min(self.pool[n].variants, key=lambda v: len(v.free)) for n in m.names}
+        if any(len(simple[n].free) < len(m.picked[n].free) for n in m.names):
+            forms.append(simple)
+        best = m
+        for picked in forms:
+            anew = weigher.settle(_begin_anew(m, picked), FIT_STEPS)
+            weigher.meet(best, anew)
+            if anew.total < best.total:
+                best = anew
+        return best
 
     def turn_columns(self, base: WeighedModel) -> WeighedModel:
         """Return the model with the turned or shifted column that explains most, if one does.

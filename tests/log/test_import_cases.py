@@ -401,6 +401,7 @@ def test_a_format_is_found_by_its_first_bytes_whatever_it_is_called(tmp_path, na
         (b"SQLite format 3\0", "ROS 2 bags"),
         (b"\x00\x01\x02\x03\x04\x05\x06\x07", "it begins with 00 01 02 03"),
         (b"MDF     4.10", "asammdf"),
+        (b"\xd0\xcf\x11\xe0", "save it as .xlsx or CSV"),
     ],
 )
 def test_a_format_that_cannot_be_read_is_named_with_the_way_on(tmp_path, begin, told):

@@ -265,9 +265,6 @@ def test_an_index_that_is_wrong_is_found_though_every_checksum_is_right(tmp_path
 
 
 def records_of(path: Path) -> list[FileRecord]:
-    from pamctl.log.framing import map_log_file
-    from pamctl.log.record_walk import walk_records
-
     return list(walk_records(map_log_file(path)))
 
 
@@ -301,24 +298,17 @@ def test_recovering_a_cut_log_saves_its_whole_chunks_and_says_that_the_rest_is_l
     assert "the log was recovered" in checked.stdout
 
 
-def test_recovering_a_whole_log_loses_nothing(run, tmp_path):
+def test_recovering_a_whole_log_loses_nothing_and_copies_its_chunks_as_they_are(run, tmp_path):
     done = pamctl("log", "recover", "--json", run, tmp_path / "saved.mcap")
     recovery = json.loads(done.stdout)
     assert (done.exit_code, recovery["lossless"], recovery["damage"]) == (0, True, [])
     assert pamctl("log", "check", tmp_path / "saved.mcap").exit_code == 0
+    saved, whole = chunks_of(tmp_path / "saved.mcap"), chunks_of(run)
+    assert [bytes(chunk.body) for chunk in saved] == [bytes(chunk.body) for chunk in whole]
 
 
-def test_whole_chunks_are_copied_as_they_are_packed(run, tmp_path):
-    recover_file(run, tmp_path / "saved.mcap")
-    assert chunks_of(tmp_path / "saved.mcap") == chunks_of(run)
-
-
-def chunks_of(path):
-    return [
-        bytes(record.body)
-        for record in walk_records(map_log_file(path))
-        if record.opcode == Opcode.CHUNK
-    ]
+def chunks_of(path: Path) -> list[FileRecord]:
+    return [record for record in records_of(path) if record.opcode == Opcode.CHUNK]
 
 
 @pytest.mark.parametrize("lost", [1, 2, DESCRIBED_EVERY])
@@ -326,9 +316,7 @@ def test_without_its_first_chunks_and_its_summary_a_log_is_understood_by_a_later
     tmp_path, lost
 ):
     whole = write_small(tmp_path / "a.mcap", chunks=DESCRIBED_EVERY + 2)
-    chunks = [
-        record for record in walk_records(map_log_file(whole)) if record.opcode == Opcode.CHUNK
-    ]
+    chunks = chunks_of(whole)
     content = bytearray(whole.read_bytes()[: chunks[-1].end])
     for chunk in chunks[:lost]:
         content[chunk.start : chunk.end] = bytes(chunk.end - chunk.start)
@@ -351,7 +339,7 @@ def test_recovery_does_not_touch_a_file_that_is_there(run, tmp_path):
 def test_a_chunk_whose_length_is_damaged_is_passed_over_and_the_next_is_found(tmp_path):
     run = GOLDEN / "qsmc.mcap"  # of more than two chunks, however busy this machine is
     content = bytearray(run.read_bytes())
-    chunks = [record for record in records_of(run) if record.opcode == Opcode.CHUNK]
+    chunks = chunks_of(run)
     content[chunks[1].start + 3] ^= 0x10
     (tmp_path / "a.mcap").write_bytes(content)
     with pytest.raises(LogError, match="is damaged"):

@@ -22,7 +22,7 @@ from pamctl.cli.options import (
     option,
     verb,
 )
-from pamctl.cli.output import PAGE_BEGIN, print_json, print_result
+from pamctl.cli.output import PAGE_BEGIN, print_json, print_report
 from pamctl.exit_codes import ExitCode
 from pamctl.new_file import NewFileError, require_empty_folder, require_place, write_files
 from pamctl.plain_text import escape_name
@@ -131,21 +131,18 @@ def replay(asked: ReplayOptions) -> None:
 
 def _compare_with_log(log: Log, asked: ReplayOptions) -> ExitCode:
     from pamctl.replay import replay_log
-    from pamctl.replay.replay_text import format_replay, make_replay_document
+    from pamctl.replay.replay_text import report_replay
     from pamctl.replay.tick_replay import EXACT, OTHER_CPU
 
     tolerances = EXACT if asked.tolerance is None else OTHER_CPU
     found = replay_log(log, from_s=asked.from_s, plain=asked.plain, tolerances=tolerances)
-    if asked.as_json:
-        print_json(make_replay_document(found, asked.tolerance))
-    else:
-        typer.echo(format_replay(found))
+    print_report(report_replay(found, asked.tolerance), as_json=asked.as_json)
     return ExitCode.OK if found.is_equal else ExitCode.CHECK_FAILED
 
 
 def _run_what_if(log: Log, asked: ReplayOptions) -> ExitCode:
     from pamctl.replay import read_replay_source
-    from pamctl.replay.replay_text import format_what_if, make_what_if_document
+    from pamctl.replay.replay_text import report_what_if
     from pamctl.replay.what_if import replace_law, run_what_if
 
     settings = replace_law(read_replay_source(log).settings, asked.controller, asked.overrides)
@@ -157,12 +154,9 @@ def _run_what_if(log: Log, asked: ReplayOptions) -> ExitCode:
         except NewFileError as error:
             failure = error
     saved = None if asked.csv is None or failure else str(asked.csv)
-    print_result(
-        {**make_what_if_document(log, settings, answer), "csv": saved},
-        lambda: format_what_if(asked.controller or "the changed law", answer),
-        failure,
-        as_json=asked.as_json,
-    )
+    found = report_what_if(log, settings, asked.controller or "the changed law", answer)
+    found.document = {**found.document, "csv": saved}
+    print_report(found, as_json=asked.as_json, failure=failure)
     return ExitCode.OK
 
 
@@ -225,9 +219,9 @@ def compare(asked: CompareOptions) -> None:
         except NewFileError as error:
             failure = error
     saved = None if plot is None or failure else str(plot)
+    one.document = {**one.document, "plot": saved}
     end = f"\nplots: {saved}" if saved else ""
-    document = {**one.document, "plot": saved}
-    print_result(document, lambda: format_terminal(one) + end, failure, as_json=asked.as_json)
+    print_report(one, as_json=asked.as_json, failure=failure, end=end)
 
 
 def _show_plant(
@@ -261,12 +255,7 @@ def health(asked: HealthOptions) -> None:
     from pamctl.cluster.worker_processes import start_workers
     from pamctl.diagnose.refuse import read_acceptances
     from pamctl.health.follow_health import Stated, follow_health
-    from pamctl.health.health_words import (
-        build_health_document,
-        describe_health,
-        format_good_plant,
-        write_health_page,
-    )
+    from pamctl.health.health_words import format_good_plant, report_health
     from pamctl.json_text import to_json
     from pamctl.report.html_page import write_html
     from pamctl.runs.run_index import RunIndex
@@ -282,10 +271,10 @@ def health(asked: HealthOptions) -> None:
         found = follow_health(
             logs, plant, executor, lambda line: typer.echo(line, err=True), stated
         )
-    document = build_health_document(found)
+    report = report_health(found, folder.name or str(folder))
     files = {
-        "health.json": to_json(document).decode() + "\n",
-        "report.html": write_html(write_health_page(found, folder.name or str(folder))),
+        "health.json": to_json(report.document).decode() + "\n",
+        "report.html": write_html(report),
     }
     if found.plant is not None:
         files["plant.yaml"] = format_good_plant(found)
@@ -294,5 +283,5 @@ def health(asked: HealthOptions) -> None:
         write_files({asked.out / name: content for name, content in files.items()})
     except NewFileError as error:
         failure = error
-    text = "\n".join([*describe_health(found), f"{asked.out}: {', '.join(files)}"])
-    print_result(document, lambda: text, failure, as_json=asked.as_json)
+    end = f"\n\n{asked.out}: {', '.join(files)}"
+    print_report(report, as_json=asked.as_json, failure=failure, end=end)

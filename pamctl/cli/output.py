@@ -16,6 +16,7 @@ from pamctl.new_file import NewFileError
 if TYPE_CHECKING:
     from pamctl.diagnose.record import Record
     from pamctl.log.importing.column_map import ImportMap
+    from pamctl.report.report import Report
 
 PAGE_BEGIN = "<"
 """An older page is replaced; a file that begins otherwise is something else."""
@@ -48,6 +49,15 @@ def read_records(paths: Iterable[Path], map_path: Path | None = None) -> list[Re
         for note in record.notes:
             typer.echo(f"{record.name}: {note}", err=True)
     return records
+
+
+def print_report(
+    report: Report, *, as_json: bool, failure: NewFileError | None = None, end: str = ""
+) -> None:
+    """Print a report, and a line at its end; raise `Failed` if it could not be saved."""
+    from pamctl.report.report import format_terminal
+
+    print_result(report.document, lambda: format_terminal(report) + end, failure, as_json=as_json)
 
 
 def print_result(

@@ -19,14 +19,13 @@ from pamctl.cli.options import (
     require_one_place,
     verb,
 )
-from pamctl.cli.output import print_json, print_result
+from pamctl.cli.output import print_report
 from pamctl.cli.settings_from_options import resolve_options
 from pamctl.exit_codes import ExitCode
 from pamctl.settings.resolve import settings_to_data
 
 if TYPE_CHECKING:
     from pamctl.tune.gains_search import BestGains
-    from pamctl.tune.tune_gains import FoundGains, TuningTask
 
 
 class TuneOptions(Options):
@@ -65,8 +64,8 @@ class TuneOptions(Options):
     )
     size: int | None = option(
         "--ensemble N",
-        "Number of drawn plants in the ensemble",
-        shown="16, with --plant none",
+        "Number of drawn plants in the ensemble; with --check, of fresh plants to score on",
+        shown="16, of fresh ones 200; with --plant none",
         low=2,
         high=1000,
     )
@@ -76,13 +75,6 @@ class TuneOptions(Options):
     )
     generations: int = option(
         "--generations N", "Number of search generations", 40, low=1, high=100_000
-    )
-    held_out: int | None = option(
-        "--held-out N",
-        "Number of fresh plants to score on",
-        shown="200; none with --plant alone",
-        low=1,
-        high=10_000,
     )
     check: str | None = option(
         "--check GAINS", "Score these gains on fresh plants, and search nothing", shown="search"
@@ -97,15 +89,8 @@ class TuneOptions(Options):
 @verb
 def tune(asked: TuneOptions) -> None:
     """Search gains by simulation, or score given ones; Ctrl-C keeps the best so far."""
-    from pamctl.report.report import format_terminal
     from pamctl.settings.resolve import use_law_file
-    from pamctl.tune.tune_gains import (
-        TuningTask,
-        check_gains,
-        make_scores_document,
-        report_gains,
-        search_gains,
-    )
+    from pamctl.tune.tune_gains import TuningTask, check_gains, report_gains, search_gains
 
     require_one_place(asked.cluster, asked.jobs)
     if asked.check is not None and asked.out is not None:
@@ -129,27 +114,11 @@ def tune(asked: TuneOptions) -> None:
     own_motion = asked.experiment is not None or any(
         override.startswith("experiment.") for override in asked.overrides
     )
-    task = TuningTask.of(
-        wanted,
-        asked.plants,
-        asked.size,
-        asked.seed,
-        asked.held_out,
-        asked.out,
-        asked.check,
-        asked.start,
-        asked.compensate,
-        base,
-        own_motion,
-    )
+    task = TuningTask.of(asked, wanted, base, own_motion=own_motion)
     if task.checked is not None:
         scores = check_gains(task, asked.jobs, asked.cluster)
-        if asked.as_json:
-            document = make_scores_document(scores)
-            gains = settings_to_data(task.checked)
-            print_json({"law": task.law, "gains": gains, "scores": document})
-        else:
-            typer.echo(format_terminal(report_gains(task, scores)))
+        said = report_gains(task, scores, {"gains": settings_to_data(task.checked)})
+        print_report(said, as_json=asked.as_json)
         return
     command = f"pamctl {shlex.join(sys.argv[1:])}"
 
@@ -160,32 +129,20 @@ def tune(asked: TuneOptions) -> None:
             print(line, file=sys.stderr, flush=True)
 
     found = search_gains(task, asked.jobs, asked.generations, command, show_progress, asked.cluster)
-    _print_result(task, found, as_json=asked.as_json)
-    raise typer.Exit(found.ending)
-
-
-def _print_result(task: TuningTask, found: FoundGains, *, as_json: bool) -> None:
-    from pamctl.report.report import format_terminal
-    from pamctl.tune.tune_gains import make_scores_document, report_gains
-
     failure = found.failure
     document = {
-        "law": task.law,
         "gains": found.best.gains,
         "cost": found.best.cost,
         "generations": found.best.generation,
         "runs": found.best.evaluations,
         "took_s": found.took_s,
         "interrupted": found.ending != ExitCode.OK,
-        "scores": make_scores_document(found.scores),
         "out": None if failure else str(task.out),
     }
     if found.ending != ExitCode.OK and not failure:
         print(f"interrupted; --start {task.out} goes on from these gains", file=sys.stderr)
-
-    def format_found() -> str:
-        scores = format_terminal(report_gains(task, found.scores))
-        # The search took minutes: where the file cannot be written, its text is printed.
-        return f"{scores}\n{found.text.rstrip() if failure else f'gains: {task.out}'}"
-
-    print_result(document, format_found, failure, as_json=as_json)
+    # The search took minutes: where the file cannot be written, its text is printed.
+    end = found.text.rstrip() if failure else f"gains: {task.out}"
+    said = report_gains(task, found.scores, document)
+    print_report(said, as_json=asked.as_json, failure=failure, end=f"\n{end}")
+    raise typer.Exit(found.ending)

@@ -1,4 +1,4 @@
-"""The health of a rig as sentences, as a document, as a plant file and as a page."""
+"""The health of a rig as a report, and its last good state as a plant file."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _WITHIN = {
 }
 
 
-def describe_health(health: RigHealth) -> list[str]:
+def _describe_health(health: RigHealth) -> list[str]:
     """Return what is to be said, one sentence a drift."""
     lines = [describe_drift(drift, health.runs) for drift in health.drifts]
     if not lines:
@@ -70,11 +70,11 @@ def format_day(when_s: float) -> str:
     return datetime.fromtimestamp(when_s, UTC).strftime("%d %B %Y %H:%M")
 
 
-def build_health_document(health: RigHealth) -> dict[str, Any]:
+def _build_document(health: RigHealth) -> dict[str, Any]:
     """Return the document as plain values."""
     return {
         "schema": SCHEMA,
-        "sentences": describe_health(health),
+        "sentences": _describe_health(health),
         "drifts": [_drift_entry(drift, health.runs) for drift in health.drifts],
         "runs": [
             {
@@ -121,27 +121,32 @@ _SHORT_S = 60.0
 """Runs of less apart are placed by their order."""
 
 
-def write_health_page(health: RigHealth, folder: str) -> Report:
-    """Return the page."""
+def report_health(health: RigHealth, folder: str) -> Report:
+    """Return what changed in the runs of a folder, with a picture of each number."""
     first, last = health.runs[0], health.runs[-1]
     span = f"{format_day(first.when_s)} to {format_day(last.when_s)}"
-    page = Report(f"Health of {folder}", subtitle=f"{len(health.runs)} runs, {span}")
-    page.add(Section("What changed"))
-    kind = "bad" if health.drifts else "good"
-    for sentence in describe_health(health):
-        page.add(Text(sentence, kind))
-    page.add(Section("Numbers"))
+    verdict, *others = _describe_health(health)
+    report = Report(
+        f"Health of {folder}",
+        verdict,
+        "bad" if health.drifts else "good",
+        f"{len(health.runs)} runs, {span}",
+        document=_build_document(health),
+    )
+    report.add(*(Text(sentence, report.kind) for sentence in others), Section("Numbers"))
     names = dict.fromkeys(name for run in health.runs for name in run.numbers)
-    page.add(
+    report.add(
         Figure(
             [*(_draw_number(health, name) for name in names)],
             "A dot is a run; the band is its 90 % interval. Steps are marked.",
         )
     )
     if health.refused:
-        page.add(Section("Logs left out"))
-        page.add(ReportTable(["log", "why"], [[run.name, run.refused] for run in health.refused]))
-    return page
+        report.add(
+            Section("Logs left out"),
+            ReportTable(["log", "why"], [[run.name, run.refused] for run in health.refused]),
+        )
+    return report
 
 
 def _place_runs(runs: Sequence[FittedRun]) -> tuple[list[float], PlotAxis]:

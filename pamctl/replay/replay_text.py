@@ -1,10 +1,10 @@
-"""The result of a replay, as lines for people or as one document."""
+"""What a replay found, as a report: the first difference, then the others; and a what-if's."""
 
 from __future__ import annotations
 
 import math
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pamctl.log import Log
@@ -12,12 +12,13 @@ from pamctl.log.schema import unit_of_column
 from pamctl.replay import Replay
 from pamctl.replay.tick_replay import OTHER_CPU, OTHER_CPU_NAME, Difference, are_within_tolerance
 from pamctl.replay.what_if import WhatIf
+from pamctl.report.report import Facts, Part, Report, ReportTable, Text
 from pamctl.safety import explain_verdicts
 from pamctl.settings.resolve import RunSettings
 from pamctl.signals import TICK_FIELDS, Phase
 
 
-def make_replay_document(found: Replay, tolerance: str | None) -> dict[str, Any]:
+def _make_document(found: Replay, tolerance: str | None) -> dict[str, Any]:
     """Return the result as one JSON document; ticks are those of the loop's grid."""
     first = found.differences[0] if found.differences else None
     return {
@@ -50,36 +51,33 @@ def make_replay_document(found: Replay, tolerance: str | None) -> dict[str, Any]
     }
 
 
-def make_what_if_document(log: Log, settings: RunSettings, answer: WhatIf) -> dict[str, Any]:
-    """Return what another law would have commanded as one JSON document."""
-    return {
-        "schema": 1,
-        "path": str(log.path),
-        "what_if": True,
-        "open_loop": True,
-        "law": settings.controller.model_dump(mode="json"),
-        "logged_law": log.config["controller"],
-        "phases": [figures._asdict() for figures in answer.phases],
-    }
-
-
-def format_what_if(law: str, answer: WhatIf) -> str:
-    """Return what another law would have commanded, a line each phase."""
-    names = ("logged RMS", "other RMS", "diff. RMS", "diff. max")
+def report_what_if(log: Log, settings: RunSettings, law: str, answer: WhatIf) -> Report:
+    """Return what another law, called `law`, would have commanded, a row each phase."""
+    header = ("V", "ticks", "logged RMS", "other RMS", "diff. RMS", "diff. max")
     rows = [
-        f"{row.phase:<10}{row.ticks:>8}"
-        + "".join(f"{volts:>12.4f}" for volts in row[2:6])
-        + f"{row.logged_saturated:>9.1%} ->{row.other_saturated:>7.1%}"
+        [
+            row.phase,
+            str(row.ticks),
+            *(f"{volts:.4f}" for volts in row[2:6]),
+            f"{row.logged_saturated:.1%}",
+            f"{row.other_saturated:.1%}",
+        ]
         for row in answer.phases
     ]
-    return "\n".join(
-        [
-            f"what {law} would have commanded on the same samples, open loop: "
-            "the muscle did not follow it",
-            f"{'V':<10}{'ticks':>8}{''.join(f'{name:>12}' for name in names)}{'saturated':>19}",
-            *rows,
-        ]
-    )
+    return Report(
+        f"What-if of {log.path}",
+        f"what {law} would have commanded on the same samples, open loop: "
+        "the muscle did not follow it",
+        document={
+            "schema": 1,
+            "path": str(log.path),
+            "what_if": True,
+            "open_loop": True,
+            "law": settings.controller.model_dump(mode="json"),
+            "logged_law": log.config["controller"],
+            "phases": [figures._asdict() for figures in answer.phases],
+        },
+    ).add(ReportTable((*header, "logged saturated", "other saturated"), rows))
 
 
 def _describe_first(found: Replay, difference: Difference) -> dict[str, Any]:
@@ -99,26 +97,34 @@ def _describe_first(found: Replay, difference: Difference) -> dict[str, Any]:
     }
 
 
-def format_replay(found: Replay) -> str:
-    """Return one line if all is equal; else the first difference, then the others."""
-    lines = _format_differences(found) if found.differences else [_format_extent(found)]
+def report_replay(found: Replay, tolerance: str | None) -> Report:
+    """Return one sentence if all is equal; else the first difference, then the others."""
+    report = Report(
+        f"Replay of {found.recording.log.path}",
+        _describe_first_difference(found) if found.differences else _format_extent(found),
+        document=_make_document(found, tolerance),
+    )
+    if found.differences:
+        report.add(*_show_differences(found))
+    return report.add(*map(Text, _list_limits(found)))
+
+
+def _list_limits(found: Replay) -> Iterator[str]:
+    """Say what was not compared, and why."""
     if found.begin:
-        lines.append(f"from tick {_tick(found, found.begin)}, with the frozen state before it")
+        yield f"from tick {_tick(found, found.begin)}, with the frozen state before it"
     if cut := found.recording.cut:
-        lines.append(_describe_piece(found, cut))
+        yield _describe_piece(found, cut)
     if found.recording.law_change:
-        lines.append(f"warning: {found.recording.law_change}")
+        yield f"warning: {found.recording.law_change}"
     if found.absent:
-        lines.append(f"not in this log, and not compared: {', '.join(found.absent)}")
+        yield f"not in this log, and not compared: {', '.join(found.absent)}"
     if found.skipped:
-        lines.append(
-            f"not replayed: {found.skipped} ticks after lost ticks, up to the next frozen state"
-        )
+        yield f"not replayed: {found.skipped} ticks after lost ticks, up to the next frozen state"
     if found.unasked:
-        lines.append(
+        yield (
             f"reference not compared in {found.unasked} ticks, because ticks before them are lost"
         )
-    return "\n".join(lines)
 
 
 def _format_extent(found: Replay) -> str:
@@ -141,27 +147,31 @@ def _describe_piece(found: Replay, cut: Mapping[str, str]) -> str:
     )
 
 
-def _format_differences(found: Replay) -> list[str]:
+def _describe_first_difference(found: Replay) -> str:
+    first, log = found.differences[0], found.recording.log
+    at = first.first.tick
+    return (
+        f"{log.path}: differs from tick {_tick(found, at)} on (t = {log.t[at]:.3f} s, "
+        f"{_phase(found, at)}), first in {first.place.stage}: {first.place.name}"
+    )
+
+
+def _show_differences(found: Replay) -> Iterator[Part]:
     first = found.differences[0]
     at, logged, replayed = first.first
-    log = found.recording.log
     name = first.place.name
-    return [
-        f"{log.path}: differs from tick {_tick(found, at)} on (t = {log.t[at]:.3f} s, "
-        f"{_phase(found, at)}), first in {first.place.stage}: {name}",
-        f"  logged    {_format_value(name, logged)}",
-        f"  replayed  {_format_value(name, replayed)}",
-        "",
-        f"  {'tick':>8}  {'logged':>24}  {'replayed':>24}",
-        *(
-            f"{'>' if pair.tick == at else ' ':>2}{_tick(found, pair.tick):>8}"
-            f"  {pair.logged!r:>24}  {pair.replayed!r:>24}"
-            for pair in first.around
-        ),
-        "",
-        *_format_stages(found),
-        *_advise(found),
+    values = {"logged": logged, "replayed": replayed}
+    yield Facts({which: _format_value(name, value) for which, value in values.items()})
+    rows = [
+        [
+            f"{'> ' if pair.tick == at else ''}{_tick(found, pair.tick)}",
+            repr(pair.logged),
+            repr(pair.replayed),
+        ]
+        for pair in first.around
     ]
+    yield ReportTable(("tick", "logged", "replayed"), rows)
+    yield from map(Text, (*_format_stages(found), *_advise(found)))
 
 
 def _format_value(name: str, value: float) -> str:

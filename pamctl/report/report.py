@@ -99,9 +99,9 @@ class Report:
 
 def format_terminal(report: Report) -> str:
     """Return a report for a terminal of any language; figures and folded texts are left out."""
-    lines = [report.verdict or report.title]
+    lines = [(report.verdict or report.title).replace("`", "")]
     before: Part | None = None
-    for part in report.parts:
+    for part in _drop_empty_sections(report.parts):
         is_apart = isinstance(part, Section | ReportTable | Facts)
         is_apart = is_apart or isinstance(before, ReportTable | Facts)
         if is_apart and not isinstance(before, Section) and lines[-1]:
@@ -110,6 +110,19 @@ def format_terminal(report: Report) -> str:
         lines += shown
         before = part if shown else before
     return to_ascii("\n".join(line.rstrip() for line in lines))
+
+
+def _drop_empty_sections(parts: Sequence[Part]) -> Iterator[Part]:
+    """Yield the parts without the heads of sections that a terminal shows nothing of."""
+    head: Section | None = None
+    for part in parts:
+        if isinstance(part, Section):
+            head = part
+        elif not isinstance(part, Figure | Fold):
+            if head is not None:
+                yield head
+            head = None
+            yield part
 
 
 def _list_lines(part: Part) -> Iterator[str]:

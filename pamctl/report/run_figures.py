@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pamctl.log.reader import Log
+from pamctl.report.report import Report, ReportTable, Text, format_terminal, spell_um
 from pamctl.simulate.merit import TABLE_IV, Merit, compute_log_merits, summarise_timing
 
 FIGURE_FIELDS = (
@@ -62,35 +64,34 @@ def _plain_merit(merit: Merit | None) -> dict[str, Any]:
     return {name: None if math.isnan(v) else v for name, v in merit._asdict().items()}
 
 
-def format_run_summary(figures: dict[str, Any], law: str) -> str:
+MERIT_HEADER = ("tracking error, µm", "max", "RMS", "steady")
+
+
+def make_merit_row(name: str, errors_m: Iterable[float | None]) -> list[str]:
+    """Return a row of a table with `MERIT_HEADER`, of the largest, RMS and steady error in m."""
+    return [name, *map(spell_um, errors_m)]
+
+
+def format_run_summary(figures: Mapping[str, Any], law: str) -> str:
     """Lay the figures out for a terminal."""
-    return "\n".join([*_format_tracking(figures, law), *_format_timing(figures)])
+    return format_terminal(report_run(figures, law))
 
 
-def _format_tracking(figures: dict[str, Any], law: str) -> list[str]:
-    if figures["readonly"]:
-        return ["Read only: the output stayed at the safe voltage; nothing was tracked."]
-    rows = [
-        (f"{law}, {name} displacement", merit)
-        for name, merit in figures["tracking"].items()
-        if merit["max_m"] is not None
-    ]
-    if not rows:
-        return ["Nothing was tracked in this run."]
-    rows += [(f"paper, {row['law']} on its rig", row) for row in figures["paper"]]
-    width = max(30, *(len(name) + 2 for name, _ in rows))
-    head = f"{'tracking error':<{width}}{'max um':>10}{'RMS um':>10}{'steady um':>11}"
-    return [head, *(f"{name:<{width}}{_format_micrometres(m)}" for name, m in rows)]
-
-
-def _format_micrometres(merit: dict[str, Any]) -> str:
-    cells = zip(merit_fields(merit), (10, 10, 11), strict=True)
-    return "".join(f"{'-':>{w}}" if v is None else f"{v * 1e6:>{w}.1f}" for v, w in cells)
-
-
-def merit_fields(merit: dict[str, Any]) -> list[float | None]:
-    """Return max, RMS and steady-state error of a row."""
-    return [merit[name] for name in Merit._fields]
+def report_run(figures: Mapping[str, Any], law: str) -> Report:
+    """Return what is said of a run at its end, from the document of `summarise_run`."""
+    ran = f"{figures['ticks']} ticks, {figures['missed_ticks']} missed"
+    if figures["timing"] is None:
+        ran += "; simulated without a clock"
+    report = Report(f"Run of {law}", ran, document=figures).add(_report_tracking(figures, law))
+    if figures["timing"] is not None:
+        spreads = ((name, figures["timing"][key]) for key, name in _TIMING_NAMES.items())
+        rows = [
+            [name, *(spell_um(spread[part]) for part in ("p50_s", "p99_s", "max_s"))]
+            for name, spread in spreads
+        ]
+        report.add(ReportTable(("timing, µs", "p50", "p99", "max"), rows))
+    refused = figures["not_real_time"].items()
+    return report.add(*(Text(f"not real time: {step} refused: {why}") for step, why in refused))
 
 
 _TIMING_NAMES = {
@@ -100,18 +101,18 @@ _TIMING_NAMES = {
 }
 
 
-def _format_timing(figures: dict[str, Any]) -> list[str]:
-    missed = f"{figures['ticks']} ticks, {figures['missed_ticks']} missed"
-    if figures["timing"] is None:
-        return ["", f"{missed}; simulated without a clock"]
-    head = f"{'timing':<30}{'p50 us':>10}{'p99 us':>10}{'max us':>11}"
-    lines = [
-        f"{label:<30}{t['p50_s'] * 1e6:>10.1f}{t['p99_s'] * 1e6:>10.1f}{t['max_s'] * 1e6:>11.1f}"
-        for name, label in _TIMING_NAMES.items()
-        for t in [figures["timing"][name]]
+def _report_tracking(figures: Mapping[str, Any], law: str) -> ReportTable | Text:
+    if figures["readonly"]:
+        return Text("Read only: the output stayed at the safe voltage; nothing was tracked.")
+    rows = [
+        make_merit_row(f"{law}, {name} displacement", merit.values())
+        for name, merit in figures["tracking"].items()
+        if merit["max_m"] is not None
     ]
-    refused = [
-        f"not real time: {step} refused: {reason}"
-        for step, reason in figures["not_real_time"].items()
+    if not rows:
+        return Text("Nothing was tracked in this run.")
+    rows += [
+        make_merit_row(f"paper, {row['law']} on its rig", [row[name] for name in Merit._fields])
+        for row in figures["paper"]
     ]
-    return ["", head, *lines, missed, *refused]
+    return ReportTable(MERIT_HEADER, rows)

@@ -17,13 +17,12 @@ from pamctl.log.run_meta import describe_running_changes, list_gain_changes, spe
 from pamctl.plain_text import clean_text
 from pamctl.report.figure import Plot, PlotAxis
 from pamctl.report.frequency import write_frequency_response
-from pamctl.report.report import Facts, Figure, Fold, Report, ReportTable, Section, Text, spell_um
+from pamctl.report.report import Facts, Figure, Fold, Report, ReportTable, Section, Text
 from pamctl.report.reported_run import MICRO, ReportedRun, law_name, name_runs, paper_rows
+from pamctl.report.run_figures import MERIT_HEADER, make_merit_row
 from pamctl.report.run_motion import write_filtering, write_law, write_motion
 from pamctl.safety import VERDICTS
-from pamctl.simulate.merit import Merit, compute_merit, summarise_durations
-
-_HEADER = ("tracking error, µm", "max", "RMS", "steady")
+from pamctl.simulate.merit import compute_merit, summarise_durations
 
 
 def write_summary(page: Report, runs: Sequence[ReportedRun]) -> None:
@@ -92,12 +91,12 @@ def _write_merits(page: Report, runs: Sequence[ReportedRun]) -> None:
     experiments = {run.paper_experiment for run in runs if run.tracked.any()}
     for experiment in sorted(name for name in experiments if name):
         rows += [
-            [f"paper's {law_name(row.law)} on its rig, {experiment}", *format_merit(row.merit)]
+            make_merit_row(f"paper's {law_name(row.law)} on its rig, {experiment}", row.merit)
             for row in paper_rows(experiment)
         ]
     page.add(
         ReportTable(
-            _HEADER,
+            MERIT_HEADER,
             rows,
             "Without the approach; steady is the largest error in the last 5 s of rests.",
         )
@@ -120,7 +119,7 @@ def make_merit_rows(run: ReportedRun) -> list[list[str]]:
             None if position is None else compute_merit(run.t_s, run.phase, position - reference)
         )
         if found is not None:
-            rows.append([f"{run.name}, {what}", *format_merit(found)])
+            rows.append(make_merit_row(f"{run.name}, {what}", found))
     return rows
 
 
@@ -142,11 +141,6 @@ def differs_by_zero(run: ReportedRun) -> bool:
 
 LARGE_ZERO_M = 50e-6
 """The counts of an encoder and the lag of a filter make less."""
-
-
-def format_merit(found: Merit) -> list[str]:
-    """Return max, RMS and steady-state error in micrometres."""
-    return [spell_um(value) for value in found]
 
 
 MOST_EVENTS = 200

@@ -1,17 +1,19 @@
-"""Which runs are meant, and how they are listed: as a table, as CSV, as plain values."""
+"""Which runs are meant, and how they are listed: as a report and as CSV."""
 
 from __future__ import annotations
 
 import csv
 import difflib
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from io import StringIO
+from pathlib import Path
 from typing import Any
 
 from pamctl.exit_codes import ExitCode
+from pamctl.report.report import Report, ReportTable
 from pamctl.runs.run_index import RunIndex
 from pamctl.runs.run_row import ENDING_WORDS, RunRow, find_varying_keys, read_value
 
@@ -119,34 +121,34 @@ def _suggest_key(index: RunIndex, key: str) -> str:
     return f"; did you mean {near[0]}?" if near else ""
 
 
-_HEADS = ("start", "law", "experiment", "ending", "s", "max um", "RMS um", "steady um")
-_RIGHT = slice(4, 8)
+_HEADER = (
+    *("start", "law", "experiment", "ending", "s", "max, µm", "RMS, µm", "steady, µm"),
+    "log  [tags] note",
+)
 _MOST_NOTE = 60
 
 
-def format_runs(rows: Sequence[RunRow], total: int) -> str:
+def report_runs(rows: Sequence[RunRow], total: int, folder: Path) -> Report:
     """Return a table, the newest run last, and how many of how many runs they are."""
-    cells = [_HEADS, *map(_format_row, rows)]
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    form = "  ".join(
-        f"{{:{'>' if number in range(*_RIGHT.indices(99)) else '<'}{width}}}"
-        for number, width in enumerate(widths)
+    report = Report(
+        f"Runs of {folder}",
+        f"{len(rows)} of {total} runs",
+        document={"logs": str(folder), "runs": [*map(_make_document, rows)], "of": total},
     )
-    ends = ["log  [tags] note", *map(_format_end, rows)]
-    lines = [f"{form.format(*row)}  {end}" for row, end in zip(cells, ends, strict=True)]
-    return "\n".join([*(lines if rows else ()), f"{len(rows)} of {total} runs"])
+    return report.add(ReportTable(_HEADER, [*map(_make_cells, rows)])) if rows else report
 
 
-def _format_row(row: RunRow) -> tuple[str, ...]:
+def _make_document(row: RunRow) -> dict[str, Any]:
+    return {"start": datetime.fromtimestamp(row.when_s, UTC).isoformat(), **vars(row)}
+
+
+def _make_cells(row: RunRow) -> list[str]:
     start = datetime.fromtimestamp(row.when_s).strftime("%Y-%m-%d %H:%M:%S")
     errors = ("-" if v is None else f"{v:.1f}" for v in (row.max_um, row.rms_um, row.steady_um))
-    return start, row.law, row.experiment, row.ending, f"{row.duration_s:.1f}", *errors
-
-
-def _format_end(row: RunRow) -> str:
     tags = f"  [{' '.join(row.tags)}]" if row.tags else ""
     note = row.note if len(row.note) <= _MOST_NOTE else f"{row.note[: _MOST_NOTE - 3]}..."
-    return f"{row.path}{tags}{'  ' + note if note else ''}"
+    log = f"{row.path}{tags}{'  ' + note if note else ''}"
+    return [start, row.law, row.experiment, row.ending, f"{row.duration_s:.1f}", *errors, log]
 
 
 def format_csv(rows: Sequence[RunRow]) -> str:
@@ -162,10 +164,3 @@ def format_csv(rows: Sequence[RunRow]) -> str:
         settings = (read_value(row, key) for key in varying)
         table.writerow([start, *values, row.sweep.get("name", ""), *settings])
     return text.getvalue().rstrip("\n")
-
-
-def list_documents(rows: Iterable[RunRow]) -> list[dict[str, Any]]:
-    """Return the rows as plain values."""
-    return [
-        {"start": datetime.fromtimestamp(row.when_s, UTC).isoformat(), **vars(row)} for row in rows
-    ]

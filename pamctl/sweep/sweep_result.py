@@ -62,19 +62,15 @@ def _summarise(rows: Sequence[RunRow]) -> SweepPoint:
     return SweepPoint(rows[0].sweep["point"], len(well), failed, metrics)
 
 
-def format_points(points: Sequence[SweepPoint]) -> str:
-    """Return a table for a terminal: mean and standard deviation of each metric."""
-    keys = list(points[0].point) if points else []
-    cells = [[*keys, "runs", "max um", "RMS um", "steady um"]]
+def tabulate_points(points: Sequence[SweepPoint]) -> ReportTable:
+    """Return a table: mean and standard deviation of each metric."""
+    keys = list(points[0].point)
+    rows = []
     for one in points:
         failed = "".join(f", {count} {ending}" for ending, count in one.failed.items())
         metrics = [_format_spread(one.metrics.get(name)) for name in METRICS]
-        cells.append([*(str(one.point[key]) for key in keys), f"{one.runs}{failed}", *metrics])
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    return "\n".join(
-        "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
-        for row in cells
-    )
+        rows.append([*(str(one.point[key]) for key in keys), f"{one.runs}{failed}", *metrics])
+    return ReportTable([*keys, "runs", "max, µm", "RMS, µm", "steady, µm"], rows)
 
 
 def _format_spread(spread: MetricSpread | None) -> str:
@@ -116,6 +112,7 @@ def write_sweep_page(
 ) -> Report:
     """Return the page of a sweep's runs, with a section for each of the swept `keys`."""
     page = Report(f"Sweep {name}", subtitle=f"{len(rows)} runs of {folder}")
+    page.add(tabulate_points(summarise_points(rows)))
     for key in keys:
         page.add(Section(key))
         others = [other for other in keys if other != key] if len(keys) <= 2 else []

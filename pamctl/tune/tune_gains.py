@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from pamctl.cluster.worker_processes import start_workers
 from pamctl.control.law_registry import find_law, installed_laws
@@ -44,12 +44,25 @@ from pamctl.tune.gains_trial import (
 )
 
 _DEFAULT_SIZE = 16
-_DEFAULT_HELD_OUT = 200
+_FRESH = 200
 _FRESH_SEED_OFFSET = 1_000_003
 """Added to the seed for plants that the search has not seen."""
 
 
 WHOLE = GainsTrial("whole")
+
+
+class TuningWishes(Protocol):
+    """The options of `pamctl tune` that settle which plants judge, and where a search begins."""
+
+    plants: list[str]
+    size: int | None
+    """Of the ensemble; without plants a usual one is drawn."""
+    seed: int
+    out: Path | None
+    check: str | None
+    start: str | None
+    compensate: list[str]
 
 
 @dataclass(frozen=True)
@@ -86,58 +99,60 @@ class TuningTask:
     @classmethod
     def of(
         cls,
+        asked: TuningWishes,
         law: str | None,
-        plants: Sequence[str],
-        size: int | None,
-        seed: int,
-        held_out: int | None,
-        out: Path | None,
-        check: str | None,
-        start: str | None,
-        compensate: Sequence[str] = (),
         base: RunSettings | None = None,
+        *,
         own_motion: bool = False,
     ) -> TuningTask:
-        """Make a task of the options of `pamctl tune`; raise `ConfigError`.
+        """Make a task of the options of `pamctl tune` for a law; raise `ConfigError`.
 
         `base` has the rig that is simulated, and with `own_motion` the experiment that is judged.
         """
-        checked = None if check is None else _read("controller", check, "--check")
+        checked = None if asked.check is None else _read("controller", asked.check, "--check")
         law = checked.law if checked is not None else law or ""
         if law not in installed_laws():
             known = ", ".join(installed_laws())
             raise _option_error(f"--law {law}".strip(), f"must be one of {known}")
         if checked is None:
             _require_space(law)
-            _require_new(out)
-        began = None if start is None else _read("controller", start, "--start")
-        if began is not None and began.law != law:
-            raise _option_error(f"--start {start}", f"holds gains of {began.law}, not of {law}")
-        if began is not None and began.length_unit != "mm":
-            raise _option_error(f"--start {start}", "the search works in mm, not in inches")
-        named = make_fixed_members([(bare_name(name), _read_muscle(name)) for name in plants])
-        draws = size is not None or not plants
-        if compensate and draws:
+            _require_new(asked.out)
+        elif asked.compensate:
+            checked = checked.model_copy(update={"compensate": tuple(asked.compensate)})
+        named = make_fixed_members([(bare_name(name), _read_muscle(name)) for name in asked.plants])
+        draws = asked.size is not None or not asked.plants
+        if asked.compensate and draws:
             raise _option_error(
-                f"--compensate {compensate[0]}",
+                f"--compensate {asked.compensate[0]}",
                 "undoes what a plant file says: give --plant FILE, and no --ensemble",
             )
-        _require_undoable(compensate, named, base)
-        if held_out is not None and not draws:
-            message = "there are no fresh plants: with --plant, give --ensemble too"
-            raise _option_error(f"--held-out {held_out}", message)
-        drawn = draw_ensemble(size or _DEFAULT_SIZE, seed) if draws else []
-        judges = held_out or _DEFAULT_HELD_OUT
-        fresh = draw_ensemble(judges, seed + _FRESH_SEED_OFFSET) if draws else []
-        begun = None if began is None else settings_to_data(began)
-        if checked is not None and compensate:
-            checked = checked.model_copy(update={"compensate": tuple(compensate)})
-        names = tuple(compensate)
+        _require_undoable(asked.compensate, named, base)
         whole = WHOLE
         if base is not None:
             simulated = _simulate_rig(base, own_motion=own_motion)
             whole = GainsTrial("whole", simulated.model_dump_json(), own_motion)
-        return cls(law, drawn, named, fresh, seed, out, checked, begun, names, whole)
+        fresh_ones = _FRESH if checked is None or asked.size is None else asked.size
+        return cls(
+            law=law,
+            drawn=draw_ensemble(asked.size or _DEFAULT_SIZE, asked.seed) if draws else [],
+            named=named,
+            fresh=draw_ensemble(fresh_ones, asked.seed + _FRESH_SEED_OFFSET) if draws else [],
+            seed=asked.seed,
+            out=asked.out,
+            checked=checked,
+            start=None if asked.start is None else _read_start(asked.start, law),
+            compensate=tuple(asked.compensate),
+            whole_trial=whole,
+        )
+
+
+def _read_start(name: str, law: str) -> dict[str, Any]:
+    began = _read("controller", name, "--start")
+    if began.law != law:
+        raise _option_error(f"--start {name}", f"holds gains of {began.law}, not of {law}")
+    if began.length_unit != "mm":
+        raise _option_error(f"--start {name}", "the search works in mm, not in inches")
+    return settings_to_data(began)
 
 
 def _option_error(where: str, message: str) -> ConfigError:
@@ -294,9 +309,12 @@ def report_scores(task: TuningTask, found: Mapping[str, Scores]) -> str:
     return f"{what}: {'; '.join(said)}."
 
 
-def report_gains(task: TuningTask, scores: Mapping[str, Scores]) -> Report:
-    """Return how good gains are."""
-    report = Report(f"Gains of {task.law}")
+def report_gains(
+    task: TuningTask, scores: Mapping[str, Scores], document: Mapping[str, object]
+) -> Report:
+    """Return how good gains are; `document` says more of them, for programs."""
+    whole = {"law": task.law, **document, "scores": _make_scores_document(scores)}
+    report = Report(f"Gains of {task.law}", document=whole)
     if not scores:
         report.verdict = "not scored"
     for which, one in scores.items():
@@ -335,7 +353,7 @@ def _describe_failure(why: str, worst: float) -> str:
     return f"{_ERROR_NAMES[kind]} of experiment {experiment} is {worst:.2f} times the paper's"
 
 
-def make_scores_document(found: Mapping[str, Scores]) -> dict[str, Any] | None:
+def _make_scores_document(found: Mapping[str, Scores]) -> dict[str, Any] | None:
     """Return the scores as one document; None where there are none."""
     return {which: _score_fields(one) for which, one in found.items()} or None
 

@@ -23,7 +23,7 @@ from pamctl.runs.run_row import RunRow, read_row
 from pamctl.settings.resolve import resolve
 from pamctl.sweep.run_sweep import SweepPlan, run_sweep
 from pamctl.sweep.sweep_plan import SweepError, SweepRun, list_runs, parse_sweep, require_end
-from pamctl.sweep.sweep_result import format_points, format_points_csv, summarise_points
+from pamctl.sweep.sweep_result import format_points_csv, summarise_points, tabulate_points
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "qsmc.mcap"
 KEY = "controller.lambda_per_s"
@@ -151,7 +151,7 @@ def test_the_table_is_mean_and_deviation_of_the_runs_that_ended_well() -> None:
     assert first.metrics["rms_um"].mean == 3.5
     assert first.metrics["rms_um"].sd == pytest.approx(statistics.stdev([3.0, 4.0]))
     assert points[1].metrics["rms_um"].sd is None
-    assert "3.5 ± 0.7" in format_points(points)
+    assert "3.5 ± 0.7" in tabulate_points(points).rows[0]
     head, line, _ = format_points_csv(points).splitlines()
     named = dict(zip(head.split(","), line.split(","), strict=True))
     assert (named[KEY], named["runs"], named["failed"], named["rms_um_high"]) == (

@@ -296,7 +296,7 @@ def test_given_gains_are_scored_and_nothing_is_written(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_drawn_plants_reach_other_processes(tmp_path: Path) -> None:
-    which = ["--ensemble", "2", "--held-out", "2", "--plant", "paper"]
+    which = ["--ensemble", "2", "--plant", "paper"]
     made = tune("--check", "pid", *which, "--jobs", "2", "--json", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
     found = json.loads(made.stdout)["scores"]
@@ -317,10 +317,6 @@ def test_drawn_plants_reach_other_processes(tmp_path: Path) -> None:
         (["--law", "pid", "--out", "there.yaml"], "never overwritten"),
         (["--law", "pid", "--out", "no/where.yaml"], "no directory"),
         (["--law", "pid", "--out", "x.yaml", "--plant", "papier"], "did you mean 'paper'"),
-        (
-            ["--law", "pid", "--out", "x.yaml", "--plant", "paper", "--held-out", "4"],
-            "--held-out 4: there are no fresh plants",
-        ),
         (["--law", "pid", "--out", "x.yaml", "--start", "qsmc"], "gains of qsmc"),
         (["--law", "pid", "--out", "x.yaml", "--start", "nope"], "--start nope: there is no such"),
         (["--check", "pid", "--out", "x.yaml"], "for --out: belongs to a search: with --check"),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from pamctl.cli.options import LOGS, Options, argument, flag, option, verb
-from pamctl.cli.output import print_json
+from pamctl.cli.output import print_json, print_report
 from pamctl.plain_text import escape_name
 
 if TYPE_CHECKING:
@@ -61,16 +61,14 @@ def list_runs(asked: RunsOptions) -> None:
         rows = select_runs(index, wanted, with_gains=asked.as_csv or asked.as_json)
         total = index.count()
     rows = [replace(row, path=escape_name(row.path)) for row in rows]
-    from pamctl.runs.run_list import format_csv, format_runs, list_documents
+    from pamctl.runs.run_list import format_csv, report_runs
 
     if asked.paths_only:
         typer.echo("\n".join(str(asked.logs / row.path) for row in rows), nl=bool(rows))
     elif asked.as_csv:
         typer.echo(format_csv(rows))
-    elif asked.as_json:
-        print_json({"logs": str(asked.logs), "runs": list_documents(rows), "of": total})
     else:
-        typer.echo(format_runs(rows, total))
+        print_report(report_runs(rows, total, asked.logs), as_json=asked.as_json)
 
 
 def _show_progress(done: int, of: int) -> None:

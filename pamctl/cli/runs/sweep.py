@@ -20,7 +20,7 @@ from pamctl.cli.options import (
     require_linux,
     verb,
 )
-from pamctl.cli.output import PAGE_BEGIN, print_json
+from pamctl.cli.output import PAGE_BEGIN, print_report
 from pamctl.cli.settings_from_options import SettingsOptions, resolve_options
 from pamctl.log.run_meta import file_safe_name
 from pamctl.new_file import require_folder, write_files
@@ -113,11 +113,12 @@ def _tell(line: str, *, quiet: bool) -> None:
 
 
 def _conclude(plan: SweepPlan, end: SweepEnd, *, as_json: bool) -> None:
+    from pamctl.report.report import Report
     from pamctl.sweep.sweep_result import (
-        format_points,
         format_points_csv,
         list_point_documents,
         summarise_points,
+        tabulate_points,
     )
 
     points = summarise_points(end.rows)
@@ -143,11 +144,12 @@ def _conclude(plan: SweepPlan, end: SweepEnd, *, as_json: bool) -> None:
         **saved,
         "points": list_point_documents(points),
     }
-    if as_json:
-        print_json(document)
-    elif points:
-        typer.echo(format_points(points))
-        typer.echo(f"page: {saved['page']}\ntable: {saved['csv']}")
+    if points or as_json:
+        said = f"{len(end.rows)} runs, mean ± standard deviation of those that ended well"
+        report = Report(f"Sweep {plan.name}", said, document=document)
+        report.add(*[tabulate_points(points)] * bool(points))
+        files = f"\n\npage: {saved['page']}\ntable: {saved['csv']}"
+        print_report(report, as_json=as_json, end=files)
     if not end.ending.code:
         return
     print_error(end.ending.reason)

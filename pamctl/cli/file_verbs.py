@@ -136,7 +136,7 @@ def make_plant(asked: NewPlantOptions) -> None:
     if asked.actuator not in (*_ACTUATORS, None):
         which = f"{asked.actuator!r} is not one of {', '.join(_ACTUATORS)}"
         raise typer.BadParameter(which, param_hint="--actuator")
-    from pamctl.settings.datasheet.plant_file import build_plant, format_new_plant
+    from pamctl.settings.datasheet import build_plant, format_new_plant
 
     records = read_records(asked.measured, asked.map_path)
     actuator = asked.actuator or _guess_actuator(records)
@@ -201,7 +201,7 @@ def _split_given(given: list[str], actuator: str) -> dict[str, str]:
     """Return the texts by name; leave with 2 for a name that this actuator does not have."""
     from difflib import get_close_matches
 
-    from pamctl.settings.datasheet.plant_questions import list_questions
+    from pamctl.settings.datasheet import list_questions
 
     names = [question.name for question in list_questions(actuator)]
     texts = {}
@@ -234,8 +234,7 @@ def _collect_numbers(
 
     A number is what is given, else what the records show, else the usual one.
     """
-    from pamctl.settings.datasheet.datasheet_units import read_quantity
-    from pamctl.settings.datasheet.plant_questions import list_questions
+    from pamctl.settings.datasheet import list_questions, read_quantity
 
     questions = list_questions(actuator)
     values: dict[str, float] = {}

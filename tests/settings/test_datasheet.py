@@ -14,8 +14,7 @@ from typer.testing import CliRunner
 from pamctl.cli.app import app
 from pamctl.plant.model import PlantSettings
 from pamctl.plant.paper import MuscleParameters
-from pamctl.settings.datasheet.datasheet_units import DatasheetError, read_quantity
-from pamctl.settings.datasheet.plant_questions import list_questions
+from pamctl.settings.datasheet import DatasheetError, list_questions, read_quantity
 from pamctl.settings.resolve import read_section_file, resolve
 
 AIR = {"atmospheric_pressure_pa": 94e3}

@@ -1,4 +1,0 @@
-"""A plant file from a datasheet: what to ask, in which units, and the file.
-
-Read `plant_questions.py` first, then `datasheet_units.py` and `plant_file.py`.
-"""

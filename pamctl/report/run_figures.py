@@ -24,10 +24,11 @@ def summarise_run(log: Log, experiment: str | None) -> dict[str, Any]:
     `experiment` is the shipped experiment to compare with Table IV; None if it was another one,
     or changed.
     """
+    setup, refused = log.metadata.get("timing_setup", {}), "not done: "
     return {
         "ticks": len(log),
         "missed_ticks": int(log["missed"].sum()),
-        "readonly": is_readonly(log),
+        "readonly": bool(log.config.get("readonly")),
         "tracking": {name: _plain_merit(m) for name, m in compute_log_merits(log).items()},
         "paper": [
             {"law": row.law, **_plain_merit(row.merit)}
@@ -35,27 +36,14 @@ def summarise_run(log: Log, experiment: str | None) -> dict[str, Any]:
             if row.experiment == experiment
         ],
         "timing": None
-        if is_fast(log)
+        if log.config.get("fast")
         else {name: spread._asdict() for name, spread in summarise_timing(log).items()},
-        "not_real_time": refused_steps(log),
+        "not_real_time": {
+            step: said.removeprefix(refused)
+            for step, said in setup.items()
+            if said.startswith(refused)
+        },
     }
-
-
-def refused_steps(log: Log) -> dict[str, str]:
-    """Return the real-time measures that were refused, each with what would permit it."""
-    setup = log.metadata.get("timing_setup", {})
-    refused = "not done: "
-    return {k: v.removeprefix(refused) for k, v in setup.items() if v.startswith(refused)}
-
-
-def is_fast(log: Log) -> bool:
-    """Return whether the run had no clock."""
-    return bool(log.config.get("fast"))
-
-
-def is_readonly(log: Log) -> bool:
-    """Return whether the run was read-only, with its output at the safe voltage."""
-    return bool(log.config.get("readonly"))
 
 
 def _plain_merit(merit: Merit | None) -> dict[str, Any]:

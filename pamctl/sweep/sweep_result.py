@@ -63,14 +63,16 @@ def _summarise(rows: Sequence[RunRow]) -> SweepPoint:
 
 
 def tabulate_points(points: Sequence[SweepPoint]) -> ReportTable:
-    """Return a table: mean and standard deviation of each metric."""
+    """Return a table: mean and standard deviation of each metric that any point has."""
     keys = list(points[0].point)
+    heads = dict(zip(METRICS, ("max, µm", "RMS, µm", "steady, µm"), strict=True))
+    known = [name for name in METRICS if any(name in one.metrics for one in points)]
     rows = []
     for one in points:
         failed = "".join(f", {count} {ending}" for ending, count in one.failed.items())
-        metrics = [_format_spread(one.metrics.get(name)) for name in METRICS]
+        metrics = [_format_spread(one.metrics.get(name)) for name in known]
         rows.append([*(str(one.point[key]) for key in keys), f"{one.runs}{failed}", *metrics])
-    return ReportTable([*keys, "runs", "max, µm", "RMS, µm", "steady, µm"], rows)
+    return ReportTable([*keys, "runs", *(heads[name] for name in known)], rows)
 
 
 def _format_spread(spread: MetricSpread | None) -> str:

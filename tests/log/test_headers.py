@@ -1,8 +1,12 @@
 """Headers as laboratories and machine controllers write them: understood, or left as a question."""
 
+from pathlib import Path
+
 import pytest
 
+from pamctl.log import LogError
 from pamctl.log.importing.column_roles import HeaderMeaning, understand_header
+from pamctl.log.importing.pipeline import import_log
 
 UNDERSTOOD = {
     "Chamber pressure (bar g)": ("pressure_pa", "bar", True),
@@ -52,3 +56,45 @@ def test_a_word_that_may_mean_another_sensor_is_a_question(header: str) -> None:
 @pytest.mark.parametrize("header", NOT_MEASURED)
 def test_another_thing_than_a_measured_quantity_is_not_read(header: str) -> None:
     assert understand_header(header) is None
+
+
+def write_table(path: Path, head: str, rests: bool = False) -> Path:
+    """Return a table of a time and two columns, of which the second may rest."""
+    rows = [f"{k / 1000},{k % 7},{5.0 if rests else 3 + k % 5}" for k in range(200)]
+    path.write_text("\n".join([head, *rows]) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("head", "what"),
+    [
+        ("t_s,u1 [V],u2 [V]", "the commands of several valves"),
+        ("t_s,u1,u2", "the commands of several valves"),
+        ("t_s,p1 [bar],p2 [bar]", "the pressures of several chambers"),
+        ("t_s,Chamber A pressure [bar],Chamber B pressure [bar]", "several chambers"),
+        ("t_s,x_1 [mm],x_2 [mm]", "the positions of several joints"),
+    ],
+)
+def test_two_valves_chambers_or_joints_are_refused_without_a_map(
+    tmp_path: Path, head: str, what: str
+) -> None:
+    with pytest.raises(LogError) as refused:
+        import_log(write_table(tmp_path / "two.csv", head), tmp_path / "two.mcap")
+    assert what in str(refused.value)
+    assert "one valve, one chamber and one joint" in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("head", "rests"),
+    [
+        ("t_s,Pressure raw [bar],Pressure filtered [bar]", False),
+        ("t_s,p1_raw [bar],p1_filt [bar]", False),
+        ("t_s,P1 [bar],P2 [bar]", True),
+    ],
+)
+def test_raw_and_filtered_or_a_supply_that_rests_stay_a_question(
+    tmp_path: Path, head: str, rests: bool
+) -> None:
+    with pytest.raises(LogError, match="--map FILE, such as"):
+        import_log(write_table(tmp_path / "two.csv", head, rests), tmp_path / "two.mcap")

@@ -28,7 +28,12 @@ from pamctl.log.importing.column_map import (
     quote,
     write_key,
 )
-from pamctl.log.importing.measured_table import ImportRefused, MeasuredTable, TableColumn
+from pamctl.log.importing.measured_table import (
+    Floats,
+    ImportRefused,
+    MeasuredTable,
+    TableColumn,
+)
 
 
 class HeaderMeaning(NamedTuple):
@@ -239,7 +244,7 @@ def choose_by_header(table: MeasuredTable) -> ChosenColumns:
 
     Raise ImportRefused, with a map to fill in, where two columns may be one quantity, a word leaves
     a doubt, a pressure may be gauge or absolute, a quantity is named without a unit that it has, or
-    there is no time.
+    there is no time. A table of two valves, chambers or joints is refused without a map.
     """
     candidates: dict[str, list[_Candidate]] = {quantity: [] for quantity in UNITS}
     left_out: dict[int, str] = {}
@@ -251,6 +256,7 @@ def choose_by_header(table: MeasuredTable) -> ChosenColumns:
             left_out[number] = column.says or "words, no numbers"
         else:
             left_out[number] = "its name says no quantity with its unit that pamctl reads"
+    _require_one_of_each(candidates)
     keys: dict[str, dict[str, Any]] = {}
     columns: dict[str, TableColumn] = {}
     doubts: list[str] = []
@@ -280,6 +286,45 @@ def choose_by_header(table: MeasuredTable) -> ChosenColumns:
         settled = {q: key for q in columns if (key := keys[KEYS[q]]).get("gauge", 0) is not None}
         raise ImportRefused(_refuse(table, doubts, settled, candidates))
     return ChosenColumns(ImportMap.model_validate(keys), columns, left_out, warnings)
+
+
+_INDEX = re.compile(r"\d+|(?<![^\W_])[a-d](?![^\W_])", re.I)
+"""What tells `u1` from `u2`, and `Chamber A pressure` from `Chamber B pressure`."""
+_MOVES = 0.1
+"""A column whose span is a smaller share of its largest value is no part of what moves."""
+_SEVERAL = {
+    "valve_v": "the commands of several valves",
+    "pressure_pa": "the pressures of several chambers",
+    "position_m": "the positions of several joints",
+    "force_n": "the forces of several actuators",
+}
+
+
+def _require_one_of_each(candidates: Mapping[str, Sequence[_Candidate]]) -> None:
+    """Raise ImportRefused where columns that differ by a number or a letter only all move.
+
+    A raw and a filtered one, a set point, and a supply that rests are another question.
+    """
+    for quantity, what in _SEVERAL.items():
+        alike: dict[str, dict[str, str]] = {}
+        for one in candidates[quantity]:
+            name = one.column.name
+            if _INDEX.search(name) and not one.column.is_text and _does_move(one.column.values):
+                alike.setdefault(_INDEX.sub("#", name).lower(), {})[name.lower()] = name
+        for names in alike.values():
+            if len(names) > 1:
+                listed = " and ".join(map(quote, names.values()))
+                raise ImportRefused(
+                    f"{listed} look like {what}, and pamctl describes one valve, one chamber and "
+                    "one joint: record one of them at a time with the others vented, or give a "
+                    "cylinder's force (A1 p1 - A2 p2) as a column force_n with `plant new "
+                    "--actuator direct`, or name the one that counts in a map"
+                )
+
+
+def _does_move(values: Floats) -> bool:
+    good = values[np.isfinite(values)]
+    return bool(len(good) and np.ptp(good) > _MOVES * np.abs(good).max())
 
 
 def _is_same_time(one: _Candidate, other: _Candidate) -> bool:

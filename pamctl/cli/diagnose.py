@@ -103,8 +103,8 @@ def diagnose(asked: DiagnoseOptions) -> None:
     accepted = read_acceptances(asked.accept)
     require_held_out(asked.logs, asked.holdout)
     stated = asked.read_noise()
-    train, held = (read_records(p, asked.map_path) for p in (asked.logs, asked.holdout))
-    records = [*train, *held]
+    records = read_records([*asked.logs, *asked.holdout], asked.map_path)
+    train, held = records[: len(asked.logs)], records[len(asked.logs) :]
     if not held:
         typer.echo("no --holdout: two stretches of each log are held out", err=True)
     diagnosis = find_missing_effects(

@@ -158,12 +158,13 @@ def make_plant(asked: NewPlantOptions) -> None:
             typer.echo(f"by the columns: actuator {actuator}{same if actuator == 'muscle' else ''}")
         for name, guess in guesses.items():
             typer.echo(f"guessed: {name} = {guess.value:.4g}, {guess.how}")
-        files = shlex.join(map(str, asked.measured)) or "LOG"
-        files += f" --map {shlex.quote(str(asked.map_path))}" if asked.map_path else ""
+        column_map = ["--map", asked.map_path] if asked.map_path else []
+        files = [*(asked.measured or ["LOG"]), *column_map]
+        words = ["pamctl", "diagnose", *files, "--plant", out, "--out", "DIR"]
         typer.echo(
             f"plant: {out}\n`pamctl diagnose` will fit {fitted}, from these values on; "
             "it takes the other numbers as they are\n"
-            f"next: pamctl diagnose {files} --plant {out} --out DIR"
+            f"next: {shlex.join(map(str, words))}"
         )
 
 

@@ -19,6 +19,8 @@ from pamctl.plant.model import PlantSettings
 
 _MOST_WAITING = 1000
 _LAST_PATIENCE_S = 1.0
+_MARK_PATIENCE_S = 0.1
+"""A loop takes a mark within some ticks; a trip waits no longer for it (s)."""
 
 
 class Announcements:
@@ -107,7 +109,10 @@ class MonitorDesk:
             case "alarm":
                 text = format_alarm(report)
                 self._announce("monitor alarm", text=text, **details)
-                self._note(text)
+                # The log should say why, but the valve does not wait for a mark that is held up.
+                note = threading.Thread(target=self._note, args=(text,), daemon=True)
+                note.start()
+                note.join(None if self._trip is None else _MARK_PATIENCE_S)
                 if self._trip is not None:
                     self._trip(f"monitor: {text}")
             case "alarm over":

@@ -313,7 +313,8 @@ class SessionLife(OrderTaker):
         self._parked_since_s = time.monotonic()
         note = report.note if report else ""
         self._announce_event("run over", run=run.name, log=str(run.log), note=note)
-        self._shelf.put_away(run.log)
+        if problem := self._shelf.put_away(run.log):
+            self._announce_event("logs not in order", problem=problem)
 
     def leave(self) -> None:
         """Begin the smooth stop, and nothing more. Waits for no order; `close` must follow."""

@@ -73,21 +73,31 @@ class Shelf:
                 f"{needed >> 20}; make room, or shorten it with --duration"
             )
 
-    def put_away(self, log: Path) -> None:
+    def put_away(self, log: Path) -> str:
         """Index a log that is whole, and remove the oldest ones beyond those to keep.
 
         Flight records go with their logs. Logs with a tag stay, and so do logs of other runs.
+        Return what could not be done; it is no reason to end the daemon.
         """
         if not self._prefix:
-            return
+            return ""
+        problems = []
         if self._keep is not None:
             logs = sorted(self.directory.glob(f"[0-9]*-[0-9]*-{self._prefix}*.mcap"))
             for old in logs[: -self._keep]:
-                if not _has_tag(old):
-                    # First what lies beside it: without the log nothing would name it any more.
-                    flight_record_path(old).unlink(missing_ok=True)
-                    old.unlink(missing_ok=True)
+                try:
+                    _remove_untagged(old)
+                except OSError as error:
+                    problems.append(f"{old} cannot be removed: {error.strerror or error}")
         index_in_own_process(log)
+        return "; ".join(problems)
+
+
+def _remove_untagged(log: Path) -> None:
+    if not _has_tag(log):
+        # First what lies beside it: without the log nothing would name it any more.
+        flight_record_path(log).unlink(missing_ok=True)
+        log.unlink(missing_ok=True)
 
 
 def _has_tag(log: Path) -> bool:

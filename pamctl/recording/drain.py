@@ -17,7 +17,7 @@ import struct
 import sys
 from collections import Counter
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from io import BufferedRandom
 from itertools import chain, count
 from pathlib import Path
@@ -235,14 +235,20 @@ class _Recording:
         while self._ring.pending:
             self._ring.recorder_beats += 1
             self._write_chunk()
-        self._syncing.shutdown()
         # A failed write-back is reported only once: here, or in the fsync below.
-        self._sync.result()
+        self._await_disk(self._sync)
         self._writer.finish()
         self._file.flush()
         self._reserve.release(self._file.tell())
-        os.fsync(self._file.fileno())
+        self._await_disk(self._syncing.submit(os.fsync, self._file.fileno()))
+        self._syncing.shutdown()
         self._ring.raise_flag(RecorderFlag.FINISHED)
+
+    def _await_disk(self, sync: Future[None]) -> None:
+        """Wait for the disk and beat meanwhile: a recorder without a sign of life is killed."""
+        while not wait([sync], ROUND_S).done:
+            self._ring.recorder_beats += 1
+        sync.result()
 
     def _write_chunk(self) -> None:
         self._extend_reserve()

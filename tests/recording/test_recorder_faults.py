@@ -28,6 +28,7 @@ from pamctl.log.framing import FileRecord
 from pamctl.log.record_walk import find_records
 from pamctl.log.recover import recover_file, resume_log
 from pamctl.processes.front import close_log
+from pamctl.recording.drain import record_run
 from pamctl.recording.recorder import (
     RecorderError,
     await_recorder,
@@ -271,6 +272,31 @@ def test_the_recorder_shows_that_it_lives_while_there_is_nothing_to_do(log):
         while ring.recorder_beats < beats:
             assert time.monotonic() < deadline_s
             time.sleep(0.01)
+
+
+def test_the_recorder_beats_while_a_slow_disk_takes_the_last_rows(log, monkeypatch):
+    class Here:
+        gone = False
+
+        def wait(self, seconds: float) -> None:
+            time.sleep(seconds)
+
+    beats: list[int] = []
+    write_back = os.fsync
+
+    def write_back_slowly(fd: int) -> None:
+        beats.append(ring.recorder_beats)
+        time.sleep(0.5)
+        beats.append(ring.recorder_beats)
+        write_back(fd)
+
+    monkeypatch.setattr(os, "fsync", write_back_slowly)
+    with new_ring(log) as ring:
+        put_with_events(ring, range(300))
+        ring.loop_done = 1
+        assert record_run(ring, Here())
+    assert beats[1] >= beats[0] + 3
+    assert_complete(log, 300)
 
 
 def test_a_tick_does_not_wait_for_the_next_one_to_be_in_the_file(log):

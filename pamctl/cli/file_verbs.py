@@ -159,7 +159,8 @@ def make_plant(asked: NewPlantOptions) -> None:
         for name, guess in guesses.items():
             typer.echo(f"guessed: {name} = {guess.value:.4g}, {guess.how}")
         column_map = ["--map", asked.map_path] if asked.map_path else []
-        files = [*(asked.measured or ["LOG"]), *column_map]
+        measured = [str(path) for path in asked.measured] or ["LOG"]
+        files = [*measured, *column_map]
         words = ["pamctl", "diagnose", *files, "--plant", out, "--out", "DIR"]
         typer.echo(
             f"plant: {out}\n`pamctl diagnose` will fit {fitted}, from these values on; "

@@ -1,6 +1,8 @@
-"""Write files for all verbs: complete under another name first, then put in place.
+"""Files of all verbs: what may be read, and how a new one is written.
 
-A file that is written here is whole or not there, and never overwrites another one unless asked.
+Only regular files are read: others may never end, or wait for a writer. A file that is written here
+is complete under another name first: it is whole or not there, and never overwrites another one
+unless asked.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from io import BufferedWriter
 from pathlib import Path
-from stat import S_ISDIR, S_ISREG
+from stat import S_IFIFO, S_IFMT, S_IFSOCK, S_ISDIR, S_ISREG
 from typing import NamedTuple
 
 from pamctl.exit_codes import ExitCode
@@ -20,6 +22,23 @@ from pamctl.exit_codes import ExitCode
 _TRIAL_BYTES = 64 * 1024
 _DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 """What the disk does; everything else is the path that was given."""
+
+
+def describe_irregular_file(path: Path) -> str:
+    """Describe a path that is not a regular file; empty for regular and missing files.
+
+    Call it before opening: opening a pipe waits for its other end, and `/dev/zero` never ends.
+    """
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):  # a NUL in the path; opening it gives a better message
+        return ""
+    if S_ISREG(mode):
+        return ""
+    if S_ISDIR(mode):
+        return "a directory, not a file"
+    kind = {S_IFIFO: "a pipe", S_IFSOCK: "a socket"}.get(S_IFMT(mode), "a device")
+    return f"{kind}, not a file; copy its content into a file first"
 
 
 class NewFileError(Exception):

@@ -20,7 +20,7 @@ from mcap.opcode import Opcode
 from mcap.records import DataEnd, Footer, McapRecord, SummaryOffset
 
 from pamctl.exit_codes import ExitCode
-from pamctl.regular_file import describe_irregular_file
+from pamctl.new_file import describe_irregular_file
 
 MAGIC = b"\x89MCAP0\r\n"
 """The begin and the end of every MCAP file. Only `mcap.writer` has it, which no reader needs."""

@@ -235,7 +235,7 @@ POLYTROPIC = EffectDescription(
     equation="d(P V^a)/dt = a R T m V^(a-1); with walls T' also has -(T - T_0) / tau, tau = "
     "wall_time m / m_rest",
     parameters=(
-        size("exponent", "1", 1.4, smallest=0.03, start=1.1,
+        size("exponent", "1", 1.5, smallest=0.03, start=1.1,
              meaning="a: 1 isothermal, 1.4 adiabatic", neutral=1.0, low=1.0),
         shape("wall_time_s", "s", 0.0, 100.0, usual=0.0, smallest=0.02,
               meaning="time in which the air of a vented muscle takes the walls' heat; 0: never"),

@@ -154,8 +154,7 @@ def make_plant(asked: NewPlantOptions) -> None:
         print_json(document | ({"guessed": guessed} if records else {}))
     else:
         if records and asked.actuator is None:
-            same = "; a cylinder has the same columns: --actuator cylinder"
-            typer.echo(f"by the columns: actuator {actuator}{same if actuator == 'muscle' else ''}")
+            typer.echo(f"by the columns: actuator {actuator}")
         for name, guess in guesses.items():
             typer.echo(f"guessed: {name} = {guess.value:.4g}, {guess.how}")
         column_map = ["--map", asked.map_path] if asked.map_path else []
@@ -222,11 +221,21 @@ def _split_given(given: list[str], actuator: str) -> dict[str, str]:
 
 
 def _guess_actuator(records: list[Record]) -> str:
-    """Return what the columns of all records fit; a cylinder looks like a muscle."""
-    channels = set.intersection(*(set(r.channels) for r in records)) if records else set()
+    """Return what the columns of all records fit; of a muscle's and a cylinder's, ask."""
+    if not records:
+        return "muscle"
+    channels = set.intersection(*(set(r.channels) for r in records))
     if "force_n" in channels and "valve_v" not in channels:
         return "direct"
-    return "chamber" if records and "position_m" not in channels else "muscle"
+    if "position_m" not in channels:
+        return "chamber"
+    if not any(record.is_imported for record in records):
+        return "muscle"  # which pamctl ran
+    raise Failed(
+        ExitCode.USAGE,
+        "a braided muscle and a cylinder with a piston have the same columns: say which it is, "
+        "by --actuator muscle or --actuator cylinder",
+    )
 
 
 def _collect_numbers(

@@ -47,6 +47,21 @@ def test_headers_that_say_nothing_are_a_question_with_a_way_on(table: Path) -> N
         assert "add --map MAP.yaml" in done.stderr
 
 
+def test_a_muscle_and_a_cylinder_have_the_same_columns_so_one_is_asked_for(tmp_path: Path) -> None:
+    table, out = tmp_path / "rig.csv", tmp_path / "rig.yaml"
+    t_s = np.arange(600) / 100.0
+    fill = np.sin(t_s)
+    rows = zip(t_s, fill, 200.0 + 50.0 * fill, 20.0 + 9.0 * fill, strict=True)
+    lines = [",".join(f"{cell:.4f}" for cell in row) for row in rows]
+    table.write_text("\n".join(["t_s,valve_V,pressure_kPa,position_mm", *lines]) + "\n")
+    asked = run_pamctl("plant", "new", "--from", table, "--out", out)
+    assert asked.returncode == 2
+    assert "--actuator muscle or --actuator cylinder" in asked.stderr
+    assert not out.exists()
+    said = run_pamctl("plant", "new", "--actuator", "muscle", "--from", table, "--out", out)
+    assert said.returncode == 0, said.stderr
+
+
 def test_with_a_map_they_make_a_plant_file_and_a_diagnosis(table: Path) -> None:
     column_map, plant = table.with_name("map.yaml"), table.with_name("rig.yaml")
     made = run_pamctl("plant", "new", "--from", table, "--map", column_map, "--out", plant)

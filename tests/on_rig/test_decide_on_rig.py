@@ -22,6 +22,7 @@ from pamctl.diagnose.deciding_program import ProgramTrial
 from pamctl.diagnose.evidence.weigh import prepare_weigher
 from pamctl.diagnose.explanations import list_explanations
 from pamctl.diagnose.record import Record
+from pamctl.diagnose.report.diagnosis_page import write_diagnosis
 from pamctl.diagnose.report.next_experiment import choose_next_experiment, format_experiment_file
 from pamctl.exit_codes import ExitCode
 from pamctl.on_rig.decide_on_rig import Investigation, decide_on_rig, write_investigation
@@ -125,13 +126,26 @@ def test_the_experiment_file_runs_as_it_stands(done: Investigation, tmp_path: Pa
     assert entry["needs"]["pressure_kpa"] < 500.0
 
 
-def test_imported_records_get_words_instead_of_a_program(done: Investigation) -> None:
+def test_imported_records_get_a_table_of_commands_to_play(
+    done: Investigation, tmp_path: Path
+) -> None:
     found = done.rounds[0].diagnosis
     found = replace(found, is_of_daemon=False)
     imported = tuple(replace(r, is_imported=True) for r in found.train)
-    entry = choose_next_experiment(replace(found, train=imported, holdout=imported))
+    found = replace(found, train=imported, holdout=imported)
+    entry = choose_next_experiment(found)
     assert entry is not None
-    assert entry["do"].startswith("record: ")
+    assert entry["do"].startswith("play next-experiment.csv, ")
+    names = write_diagnosis(found, tmp_path / "out", ["one.csv"], imported)
+    assert "next-experiment.yaml" not in names
+    at_s, level_v = np.loadtxt(
+        tmp_path / "out" / "next-experiment.csv", delimiter=",", skiprows=1
+    ).T
+    # Each row is held until the next one.
+    ticks_s = 1e-3 * np.arange(round(1e3 * at_s[-1]) + 1)
+    played = level_v[np.searchsorted(at_s, ticks_s + 1e-9, side="right") - 1]
+    asked_v = done.records[1]["valve_v"][: len(played)]
+    assert np.allclose(played, asked_v, atol=1e-3)  # a step of the converter
 
 
 def test_the_folder_tells_the_rounds(done: Investigation, tmp_path: Path) -> None:

@@ -28,8 +28,10 @@ from pamctl.diagnose.report.finding_words import (
     spell_place,
 )
 from pamctl.diagnose.report.next_experiment import (
+    NEXT_COMMANDS,
     NEXT_EXPERIMENT,
     advise_experiment,
+    format_commands,
     format_experiment_file,
     runs_here,
     words_of_rig,
@@ -421,7 +423,8 @@ def write_diagnosis(
 ) -> list[str]:
     """Write the folder, return the names in it; no plant.yaml where the data were refused.
 
-    next-experiment.yaml is there where a program would decide between explanations.
+    next-experiment.yaml is there where a program would decide between explanations; for a rig that
+    pamctl does not run, next-experiment.csv.
 
     `logs` are the names of the files behind `records`. The document gets the keys of `beside` too,
     and the page what `story` writes below its head; `interactive` lets its plots be zoomed. Raise
@@ -435,6 +438,9 @@ def write_diagnosis(
     if diagnosis.deciding is not None and runs_here(diagnosis):
         text = format_experiment_file(diagnosis.deciding, logs)
         texts[out / f"{NEXT_EXPERIMENT}.yaml"] = text
+    elif diagnosis.deciding is not None:
+        period_s = diagnosis.train[0].period_s
+        texts[out / NEXT_COMMANDS] = format_commands(diagnosis.deciding, period_s)
     texts[out / "report.html"] = write_html(
         build_diagnosis_page(diagnosis, records, story), interactive=interactive
     )

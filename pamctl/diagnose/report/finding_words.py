@@ -72,6 +72,9 @@ _LAWS: Mapping[str, tuple[str, str]] = {
     ),
 }
 """What a law does, in words and as an equation, by operator; w is its width, Q a reference."""
+NEARLY_GONE, TURNED_OVER = -0.95, -1.05
+"""Of a share that a law changes: below the first nearly nothing is left, below the other its sign
+is another."""
 MOST_IN_SENTENCE = 3
 """Members of a set in a sentence; the document has all."""
 _BOTH_WAYS = ("wave", "hysteresis")
@@ -281,6 +284,8 @@ class FreeTerm:
         unit, size = self.location.unit, self.values["size"]
         if self.operator == "curve":
             low, high = (f([p["value"] for p in self.curve]) for f in (min, max))
+            if unit == "1" and low < NEARLY_GONE:
+                return _describe_loss(low, high)
             return f"from {spell_quantity(low, unit)} to {spell_quantity(high, unit)}"
         if self.operator in _BOTH_WAYS:
             return f"+-{spell_quantity(abs(size), unit)}"
@@ -323,6 +328,14 @@ class FreeTerm:
             "kin": self.kin,
             "cannot_be_told_from": others,
         }
+
+
+def _describe_loss(low: float, high: float) -> str:
+    """Say how far a curve takes something away, down to nothing or beyond."""
+    if high < NEARLY_GONE:
+        return "until nearly nothing of it is left"
+    turned = ", where its sign turns" if low < TURNED_OVER else ""
+    return f"from {spell_quantity(high, '1')} to the loss of all of it{turned}"
 
 
 def spell_quantity(value: float, unit: str) -> str:

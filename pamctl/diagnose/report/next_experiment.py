@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from pamctl.diagnose.audit import find_separating_experiment, find_showing_experiment
 from pamctl.diagnose.deciding_program import DecidingProgram, Separation
 from pamctl.diagnose.diagnosis import Diagnosis, Verdict
+from pamctl.diagnose.drawn_programs import sample_commands
 from pamctl.diagnose.report.finding_words import list_ambiguous, spell_names
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.settings.yaml12 import dump_yaml
@@ -77,6 +80,8 @@ def write_command(experiment: str, *, by_daemon: bool = False) -> str:
 
 NEXT_EXPERIMENT = "next-experiment"
 """The name of the program that was chosen; its file is beside the page."""
+NEXT_COMMANDS = f"{NEXT_EXPERIMENT}.csv"
+"""The file of its commands, for a system that pamctl does not run."""
 NEARLY_SEEN = 3.0
 """An effect visible from this many smallest sizes on needs no other experiment."""
 
@@ -92,8 +97,10 @@ def choose_next_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
 
     `do` is the command that runs it, or says what to record on a rig that pamctl does not run.
     """
-    if diagnosis.deciding is not None and runs_here(diagnosis):
+    if diagnosis.deciding is not None:
         run = advise_experiment(diagnosis, f"{NEXT_EXPERIMENT}.yaml")
+        if not runs_here(diagnosis):
+            run = f"play {NEXT_COMMANDS}, the valve's command over time, and record as before"
         return {**_describe_program(diagnosis.deciding), "do": run}
     experiment = _choose_experiment(diagnosis)
     if experiment is None:
@@ -173,6 +180,15 @@ def _list_head_lines(chosen: DecidingProgram, logs: Sequence[str]) -> Iterator[s
     )
     why = explain_choice(chosen)
     yield f"{why[:1].upper()}{why[1:]}."
+
+
+def format_commands(chosen: DecidingProgram, period_s: float) -> str:
+    """Write the program's commands as CSV: a row where the command changes, and the last tick."""
+    commands_v = sample_commands(chosen.program, period_s)
+    changes = np.flatnonzero(np.diff(commands_v, prepend=np.nan))
+    ticks = [*changes.tolist(), len(commands_v) - 1]
+    rows = (f"{tick * period_s:.6g},{commands_v[tick]:.6g}" for tick in dict.fromkeys(ticks))
+    return "\n".join(["t_s,valve_v", *rows, ""])
 
 
 class RigWords(NamedTuple):

@@ -47,6 +47,8 @@ class ShownRun:
     counted: Array
     """1 where a sample counts, NaN where not."""
     noise: Array
+    units: tuple[tuple[float, str], ...]
+    """Of each channel, the factor and unit of a residual."""
     moments: tuple[Moment, ...] = ()
 
 
@@ -78,6 +80,7 @@ def show_runs(diagnosis: Diagnosis, stages: Sequence[ModelStage]) -> list[ShownR
         rows = runs.simulate({**weigher.base, **s.model.values}, min(runs.steps_s))
         left[s.key] = np.clip(shown - rows.reshape(shown.shape), -most, most)
     when_s, at, found = runs.when_s.ravel(), 0, []
+    units = tuple(SIGNAL_DISPLAYS[c].choose_unit(max(diagnosis.gap[c][:3])) for c in runs.channels)
     moments = {r.name: r.moments for r in (*diagnosis.train, *diagnosis.holdout)}
     for piece, size in zip(runs.stretches, runs.sizes, strict=True):
         n = min(size, piece.shown.shape[1])
@@ -87,7 +90,7 @@ def show_runs(diagnosis: Diagnosis, stages: Sequence[ModelStage]) -> list[ShownR
             ShownRun(
                 piece.name, piece.begin_s + when_s[part], None if command is None else command[:n],
                 runs.channels, shown[:, part], {k: rows[:, part] for k, rows in left.items()},
-                counted[:, part], noise, moments.get(piece.name, ()),
+                counted[:, part], noise, units, moments.get(piece.name, ()),
             )
         )  # fmt: skip
         at += size
@@ -194,8 +197,7 @@ def _draw_residual(run: ShownRun, c: int, stages: Sequence[ModelStage], part: sl
     display = SIGNAL_DISPLAYS[run.channels[c]]
     title = f"{display.title.split(',')[0]}, measurement \N{MINUS SIGN} simulation"
     residuals = {s.key: (run.residuals[s.key] * run.counted)[c, part] for s in stages}
-    largest = max(float(np.abs(np.nan_to_num(r)).max()) for r in residuals.values())
-    factor, unit = display.choose_unit(largest)
+    factor, unit = run.units[c]
 
     def draw(shown: Sequence[ModelStage]) -> Plot:
         plot = Plot(title, _TIME, PlotAxis("residual", unit), height_px=110)

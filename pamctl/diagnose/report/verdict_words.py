@@ -17,7 +17,12 @@ from pamctl.diagnose.report.finding_words import (
     spell_names,
     spell_set,
 )
-from pamctl.diagnose.report.next_experiment import choose_next_experiment, runs_here, words_of_rig
+from pamctl.diagnose.report.next_experiment import (
+    NEXT_COMMANDS,
+    choose_next_experiment,
+    runs_here,
+    words_of_rig,
+)
 
 _ON_RIG = (
     "`pamctl diagnose --on-rig --out decided` runs such programs, one after the other, on the rig "
@@ -28,7 +33,7 @@ _BY_BLOCKS = (
     "What counts is what an explanation gains on stretches of the records that it was not fitted "
     "to, against all others that could stand in its place."
 )
-_AGAIN = "`pamctl diagnose next.mcap --plant plant.yaml --out next`"
+_AGAIN = "`pamctl diagnose next.mcap --plant plant.yaml --out next`, in the folder of this page,"
 
 
 class VerdictWords(NamedTuple):
@@ -146,7 +151,7 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
                 "for the rest.",
                 (
                     "Look at the rig there. plant.yaml has all of it. The next diagnosis may start "
-                    f"from it: {_AGAIN}.",
+                    f"from it: {_AGAIN} asks what else is missing.",
                 ),
                 "note",
             )
@@ -180,6 +185,8 @@ def advise_next_steps(diagnosis: Diagnosis) -> Iterator[str]:
     done = {"diagnosis"} >= {record.experiment for record in diagnosis.train}
     if diagnosis.deciding is not None and is_command:
         yield f"Its file is in the folder of this page. {_ON_RIG}"
+    elif diagnosis.deciding is not None:
+        yield f"The file {NEXT_COMMANDS} is in the folder of this page."
     elif is_command and not done and experiment["name"] != "diagnosis":
         yield f"The experiment `diagnosis` contains them all: `{_RECORD}`."
 
@@ -222,16 +229,14 @@ class SignalDisplay(NamedTuple):
         """The title without its detail, in a sentence."""
         return self.title.split(",")[0].lower()
 
-    def choose_unit(self, size: float) -> tuple[float, str]:
-        """Return factor and unit for a gap of this size in SI: a large one is shown as a signal."""
-        if size * self.gap_factor < LARGE_GAP:
+    def choose_unit(self, largest: float) -> tuple[float, str]:
+        """Return factor and unit for all gaps of a signal; `largest` is the largest of them, SI.
+
+        A large one is shown as the signal is: one unit on the whole page.
+        """
+        if largest * self.gap_factor < LARGE_GAP:
             return self.gap_factor, self.gap_unit
         return self.factor, self.unit
-
-    def spell_gap(self, size: float) -> str:
-        """Return a gap with its unit."""
-        factor, unit = self.choose_unit(size)
-        return f"{spell_figure(factor * size)} {unit}"
 
 
 def spell_figure(value: float) -> str:
@@ -302,11 +307,13 @@ def describe_gap(diagnosis: Diagnosis) -> str:
     parts = []
     for channel, gap in diagnosis.gap.items():
         display = SIGNAL_DISPLAYS[channel]
-        start, recalibrated, extended = map(display.spell_gap, gap[:3])
+        factor, unit = display.choose_unit(max(gap[:3]))
+        start, recalibrated, extended, noise = (
+            f"{spell_figure(factor * rms)} {unit}" for rms in (*gap[:3], gap.floor)
+        )
         steps = [f"{start} by the start model", f"{recalibrated} recalibrated"]
         if diagnosis.findings:
             steps.append(f"{extended} with what was found")
-        noise = display.spell_gap(gap.floor)
         parts.append(f"{display.short} {', '.join(steps)} (noise of its sensor {noise})")
     where = "On held-out seconds" if diagnosis.is_held_out else "On the fitted records"
     said = f"{where} the RMS that is left is: {'; '.join(parts)}."

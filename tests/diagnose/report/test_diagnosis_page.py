@@ -297,7 +297,9 @@ def test_the_selected_stretch_is_where_the_gap_opens():
     gap_m = np.clip(t_s - opens, 0.0, 1.0)[None] * 1e-3
     left = {"a": gap_m, "b": np.zeros_like(gap_m)}
     noise = np.array([1e-6])
-    run = ShownRun("run", t_s, None, ("position_m",), gap_m, left, np.ones_like(gap_m), noise)
+    run = ShownRun(
+        "run", t_s, None, ("position_m",), gap_m, left, np.ones_like(gap_m), noise, ((1e6, "µm"),)
+    )
     stages = [ModelStage(key, key, None, 0) for key in "ab"]
     found, part = find_telling_stretch([run], stages)
     assert found.t_s[part.start] <= opens

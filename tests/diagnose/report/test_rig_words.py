@@ -12,8 +12,10 @@ import pytest
 from support.made_records import names_of
 
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, summary
+from pamctl.diagnose.plant_numbers import FittedNumber
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
+from pamctl.diagnose.report.finding_words import FreeTerm
 from pamctl.diagnose.report.next_experiment import MOTIONS, runs_here, write_advice
 from pamctl.diagnose.report.verdict_words import (
     SIGNAL_DISPLAYS,
@@ -24,6 +26,7 @@ from pamctl.diagnose.report.verdict_words import (
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.drive import drive_coupled
 from pamctl.plant.model import PlantSettings, plant_parameters
+from pamctl.plant.terms import LOCATIONS
 from pamctl.report.html_page import write_html
 
 pytestmark = pytest.mark.long
@@ -175,3 +178,20 @@ def test_an_interval_has_the_digits_that_its_ends_need_to_differ() -> None:
     assert format_interval(0.249962, 0.250031) == "0.24996 to 0.25003"
     assert format_interval(1.0, 2.5) == "1 to 2.5"
     assert format_interval(0.25, 0.25) == "0.25 to 0.25"
+
+
+@pytest.mark.parametrize(
+    ("knots", "said"),
+    [
+        ((-1.01, -1.0, -0.999, -0.994, -1.0), "until nearly nothing of it is left"),
+        ((0.1, 0.0, -0.4, -0.9, -1.0), "from 10 % to the loss of all of it"),
+        ((0.0, 0.0, 0.0, -0.5, -1.5), "from 0 % to the loss of all of it, where its sign turns"),
+        ((0.0, 0.1, 0.2, 0.1, 0.0), "from 0 % to 20 %"),
+    ],
+)
+def test_a_law_that_takes_a_force_away_says_so(knots: tuple[float, ...], said: str) -> None:
+    numbers = tuple(FittedNumber(f"f.knot_{k}", v, v, v, "1") for k, v in enumerate(knots))
+    term = FreeTerm(
+        LOCATIONS["braid_friction"], "curve", "time", {"size": 1.0}, numbers, (0.0, 9.0)
+    )
+    assert term.text == f"a change of the braid's friction that follows time along a curve, {said}"

@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from functools import cache
+from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -292,6 +293,8 @@ _INDEX = re.compile(r"\d+|(?<![^\W_])[a-d](?![^\W_])", re.I)
 """What tells `u1` from `u2`, and `Chamber A pressure` from `Chamber B pressure`."""
 _MOVES = 0.1
 """A column whose span is a smaller share of its largest value is no part of what moves."""
+_TOGETHER = 0.99
+"""Columns of a higher correlation are two sensors of one part."""
 _SEVERAL = {
     "valve_v": "the commands of several valves",
     "pressure_pa": "the pressures of several chambers",
@@ -303,17 +306,18 @@ _SEVERAL = {
 def _require_one_of_each(candidates: Mapping[str, Sequence[_Candidate]]) -> None:
     """Raise ImportRefused where columns that differ by a number or a letter only all move.
 
-    A raw and a filtered one, a set point, and a supply that rests are another question.
+    A raw and a filtered one, a set point, two sensors of one part, and a supply that rests are
+    another question.
     """
     for quantity, what in _SEVERAL.items():
-        alike: dict[str, dict[str, str]] = {}
+        alike: dict[str, list[TableColumn]] = {}
         for one in candidates[quantity]:
             name = one.column.name
             if _INDEX.search(name) and not one.column.is_text and _does_move(one.column.values):
-                alike.setdefault(_INDEX.sub("#", name).lower(), {})[name.lower()] = name
-        for names in alike.values():
-            if len(names) > 1:
-                listed = " and ".join(map(quote, names.values()))
+                alike.setdefault(_INDEX.sub("#", name).lower(), []).append(one.column)
+        for columns in alike.values():
+            if any(_move_apart(a.values, b.values) for a, b in combinations(columns, 2)):
+                listed = " and ".join(quote(column.name) for column in columns)
                 raise ImportRefused(
                     f"{listed} look like {what}, and pamctl describes one valve, one chamber and "
                     "one joint: record one of them at a time with the others vented, or give a "
@@ -325,6 +329,11 @@ def _require_one_of_each(candidates: Mapping[str, Sequence[_Candidate]]) -> None
 def _does_move(values: Floats) -> bool:
     good = values[np.isfinite(values)]
     return bool(len(good) and np.ptp(good) > _MOVES * np.abs(good).max())
+
+
+def _move_apart(one: Floats, other: Floats) -> bool:
+    both = np.isfinite(one) & np.isfinite(other)
+    return bool(both.sum() > 1 and np.corrcoef(one[both], other[both])[0, 1] < _TOGETHER)
 
 
 def _is_same_time(one: _Candidate, other: _Candidate) -> bool:

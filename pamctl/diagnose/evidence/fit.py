@@ -20,6 +20,7 @@ from pamctl.diagnose.evidence.constants import (
     FINE_STEP_S,
     FIT_STEPS,
     FIT_STOP,
+    LEFT_TIMES,
     NAME_NATS,
     NUGGET,
     SEEN_SHARE,
@@ -273,7 +274,9 @@ class Weigher:
 
         What a stretch moves is known to first order by its score, under the model's own floor. A
         number is somewhere in its range: that bounds what no sample shows. The error of a sensor's
-        step stays the same while a signal rests: each block may be off by it.
+        step stays the same while a signal rests: each block may be off by it. What is left far
+        above the noise is a law, and alike in each stretch of a motion that is repeated: then all
+        stretches are worth one.
         """
         if not np.array_equal(m.tangent_at, m.x):
             m.tangent = None
@@ -291,7 +294,9 @@ class Weigher:
         scores = np.add.reduceat(np.einsum("icbk,cbk->bi", weighed, m.d), begins, axis=0)
         moves = np.linalg.solve(hessian - (1.0 - LEAST_LEFT) * pieces, scores[..., None])[..., 0]
         steps = (weighed[..., -1] * np.sqrt(block * least2)[:, None]).reshape(count, -1)
-        variance = (moves**2).sum(axis=0) + ((inverse @ steps) ** 2).sum(axis=1)
+        left2 = float((self.find_robust2(m) / self.find_noise2(m)).max())
+        alike = 1.0 + (len(begins) - 1) * max(1.0 - LEFT_TIMES**2 / left2, 0.0)
+        variance = alike * (moves**2).sum(axis=0) + ((inverse @ steps) ** 2).sum(axis=1)
         variance = np.maximum(variance, np.diag(inverse))
         times = float(stdtrit(max(len(begins) - 1, 1), 0.95))
         off = times * np.sqrt(variance) * [n.scale for n in m.numbers]

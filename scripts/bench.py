@@ -1,55 +1,86 @@
-"""What the verbs cost: one checkout, or several in turn on the same machine.
+"""What pamctl costs: one checkout, or several in turn on the same machine.
 
     python scripts/bench.py --only fast,replay --rounds 5 > bench.json
     python scripts/bench.py . ../other-checkout --rounds 3 > pair.json
     python scripts/bench.py --only cold          # from an empty home: with all compiling
+    python scripts/bench.py --only wake_up,wake_up_under_hogs,drift
+    python scripts/bench.py --only plant,laws --rounds 15
+    python scripts/bench.py --only deaths --rounds 10 --minutes 30
+    python scripts/bench.py --only watched,emergency_stop --rounds 30 --browser --spin-us 300
 
-JSON on stdout, a table on stderr: the median over the rounds, and with two checkouts the median of
-the ratios of neighbouring calls. Every call is a process of its own, run as a user types it, by the
-checkout's `.venv/bin/pamctl`. Processor seconds include all its descendants. Before each round ten
-million additions in a Python loop are timed: processors that others share are slower at times.
+Without `--only`: what the verbs cost. JSON on stdout, a table on stderr: the median over the rounds
+and its spread. A measure has cases. A round calls each once, in turn, so that disturbances affect
+all of them; ratios to the case named as the base, and between two checkouts, are those of
+neighbouring calls. Compare only ratios within one run. A call that ended early, as on a machine
+that starves a loop, is named under `failed`.
 
-A call that ended early, as on a machine that starves a loop, is named under `failed`.
+- The verbs: every call is a process of its own, run as a user types it, by the checkout's
+  `.venv/bin/pamctl`. Processor seconds include all its descendants. Before each call ten million
+  additions in a Python loop are timed: processors that others share are slower at times.
+- `wake_up`: `GridClock` and `pamctl run` beside cyclictest (apt-get install rt-tests), each in a
+  fresh process, since most real-time preparations cannot be undone. On a virtual machine the tail
+  belongs to the hypervisor: `stalls_ms` is the time lost in wake-ups later than 0.2 ms,
+  `queued_ms` the time that this kernel let the process wait for a CPU. A stall that was not queued
+  happened below the kernel.
+- `plant`, `laws`: speed of the simulation, its distance from the converged solution, LSODA
+  restarted every tick, and the cost of each law in the real-time loop.
+- `deaths`: a signal ends one process of a run, see `fault_rounds.py`; the time to the safe voltage.
+  The stand-in starts four threads of its own, as a driver library may; a third bench has none. Its
+  registers are memory: `read` and `io` of `live_card` are the times of the nidaqmx package and of
+  our code around it, not those of a card.
+- `watched`: one daemon holds a position, unwatched and watched: five clients ask for the status at
+  10 Hz, beside a viewer of the web page, which has a process of its own; `--browser` opens the page
+  in a Chromium. Onlookers are stopped (SIGSTOP) while the loop is alone. A cyclictest of the
+  lowest real-time priority runs beside both; where it wakes up later than 0.4 ms, the machine
+  stood still: that slice of 0.2 s and its neighbours are left out of both halves.
+- `emergency_stop`: from before a client connects until the output is at the safe voltage.
 """
 
 from __future__ import annotations
 
 import argparse
+import http.client
 import json
 import math
 import os
 import resource
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
-from collections import defaultdict
-from collections.abc import Callable
-from contextlib import suppress
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
+sys.path += [str(ROOT), str(ROOT / "tests")]  # last: a worker takes pamctl of its checkout
 
-from pamctl.log.reader import read  # noqa: E402
+from pamctl.log.reader import Log, read  # noqa: E402
 
 YARDSTICK = "total = 0\nfor number in range(10_000_000):\n    total += number"
 PLANT = "effects:\n  valve_deadband: {fill_width_v: 0.25, exhaust_width_v: 0.2}\n"
 LONG_S, SHORT_S, LIVE_S, LIVE_TRIM_S = 320.0, 20.0, 8.0, 1.0
 """Two runs of `--fast`, whose difference has no start-up; a run in real time, and its begin."""
 IMPORTED_ROWS = 60_000
-MOST_S = 3600.0
+PERIOD_NS, DRIFT_TICKS = 1_000_000, 20_000
+STALL_US = 200.0
 
 Figures = dict[str, float]
+Cases = dict[str, Figures]
+"""Figures by case."""
 
 
 class CallFailed(Exception):
-    """A call ended with a wrong exit code; the message says what it printed."""
+    """A call ended with a wrong exit code, or too early; the message says what it printed."""
 
 
 class Spent(NamedTuple):
@@ -65,24 +96,27 @@ class Spent(NamedTuple):
 class Checkout:
     """One version of pamctl, with a home and a folder of its own."""
 
-    def __init__(self, root: Path, folder: Path, hours: float) -> None:
-        self.root, self.folder, self.hours = root, folder, hours
+    def __init__(self, root: Path, folder: Path, given: argparse.Namespace) -> None:
+        self.root, self.folder, self.given = root, folder, given
         self.home = folder / "home"
         self.home.mkdir(parents=True)
         self._made: dict[str, Path] = {}
 
-    def call(
-        self, *arguments: str, home: Path | None = None, accept: int = 0, **environment: str
-    ) -> Spent:
-        """Run `pamctl` to its end. Raises `CallFailed` for an exit code but 0 and `accept`."""
-        home = home or self.home
-        places = {"HOME": str(home), "XDG_CACHE_HOME": str(home), "XDG_RUNTIME_DIR": str(home)}
+    def environment(self, home: Path | None = None, **more: str) -> dict[str, str]:
+        """Return an environment whose home is the checkout's, or the one given."""
+        place = str(home or self.home)
+        places = {"HOME": place, "XDG_CACHE_HOME": place, "XDG_RUNTIME_DIR": place}
         kept = {k: v for k, v in os.environ.items() if not k.startswith(("PAMCTL", "PYTHONPATH"))}
-        command = [str(self.root / ".venv" / "bin" / "pamctl"), *arguments]
+        return kept | places | more
+
+    def execute(
+        self, command: Sequence[str], environment: dict[str, str], accept: int = 0
+    ) -> Spent:
+        """Run a program to its end. Raises `CallFailed` for an exit code but 0 and `accept`."""
         with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as errors:
             began_s = time.perf_counter()
             process = subprocess.Popen(
-                command, cwd=self.folder, env=kept | places | environment,
+                command, cwd=self.folder, env=environment,
                 stdin=subprocess.DEVNULL, stdout=out, stderr=errors,
             )  # fmt: skip
             _, status, used = os.wait4(process.pid, 0)
@@ -90,8 +124,15 @@ class Checkout:
             out.seek(0), errors.seek(0)
             said, complaint = out.read().decode(), errors.read().decode()
         if (code := os.waitstatus_to_exitcode(status)) not in (0, accept):
-            raise CallFailed(f"{' '.join(arguments[:3])}: exit code {code}: {complaint[-300:]}")
+            raise CallFailed(f"{' '.join(command[1:4])}: exit code {code}: {complaint[-300:]}")
         return Spent(wall_s, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024, said)
+
+    def call(
+        self, *arguments: str, home: Path | None = None, accept: int = 0, **more: str
+    ) -> Spent:
+        """Run `pamctl` to its end."""
+        command = [str(self.root / ".venv" / "bin" / "pamctl"), *arguments]
+        return self.execute(command, self.environment(home, **more), accept)
 
     def run(self, name: str, *options: str, **given: Any) -> tuple[Spent, Path]:
         """Run with law and log; return the cost and the log."""
@@ -101,6 +142,12 @@ class Checkout:
         backend = () if "--backend" in options else device
         return self.call("run", "--quiet", "--log", str(log), *backend, *options, **given), log
 
+    def work(self, worker: str) -> Any:
+        """Return what a worker of this script finds, in a fresh process with this pamctl."""
+        python = str(self.root / ".venv" / "bin" / "python")
+        command = [python, __file__, "--worker", worker, "--seconds", str(self.given.seconds)]
+        return json.loads(self.execute(command, self.environment(PYTHONPATH=str(self.root))).said)
+
     def make(self, name: str, make: Callable[[], Path]) -> Path:
         """Return what `make` makes; it is made once."""
         if name not in self._made:
@@ -109,7 +156,7 @@ class Checkout:
 
     def long_log(self) -> Path:
         """Return the log of a long run of experiment 2 without a clock."""
-        seconds = 3600.0 * self.hours
+        seconds = 3600.0 * self.given.hours
         cycles = f"experiment.cycles={math.ceil(seconds / 10.0) + 1}"
         options = ("--fast", "--duration", f"{seconds:g}", "--set", cycles)
         return self.make("long", lambda: self.run("long", *options)[1])
@@ -130,7 +177,13 @@ class Checkout:
         ]
 
 
-# --- what is measured ----------------------------------------------------------------------------
+# --- the verbs -----------------------------------------------------------------------------------
+
+
+def cost(spent: Spent, *, with_memory: bool = False) -> Figures:
+    """Return the cost of a call."""
+    figures = {"wall_s": spent.wall_s, "cpu_s": spent.cpu_s}
+    return figures | ({"peak_mb": spent.peak_mb} if with_memory else {})
 
 
 def measure_help(checkout: Checkout) -> Figures:
@@ -158,31 +211,37 @@ def measure_fast(checkout: Checkout) -> Figures:
     }
 
 
-def measure_live(checkout: Checkout, rate_hz: float = 1000.0) -> Figures:
-    """Durations of the tick of a run in real time over the simulated rig."""
-    return summarise_ticks(checkout.run("live", *live_options(rate_hz))[1])
+def live(rate_hz: float = 1000.0) -> Callable[[Checkout], Figures]:
+    """Return the measure of the tick of a run in real time over the simulated rig."""
+    return lambda checkout: summarise_ticks(checkout.run("live", *live_options(rate_hz))[1])
 
 
-def measure_live_card(checkout: Checkout, rate_hz: float = 1000.0) -> Figures:
-    """Durations of the tick of a run in real time over the stand-in card."""
-    from standin.standin import Card, here
+def live_card(rate_hz: float = 1000.0, *more: str) -> Callable[[Checkout], Figures]:
+    """Return the measure of the tick of a run in real time over the stand-in card."""
 
-    here()  # for the compiler
-    with tempfile.TemporaryDirectory() as folder:
-        card = Card(Path(folder) / "registers", f"Dev{os.getpid()}b")
-        rig = ("--backend", "nidaq", "--set", f"rig.nidaq.device={card.name}")
-        rig = (*rig, "--set", "rig.safe_volts=0.625")
-        return summarise_ticks(
-            checkout.run("card", *rig, *live_options(rate_hz), **card.environment())[1]
-        )
+    def measure(checkout: Checkout) -> Figures:
+        from standin.standin import Card, here
+
+        here()  # for the compiler
+        with tempfile.TemporaryDirectory() as folder:
+            card = Card(Path(folder) / "registers", f"Dev{os.getpid()}b")
+            sets = (f"rig.nidaq.device={card.name}", "rig.safe_volts=0.625", *more)
+            rig = ("--backend", "nidaq", *set_all(sets), *live_options(rate_hz))
+            return summarise_ticks(checkout.run("card", *rig, **card.environment())[1])
+
+    return measure
 
 
 def live_options(rate_hz: float) -> tuple[str, ...]:
     """Return a short tracking run at this rate."""
     rate = (f"rig.loop.rate_hz={rate_hz:g}", "rig.homing.enabled=false")
     spin = ("rig.loop.spin_us=50",) if rate_hz > 1000.0 else ()
-    settings = [part for setting in (*rate, *spin) for part in ("--set", setting)]
-    return ("--duration", str(LIVE_S), *settings)
+    return ("--duration", str(LIVE_S), *set_all((*rate, *spin)))
+
+
+def set_all(settings: Sequence[str]) -> list[str]:
+    """Return settings as options."""
+    return [part for setting in settings for part in ("--set", setting)]
 
 
 def summarise_ticks(path: Path) -> Figures:
@@ -194,6 +253,7 @@ def summarise_ticks(path: Path) -> Figures:
     )
     parts = {
         "sample_to_command": compute, "read_tick_write": reading + compute + writing, "late": late,
+        "read": reading, "io": reading + writing,
     }  # fmt: skip
     figures = {
         f"{name}_p{share}_us": float(np.percentile(part, share))
@@ -254,34 +314,526 @@ def measure_cold(checkout: Checkout) -> Figures:
     figures: Figures = {}
     with tempfile.TemporaryDirectory() as folder:
         home = Path(folder)
-        calls: dict[str, Callable[[], Spent]] = {
-            "run": lambda: checkout.run("cold", "--duration", "3", home=home)[0],
-            "fast": lambda: checkout.run("cold", "--fast", home=home)[0],
-            "replay": lambda: checkout.call("replay", logs[0], home=home),
-            "compare": lambda: checkout.call("compare", logs[0], home=home),
+        calls: dict[str, Callable[[], float]] = {
+            "run": lambda: checkout.run("cold", "--duration", "3", home=home)[0].cpu_s,
+            "fast": lambda: checkout.run("cold", "--fast", home=home)[0].cpu_s,
+            "replay": lambda: checkout.call("replay", logs[0], home=home).cpu_s,
+            "compare": lambda: checkout.call("compare", logs[0], home=home).cpu_s,
+            "diagnose": lambda: measure_diagnosis(checkout, home)["cpu_s"],
         }
         for name, call in calls.items():
             for which in ("first", "second"):
-                figures[f"{name}_{which}_cpu_s"] = call().cpu_s
-        for which in ("first", "second"):
-            figures[f"diagnose_{which}_cpu_s"] = measure_diagnosis(checkout, home)["cpu_s"]
+                figures[f"{name}_{which}_cpu_s"] = call()
     return figures | {"together_cpu_s": sum(figures.values())}
 
 
-def cost(spent: Spent, *, with_memory: bool = False) -> Figures:
-    """Return the cost of a call, and what it says of its own speed."""
-    figures = {"wall_s": spent.wall_s, "cpu_s": spent.cpu_s}
-    return figures | ({"peak_mb": spent.peak_mb} if with_memory else {})
+# --- wake-up -------------------------------------------------------------------------------------
 
 
-MEASURES: dict[str, Callable[[Checkout], Figures]] = {
+def measure_cyclictest(checkout: Checkout) -> Figures:
+    """The kernel developers' own yardstick, in C. It holds /dev/cpu_dma_latency at 0 by itself."""
+    ticks = round(checkout.given.seconds * 1e9 / PERIOD_NS)
+    options = f"-q -p 99 -i {PERIOD_NS // 1000} -l {ticks} --histogram=50000"
+    late_us: list[float] = []
+    for line in run_cyclictest(options).splitlines():
+        name, _, value = line.lstrip("# ").partition(":")
+        if name == "Max Latencies":
+            longest_us = float(value)
+        elif name == "Histogram Overflows":
+            late_us += [longest_us] * int(value)
+        elif line.strip() and not line.startswith("#"):
+            microsecond, count = map(int, line.split())  # spread evenly: nothing is rounded
+            late_us += [microsecond + (i + 0.5) / count for i in range(count)]
+    return summarise_lateness(np.array(late_us))
+
+
+def run_cyclictest(options: str) -> str:
+    """Return what cyclictest prints. Raises `CallFailed` without it."""
+    program = shutil.which("cyclictest")
+    if program is None:
+        raise CallFailed("cyclictest is not on the PATH: apt-get install rt-tests")
+    command = [program, "-m", *options.split()]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise CallFailed(f"cyclictest failed (it needs root): {done.stderr.strip()}")
+    return done.stdout
+
+
+def summarise_lateness(late_us: NDArray[np.float64], queued_ms: float | None = None) -> Figures:
+    """Quantiles behind the deadline, missed periods, and the time lost in stalls."""
+    shares = {"p50_us": 50, "p99_us": 99, "p99.9_us": 99.9, "max_us": 100}
+    figures = {
+        name: float(np.percentile(late_us, share, method="inverted_cdf"))
+        for name, share in shares.items()
+    }
+    return figures | {
+        "missed": float(np.sum(late_us * 1e3 // PERIOD_NS)),
+        "stalls_ms": float(late_us[late_us > STALL_US].sum() / 1e3),
+        **({} if queued_ms is None else {"queued_ms": queued_ms}),
+    }
+
+
+def wait_on_grid(ticks: int, spin: bool, phase_ns: int | None = None) -> Figures:
+    """Our clock, in a process prepared like the loop's."""
+    from pamctl.realtime.clock import SPIN_NS, GridClock
+    from pamctl.realtime.scheduling import prepare
+
+    clock = GridClock(PERIOD_NS, phase_ns, SPIN_NS if spin else 0)
+    with prepare("auto"):
+        before_ms = queued_ms()
+        wakes = [clock.wait() for _ in range(ticks)]
+        queued = queued_ms() - before_ms
+    # Lateness behind the deadline of each sleep, as in cyclictest: a sleep that ends periods
+    # late is a missed tick for the loop, but a long latency here.
+    late_ns = [wake.now_ns - wake.deadline_ns + wake.missed * PERIOD_NS for wake in wakes]
+    return summarise_lateness(np.array(late_ns) / 1e3, queued)
+
+
+def sleep_plainly(ticks: int) -> Figures:
+    """The simplest way: time.sleep in an ordinary process."""
+    late_us = []
+    before_ms, deadline_ns = queued_ms(), time.monotonic_ns()
+    for _ in range(ticks):
+        deadline_ns += PERIOD_NS
+        time.sleep(max(0, deadline_ns - time.monotonic_ns()) / 1e9)
+        late_ns = time.monotonic_ns() - deadline_ns
+        late_us.append(late_ns / 1e3)
+        deadline_ns += late_ns // PERIOD_NS * PERIOD_NS
+    return summarise_lateness(np.array(late_us), queued_ms() - before_ms)
+
+
+def queued_ms() -> float:
+    """Return how long this process has waited for a CPU so far."""
+    _, waited_ns, _ = Path("/proc/self/schedstat").read_text().split()
+    return int(waited_ns) / 1e6
+
+
+def follow_grid(ticks: int) -> Figures:
+    """Whether the grid follows the clock. Missed ticks are gaps in the index, not drift."""
+    from pamctl.realtime.clock import SPIN_NS, GridClock
+    from pamctl.realtime.scheduling import prepare
+
+    with prepare("auto") as preparation:
+        clock = GridClock(PERIOD_NS, spin_ns=SPIN_NS if preparation.may_spin else 0)
+        first = last = clock.wait()
+        missed = 0
+        while last.tick < ticks:
+            last = clock.wait()
+            missed += last.missed
+    on_grid_ns, elapsed_ns = last.tick * PERIOD_NS, last.now_ns - first.now_ns
+    return {
+        "missed": missed,
+        "deadline_error_ns": last.deadline_ns - first.deadline_ns - on_grid_ns,
+        "wake_drift_us": (elapsed_ns - on_grid_ns) / 1e3,
+        "rate_error_ppm": (on_grid_ns / elapsed_ns - 1) * 1e6,
+    }
+
+
+def whole_loop(*options: str) -> Callable[[Checkout], Figures]:
+    """Return the measure of `pamctl run` on the simulated rig: plant, tick, ring and recorder."""
+
+    def measure(checkout: Checkout) -> Figures:
+        length = ("--duration", str(checkout.given.seconds), "--set", "rig.homing.enabled=false")
+        log = read(checkout.run("wake", *length, *options)[1])
+        lateness = summarise_lateness(log["late_s"] * 1e6 + log["missed"] * PERIOD_NS / 1e3)
+        return lateness | {"tick_p50_us": float(np.median(log["compute_s"]) * 1e6)}
+
+    return measure
+
+
+@contextmanager
+def cpu_hogs(count: int) -> Iterator[None]:
+    """Ordinary processes that only compute; they end by themselves with this process."""
+    busy = f"import os\nwhile os.getppid() == {os.getpid()}:\n for _ in range(10**5): pass"
+    hogs = [subprocess.Popen([sys.executable, "-c", busy]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for hog in hogs:
+            hog.kill()
+            hog.wait()
+
+
+def under_hogs(measure: Callable[[Checkout], Figures]) -> Callable[[Checkout], Figures]:
+    """Return the same measure beside processes that only compute."""
+
+    def measure_under_hogs(checkout: Checkout) -> Figures:
+        with cpu_hogs(checkout.given.hogs):
+            return measure(checkout)
+
+    return measure_under_hogs
+
+
+def in_worker(worker: str) -> Callable[[Checkout], Any]:
+    """Return the measure of a worker."""
+    return lambda checkout: checkout.work(worker)
+
+
+WAKE_UPS: dict[str, Callable[[Checkout], Figures]] = {
+    "cyclictest": measure_cyclictest,
+    "grid": in_worker("grid"),
+    "grid-spin": in_worker("grid-spin"),
+    "grid-spin-phase0": in_worker("grid-spin-phase0"),
+    "run": whole_loop("--set", "rig.loop.spin_us=0"),
+    "run-spin": whole_loop(),
+    "plain-sleep": in_worker("plain-sleep"),
+}
+
+
+def time_simulation(what: str) -> Cases:
+    """Time the plant or the laws; imported late, as few workers need it."""
+    import simulation_speed
+
+    found: Cases = getattr(simulation_speed, f"time_{what}")()
+    return found
+
+
+WORKERS: dict[str, Callable[[int], Any]] = {
+    "grid": lambda ticks: wait_on_grid(ticks, spin=False),
+    "grid-spin": lambda ticks: wait_on_grid(ticks, spin=True),
+    "grid-spin-phase0": lambda ticks: wait_on_grid(ticks, spin=True, phase_ns=0),
+    "plain-sleep": sleep_plainly,
+    "drift": lambda _: follow_grid(DRIFT_TICKS),
+    "plant": lambda _: time_simulation("plant"),
+    "laws": lambda _: time_simulation("laws"),
+}
+"""What runs in a fresh process, from the number of ticks."""
+
+
+# --- deaths --------------------------------------------------------------------------------------
+
+DEATHS = {
+    ("loop", "killed"): 20.0,
+    ("loop", "frozen"): 100.0,
+    ("guardian", "killed"): 100.0,
+    ("guardian", "frozen"): 100.0,
+    ("recorder", "killed"): 100.0,
+    ("front", "killed"): 100.0,
+}
+"""Process and signal, and the limit for the time to the safe voltage in ms."""
+BENCHES = {"sim": (0, "4"), "nidaq": (1, "4"), "nidaq without foreign threads": (1, "0")}
+"""Which of the benches of `fault_rounds.py`, and the number of the stand-in's threads."""
+
+
+def death(bench: str, process: str, how: str) -> Callable[[Checkout], Figures]:
+    """Return the measure from a signal to the safe voltage, and of ticks lost."""
+
+    def measure(checkout: Checkout) -> Figures:
+        from fault_rounds import Amiss, benches, round_of
+
+        index, threads = BENCHES[bench]
+        with tempfile.TemporaryDirectory() as folder, benches(Path(folder)) as rigs:
+            path = os.pathsep.join(
+                (str(checkout.root), rigs[index].environment.get("PYTHONPATH", ""))
+            )
+            more = {"PYTHONPATH": path.rstrip(os.pathsep), "STANDIN_THREADS": threads}
+            rig = rigs[index]._replace(environment={**rigs[index].environment, **more})
+            try:
+                return round_of(rig, [(process, how)], Path(folder) / "run.mcap")
+            except (Amiss, subprocess.TimeoutExpired) as reason:
+                raise CallFailed(str(reason)) from reason
+
+    return measure
+
+
+# --- the daemon ----------------------------------------------------------------------------------
+
+CLIENTS, LOOK_EVERY_S = 5, 0.1
+SETTLE_S, WINDOW_S, SLICE_S, FEWEST_TICKS = 2.0, 4.0, 0.2, 1000
+STANDSTILL_US = 400.0
+AO_STEP_V = 20.0 / 65536.0
+PATIENCE_S = 60.0
+
+
+class Daemon(NamedTuple):
+    """A daemon on a simulated rig."""
+
+    socket: Path
+    device: str
+
+    def ask(self, method: str, **params: Any) -> Any:
+        """Ask as a verb does: connect, ask, disconnect."""
+        from pamctl.daemon.client import Client
+
+        with Client(self.socket) as client:
+            return client.call(method, params)
+
+    def wait_for(self, holds: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+        """Return the status when `holds` is true of it."""
+        from pamctl.daemon.client import DaemonUnreachableError
+
+        deadline_s = time.monotonic() + PATIENCE_S
+        while time.monotonic() < deadline_s:
+            with suppress(DaemonUnreachableError):
+                status: dict[str, Any] = self.ask("status")
+                if holds(status):
+                    return status
+            time.sleep(0.02)
+        raise CallFailed("the daemon does not reach the wanted state")
+
+    def hold(self) -> Path:
+        """Hold a position; return the log's path."""
+        log = Path(self.ask("goto", position_m=8e-3, within_s=0.5)["log"])
+        self.wait_for(lambda status: status["state"] == "ready" and bool(status["log"]))
+        return log
+
+    def is_safe(self) -> bool:
+        """Tell whether the output is 0 V, the safe voltage."""
+        from hal.sim import peek_v
+        from pamctl.processes.backends import ao_path
+
+        volts = peek_v(ao_path(self.device))
+        return volts is not None and abs(volts) <= AO_STEP_V
+
+
+@contextmanager
+def hold_daemon(checkout: Checkout) -> Iterator[Daemon]:
+    """Run a daemon of a checkout. A stall of the machine is measured, and does not end its run."""
+    import daemon_of_rig
+
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as temporary:
+        folder = Path(temporary)
+        shutil.copy(checkout.root / "config" / "rig" / "sim.yaml", folder)
+        path = os.pathsep.join(filter(None, (str(checkout.root), os.environ.get("PYTHONPATH"))))
+        sets = ["homing.enabled=false", "limits.tracking_error_mm=20"]
+        sets += [f"loop.spin_us={checkout.given.spin_us}"]
+        options = set_all([f"rig.{setting}" for setting in sets])
+        environment = os.environ | {"PYTHONPATH": path}
+        with daemon_of_rig.hold_daemon(folder, "sim", environment, options) as socket:
+            daemon = Daemon(socket, f"sim-{folder.name}")
+            daemon.wait_for(lambda status: status["state"] == "idle")
+            yield daemon
+
+
+class Onlookers:
+    """Five clients and a web viewer; `seen` counts what each kind received."""
+
+    def __init__(self, daemon: Daemon, stack: ExitStack, folder: Path, with_browser: bool) -> None:
+        self.seen: Counter[str] = Counter()
+        self._looks, self._ended = threading.Event(), threading.Event()
+        self._looks.set()
+        web = [sys.executable, "-m", "pamctl", "watch", "--web", "--port", "0"]
+        page = stack.enter_context(start([*web, "--socket", str(daemon.socket)]))
+        assert page.stdout
+        address = page.stdout.readline().decode().strip()
+        self._processes = [page]
+        if with_browser:
+            command = [find_browser(), "--headless", "--no-sandbox", "--disable-gpu"]
+            command += ["--remote-debugging-port=0", "--window-size=1280,1400"]
+            command += [f"--user-data-dir={folder / 'browser'}", address]
+            self._processes.append(stack.enter_context(start(command)))
+        port = int(address.rsplit(":", 1)[1].rstrip("/"))
+        looks = [lambda: self._poll(daemon.socket)] * CLIENTS + [lambda: self._view_page(port)]
+        self._threads = [threading.Thread(target=look, daemon=True) for look in looks]
+        for thread in self._threads:
+            thread.start()
+        stack.callback(self._end)
+
+    def look(self, looks: bool) -> None:
+        """Go on, or stand still."""
+        (self._looks.set if looks else self._looks.clear)()
+        for process in self._processes:
+            os.killpg(process.pid, signal.SIGCONT if looks else signal.SIGSTOP)
+
+    def _look_again(self) -> bool:
+        """Wait, and as long as the onlookers are stopped; return False at the end."""
+        over = self._ended.wait(LOOK_EVERY_S)
+        self._looks.wait()
+        return not (over or self._ended.is_set())
+
+    def _end(self) -> None:
+        self.look(True)
+        self._ended.set()
+        for thread in self._threads:
+            thread.join(PATIENCE_S)
+
+    def _poll(self, socket: Path) -> None:
+        from pamctl.daemon.client import Client
+
+        with Client(socket) as client:
+            while self._look_again():
+                client.call("status")
+                self.seen["answers"] += 1
+
+    def _view_page(self, port: int) -> None:
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
+        server, look = "", 0
+        while self._look_again():
+            try:
+                news = get_json(connection, f"/news?server={server}&after={look}")
+                self.seen["pictures"] += news["look"] > look
+                held = get_json(connection, "/scope/state")
+                if held["last_tick"] > held["first_tick"]:  # the newest two seconds, as the page
+                    fields = "tick,t_s,reference_m,position_m,error_m,valve_v"
+                    ticks = f"first={max(0, held['last_tick'] - 2000)}&last={held['last_tick']}"
+                    request = f"/scope/ticks?log={held['log']}&{ticks}&fields={fields}"
+                    connection.request("GET", request)
+                    connection.getresponse().read()
+            except http.client.RemoteDisconnected:  # at the end, or idle while it stood still
+                connection.close()
+                continue
+            server, look = news["server"], news["look"]
+        connection.close()
+
+
+def get_json(connection: http.client.HTTPConnection, path: str) -> dict[str, Any]:
+    """Return the answer to a request."""
+    connection.request("GET", path)
+    answer: dict[str, Any] = json.loads(connection.getresponse().read())
+    return answer
+
+
+def find_browser() -> str:
+    """Return the path of Chromium."""
+    for name in ("chromium", "chromium-browser", "google-chrome"):
+        if (path := shutil.which(name)) is not None:
+            return path
+    raise CallFailed("no Chromium for --browser: apt-get install chromium")
+
+
+@contextmanager
+def start(command: list[str]) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a process, in a group of its own, within the block."""
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True
+    )
+    try:
+        yield process
+    finally:
+        process.terminate()
+        process.communicate()
+
+
+class Window(NamedTuple):
+    """A measured interval."""
+
+    first: int
+    last: int
+    """Ticks, both included."""
+    stalled: set[int]
+    """Slices in or beside which the machine stood still."""
+    machine_p99_us: float | None
+    """Of cyclictest; None without it."""
+
+
+def measure_window(daemon: Daemon) -> Window:
+    """Let the loop run beside a cyclictest with a thread on each CPU.
+
+    A wake-up that is late by many periods is counted as one period: the slices up to its end
+    follow from its lateness. Those beside it are left out too: the two clocks began at other times.
+    """
+    time.sleep(SETTLE_S)
+    first = int(daemon.ask("status")["tick"]["tick"])
+    try:
+        said = run_cyclictest(f"-S -p 1 -i 1000 -d 0 -v -l {round(WINDOW_S * 1e3)}")
+    except CallFailed:
+        said = ""
+        time.sleep(WINDOW_S)
+    last = int(daemon.ask("status")["tick"]["tick"])
+    samples = [line.split(":") for line in said.splitlines() if line.count(":") == 2]
+    late_us = np.array([float(late) for _, _, late in samples])
+    stalled: set[int] = set()
+    for (_, count, _), late in zip(samples, late_us, strict=True):
+        if late > STANDSTILL_US:
+            at_s = int(count) * 1e-3
+            before, after = int(at_s / SLICE_S) - 1, int((at_s + late * 1e-6) / SLICE_S) + 1
+            stalled.update(range(before, after + 1))
+    p99_us = float(np.percentile(late_us, 99)) if len(late_us) else None
+    return Window(first, last, stalled, p99_us)
+
+
+def measure_watched(checkout: Checkout) -> Cases:
+    """Wake-up and tick, unwatched and watched, in turn within one log."""
+    windows: dict[str, Window] = {}
+    with hold_daemon(checkout) as daemon:
+        log = daemon.hold()
+        with ExitStack() as stack:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+            onlookers = Onlookers(daemon, stack, folder, checkout.given.browser)
+            time.sleep(SETTLE_S * 3)  # the browser starts
+            for case in ("alone", "watched"):
+                onlookers.look(case == "watched")
+                windows[case] = measure_window(daemon)
+        daemon.ask("stop")
+        daemon.wait_for(lambda status: not status["log"])
+        found = compare_windows(read(log), windows)
+    found["watched"] |= {name: float(count) for name, count in onlookers.seen.items()}
+    return found
+
+
+def compare_windows(log: Log, windows: dict[str, Window]) -> Cases:
+    """Compare the slices in which the machine stood still in neither of the windows."""
+    rate_hz = 1.0 / float(np.median(np.diff(log["t_s"])))
+    stalled = sorted(set().union(*(window.stalled for window in windows.values())))
+    found: Cases = {}
+    for case, window in windows.items():
+        slices = np.floor((log["tick"] - window.first) / rate_hz / SLICE_S)
+        rows = (log["tick"] >= window.first) & (log["tick"] <= window.last)
+        rows &= ~np.isin(slices, stalled)
+        if rows.sum() < FEWEST_TICKS:
+            raise CallFailed("the machine stood still: measure when it is less busy")
+        found[case] = {
+            f"{name}_p{share}_us": float(np.percentile(log[column][rows] * 1e6, share))
+            for name, column in (("wake_up", "late_s"), ("tick", "compute_s"))
+            for share in (50, 99)
+        }
+        found[case]["missed_ticks"] = float(log["missed"][rows].sum())
+        found[case]["stalled_share"] = len(window.stalled) / (WINDOW_S / SLICE_S)
+        if window.machine_p99_us is not None:
+            found[case]["machine_p99_us"] = window.machine_p99_us
+    return found
+
+
+def measure_emergency_stops(checkout: Checkout) -> Figures:
+    """From before a client connects to the safe voltage, ms."""
+    from pamctl.daemon.client import DaemonDeclinedError
+
+    times_ms: list[float] = []
+    with hold_daemon(checkout) as daemon:
+        for _ in range(checkout.given.stops):
+            with suppress(DaemonDeclinedError):  # a PC too busy to start a loop: nothing to stop
+                times_ms.append(stop_at_once(daemon))
+    if not times_ms:
+        raise CallFailed("no loop started")
+    return {"p50_ms": median(times_ms), "max_ms": max(times_ms)}
+
+
+def stop_at_once(daemon: Daemon) -> float:
+    """Return the time until the output is safe, ms."""
+    daemon.hold()
+    if daemon.is_safe():
+        raise CallFailed("the output is already safe: there is nothing to measure")
+    asking = threading.Thread(target=daemon.ask, args=("estop",))
+    began_s = time.perf_counter()
+    asking.start()
+    while not daemon.is_safe():
+        time.sleep(1e-4)
+    took_ms = (time.perf_counter() - began_s) * 1e3
+    asking.join()
+    daemon.wait_for(lambda status: status["state"] == "fault" and not status["pids"])
+    daemon.ask("ack")
+    return took_ms
+
+
+# --- what is measured ----------------------------------------------------------------------------
+
+
+class Measure(NamedTuple):
+    """Cases that are called in turn; a call gives the figures of its case, or those of several."""
+
+    calls: dict[str, Callable[[Checkout], Any]]
+    base: str = ""
+    """The case whose figures of the same round the others are divided by."""
+
+
+VERBS: dict[str, Callable[[Checkout], Figures]] = {
     "help": measure_help,
     "first_tick": measure_first_tick,
     "fast": measure_fast,
-    "live": measure_live,
-    "live_card": measure_live_card,
-    "live_10_khz": lambda checkout: measure_live(checkout, 1e4),
-    "live_card_10_khz": lambda checkout: measure_live_card(checkout, 1e4),
+    "live": live(),
+    "live_card": live_card(),
+    "live_10_khz": live(1e4),
+    "live_card_10_khz": live_card(1e4),
     "log_info": on_long_log("log", "info"),
     "log_check": on_long_log("log", "check"),
     "log_recover": measure_recover,
@@ -291,9 +843,76 @@ MEASURES: dict[str, Callable[[Checkout], Figures]] = {
     "diagnose": measure_diagnosis,
     "cold": measure_cold,
 }
+MEASURES: dict[str, Measure] = {name: Measure({"": measure}) for name, measure in VERBS.items()} | {
+    "live_card_clocked": Measure({"": live_card(1000.0, "rig.nidaq.timing=hardware_timed")}),
+    "wake_up": Measure(WAKE_UPS, "cyclictest"),
+    "wake_up_under_hogs": Measure(
+        {name: under_hogs(measure) for name, measure in WAKE_UPS.items()}, "cyclictest"
+    ),
+    "drift": Measure({"": in_worker("drift")}),
+    "plant": Measure({"": in_worker("plant")}, "compiled, 2 steps"),
+    "laws": Measure({"": in_worker("laws")}, "pid"),
+    "deaths": Measure(
+        {
+            f"{bench}, {process} {how}": death(bench, process, how)
+            for bench in BENCHES
+            for process, how in DEATHS
+        }
+    ),
+    "watched": Measure({"": measure_watched}, "alone"),
+    "emergency_stop": Measure({"": measure_emergency_stops}),
+}
+
+
+class Target(NamedTuple):
+    """An aim of the manual: which figure of which case, and how much it may or must be."""
+
+    measure: str
+    case: str
+    figure: str
+    of: str
+    """`median`, `most`, or the median `ratio` to the base."""
+    limit: float
+    at_least: bool = False
+
+
+TARGETS = [
+    *(
+        Target(f"wake_up{where}", f"{clock}{spin}", f"{share}_us", "ratio", limit)
+        for where in ("", "_under_hogs")
+        for spin, limits in (("", (1.2, 1.3)), ("-spin", (0.05, 0.1)))
+        for clock in ("grid", "run")
+        for share, limit in zip(("p50", "p99"), limits, strict=True)
+    ),
+    Target("plant", "compiled, 2 steps", "square_error_um", "median", 1.0),
+    Target("plant", "compiled, 2 steps", "small_error_um", "median", 1.0),
+    Target("plant", "compiled, 2 steps", "times_real_time", "median", 1000.0, at_least=True),
+    Target("plant", "plain, 2 steps", "times_real_time", "median", 100.0, at_least=True),
+    Target("plant", "solve_ivp, plain rates, 1e-6", "tick_us", "ratio", 300.0, at_least=True),
+    Target("plant", "odeint, compiled rates, 1e-4", "tick_us", "ratio", 300.0, at_least=True),
+    *(
+        Target("laws", law, "closed_loop_times_real_time", "median", 500.0, at_least=True)
+        for law in ("qsmc", "smc", "pid")
+    ),
+    Target("laws", "qsmc", "step_us", "ratio", 1.5),
+    Target("laws", "qsmc", "tick_p50_us", "median", 6.0),
+    *(
+        Target("deaths", f"{bench}, {process} {how}", "safe_after_ms", "most", limit_ms)
+        for bench in BENCHES
+        for (process, how), limit_ms in DEATHS.items()
+    ),
+]
 
 
 # --- rounds --------------------------------------------------------------------------------------
+
+
+class Rounds(NamedTuple):
+    """What the calls of one case and one checkout found, by round."""
+
+    figures: list[Figures | None]
+    additions_s: list[float]
+    failed: list[str]
 
 
 def time_additions() -> float:
@@ -304,85 +923,153 @@ def time_additions() -> float:
 
 
 def measure_in_turn(
-    name: str, checkouts: dict[str, Checkout], rounds: int
-) -> dict[str, dict[str, Any]]:
-    """Return the figures of all rounds of each checkout; the order changes each round."""
-    found: dict[str, dict[str, Any]] = {
-        which: {"rounds": [], "additions_s": [], "failed": []} for which in checkouts
+    name: str, checkouts: dict[str, Checkout], given: argparse.Namespace, until_s: float
+) -> dict[str, dict[str, Rounds]]:
+    """Return the rounds by case and checkout; the order changes each round.
+
+    No call begins after `until_s` of the monotonic clock.
+    """
+    calls = {
+        case: call for case, call in MEASURES[name].calls.items() if case in (given.cases or [case])
     }
-    if name != "cold":
-        warm(name, checkouts)
-    for index in range(rounds):
-        for which, checkout in list(checkouts.items())[:: 1 if index % 2 else -1]:
-            found[which]["additions_s"].append(time_additions())
-            try:
-                figures: Figures | None = MEASURES[name](checkout)
-            except CallFailed as reason:
-                figures = None
-                found[which]["failed"].append(str(reason))
-                print(f"{name} {which}: {reason}", file=sys.stderr)
-            found[which]["rounds"].append(figures)
-            print(f"{name} {which} round {index + 1}: {tell(figures)}", file=sys.stderr)
+    if name in VERBS and name != "cold":
+        for checkout in checkouts.values():  # once without counting: libraries and logs are made
+            with suppress(CallFailed):
+                VERBS[name](checkout)
+    found: dict[str, dict[str, Rounds]] = {}
+    for index in range(given.rounds):
+        first = index % max(1, len(calls))  # no case always follows the same neighbour
+        for called in [*calls, *calls][first : first + len(calls)]:
+            for which, checkout in list(checkouts.items())[:: 1 if index % 2 else -1]:
+                if time.monotonic() > until_s:
+                    return found
+                additions_s, reason = time_additions(), ""
+                try:
+                    got = calls[called](checkout)
+                except CallFailed as failure:
+                    got, reason = None, str(failure)
+                is_one = got is None or not isinstance(next(iter(got.values())), dict)
+                for case, figures in ({called: got} if is_one else got).items():
+                    rounds = found.setdefault(case, {}).setdefault(which, Rounds([], [], []))
+                    rounds.figures.extend([None] * (index - len(rounds.figures)) + [figures])
+                    rounds.additions_s.append(additions_s)
+                    rounds.failed.extend([reason] if reason else [])
+                    label = " ".join(filter(None, (name, case, which)))
+                    said = reason or tell(figures or {})
+                    print(f"{label} round {index + 1}: {said}", file=sys.stderr, flush=True)
     return found
 
 
-def warm(name: str, checkouts: dict[str, Checkout]) -> None:
-    """Run once without counting: libraries are built and logs made."""
-    for checkout in checkouts.values():
-        with suppress(CallFailed):
-            MEASURES[name](checkout)
-
-
-def summarise(found: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """Add medians, and for two checkouts the median of the ratios of each round."""
-    report: dict[str, Any] = dict(found)
-    for each in found.values():
-        each["median"] = take_medians([figures for figures in each["rounds"] if figures])
-    if len(found) == 2:
-        pairs = zip(*(each["rounds"] for each in found.values()), strict=True)
-        ratios = [
-            {key: one[key] / other[key] for key in one if other.get(key)}
-            for one, other in pairs
-            if one and other
-        ]
-        report["ratio"] = {"rounds": ratios, "median": take_medians(ratios)}
+def summarise(found: dict[str, dict[str, Rounds]], base: str) -> dict[str, Any]:
+    """Add medians and spread, and the ratios to the base and to the first of two checkouts."""
+    report: dict[str, Any] = {}
+    for case, by_checkout in found.items():
+        report[case] = {
+            which: rounds._asdict() | spread(rounds.figures)
+            for which, rounds in by_checkout.items()
+        }
+        for which, rounds in by_checkout.items():
+            if case != base and which in found.get(base, {}):
+                ratios = divide(rounds.figures, found[base][which].figures)
+                report[case][which]["ratio"] = spread(ratios) | {"rounds": ratios}
+        if len(by_checkout) == 2:
+            ratios = divide(*(rounds.figures for rounds in by_checkout.values()))
+            report[case]["ratio"] = spread(ratios) | {"rounds": ratios}
     return report
 
 
-def take_medians(rounds: list[Figures]) -> Figures:
-    """Return the median of each figure."""
-    values: dict[str, list[float]] = defaultdict(list)
+def divide(some: Sequence[Figures | None], others: Sequence[Figures | None]) -> list[Figures]:
+    """Return the ratios of the rounds that both have."""
+    return [
+        {key: one[key] / other[key] for key in one if other.get(key)}
+        for one, other in zip(some, others, strict=False)
+        if one and other
+    ]
+
+
+def spread(rounds: Sequence[Figures | None]) -> dict[str, Figures]:
+    """Return the median of each figure, its least and its most."""
+    values: dict[str, list[float]] = {}
     for figures in rounds:
-        for key, value in figures.items():
-            values[key].append(value)
-    return {key: median(each) for key, each in values.items()}
+        for key, value in (figures or {}).items():
+            values.setdefault(key, []).append(value)
+    how: dict[str, Callable[[list[float]], float]] = {"median": median, "least": min, "most": max}
+    return {name: {key: pick(each) for key, each in values.items()} for name, pick in how.items()}
 
 
-def tell(figures: Figures | None) -> str:
-    """Return figures by name, as text."""
-    return ", ".join(f"{key} {value:.3g}" for key, value in (figures or {}).items()) or "-"
+def tell(figures: Figures, found: dict[str, Figures] | None = None) -> str:
+    """Return figures by name, as text; with what was found, also their spread."""
+    cells = [f"{key} {value:.3g}" for key, value in figures.items()]
+    if found:
+        ends = [f" ({found['least'][key]:.3g} to {found['most'][key]:.3g})" for key in figures]
+        cells = [cell + end for cell, end in zip(cells, ends, strict=True)]
+    return ", ".join(cells) or "-"
+
+
+def format_report(report: dict[str, Any]) -> Iterator[str]:
+    """Yield a line for each case of each checkout, its ratios, and the aims."""
+    for name, cases in report.items():
+        for case, by_checkout in cases.items():
+            for which, found in by_checkout.items():
+                label = f"{name}, {case}" if case else name
+                yield f"{label:<32}{which}: {tell(found['median'], found)}"
+                if found.get("failed"):
+                    yield f"{'':32}{len(found['failed'])} failed: {found['failed'][-1]}"
+                if "ratio" in found:
+                    base = MEASURES[name].base
+                    yield f"{'':32}over {base}: {tell(found['ratio']['median'], found['ratio'])}"
+    for target in TARGETS:
+        for which, found in report.get(target.measure, {}).get(target.case, {}).items():
+            part = (
+                found.get("ratio", {}).get("median") if target.of == "ratio" else found[target.of]
+            )
+            if which == "ratio" or not part or target.figure not in part:
+                continue
+            value = part[target.figure]
+            is_met = value >= target.limit if target.at_least else value <= target.limit
+            bound = "at least" if target.at_least else "at most"
+            yield (
+                f"  {target.measure}, {target.case}: {target.figure}, {target.of} {value:.3g}, "
+                f"{bound} {target.limit:g}: {'met' if is_met else 'NOT MET'}"
+            )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("checkouts", nargs="*", type=Path, default=[ROOT], help="with a .venv each")
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--only", default="", help=f"of {','.join(MEASURES)}")
+    parser.add_argument("--only", default=",".join(VERBS), help=f"of {','.join(MEASURES)}")
+    parser.add_argument("--cases", nargs="+", metavar="NAME", help="only these cases")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="begin no call later")
     parser.add_argument("--hours", type=float, default=1.0, help="length of the long log")
+    parser.add_argument("--seconds", type=float, default=2.0, help="length of each wake-up run")
+    parser.add_argument("--hogs", type=int, default=3, help="processes that only compute")
+    parser.add_argument("--stops", type=int, default=20, help="emergency stops a round")
+    parser.add_argument("--browser", action="store_true", help="open the page in a Chromium too")
+    parser.add_argument(
+        "--spin-us", type=float, default=100.0, help="rig.loop.spin_us of the daemon"
+    )
+    parser.add_argument("--worker", choices=WORKERS, help=argparse.SUPPRESS)
     given = parser.parse_args()
-    names = given.only.split(",") if given.only else list(MEASURES)
+    if given.worker:
+        print(json.dumps(WORKERS[given.worker](round(given.seconds * 1e9 / PERIOD_NS))))
+        return
+    names = given.only.split(",")
     if unknown := set(names) - set(MEASURES):
         parser.error(f"unknown: {', '.join(sorted(unknown))}")
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # leaves no process behind
+    until_s = time.monotonic() + 60.0 * given.minutes
     with tempfile.TemporaryDirectory() as temporary:
         checkouts = {
-            str(root): Checkout(root.resolve(), Path(temporary, str(index)), given.hours)
+            str(root): Checkout(root.resolve(), Path(temporary, str(index)), given)
             for index, root in enumerate(given.checkouts)
         }
-        report = {name: summarise(measure_in_turn(name, checkouts, given.rounds)) for name in names}
-    for name, found in report.items():
-        for which, each in found.items():
-            print(f"{name:<18}{which}: {tell(each['median'])}", file=sys.stderr)
-    print(json.dumps(report, indent=1))
+        report = {
+            name: summarise(measure_in_turn(name, checkouts, given, until_s), MEASURES[name].base)
+            for name in names
+        }
+    print(*format_report(report), sep="\n", file=sys.stderr)
+    print(json.dumps(report | {"load": os.getloadavg()}, indent=1))
 
 
 if __name__ == "__main__":

@@ -25,8 +25,8 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from bench_simulation import LAW_TICKS, ClosedLoop, run_law, run_nothing, time_interleaved
 from measured_table import format_table, write_measured
+from simulation_speed import LAWS, ClosedLoop, time_steps
 
 from pamctl.control.smc import linearise_model
 from pamctl.plant.model import plant_parameters
@@ -36,7 +36,6 @@ from pamctl.simulate.merit import TABLE_IV, Merit
 from pamctl.tune import Member, draw_ensemble, make_fixed_members
 from pamctl.tune.gains_trial import GainsTrial
 
-LAWS = ("qsmc", "smc", "pid")
 EXPERIMENTS = ("tracking-1", "tracking-2")
 SENSORS = {
     "noise and 3.175 µm a count": [],
@@ -150,17 +149,8 @@ def by_dead_band(members: Sequence[Member], inside: Iterable[bool]) -> list[tupl
 def costs(rounds: int) -> dict[str, float]:
     """Cost of one step of each law over PID's, median of interleaved rounds; plain Python."""
     loops = {law: ClosedLoop(law) for law in LAWS}
-    seen = {law: loop.estimates(LAW_TICKS) for law, loop in loops.items()}
-    work = {law: partial(run_law, loops[law], seen[law]) for law in LAWS}
-    taken_s = time_interleaved({**work, "nothing": partial(run_nothing, seen["pid"])}, rounds)
-    own = {
-        law: [t - idle for t, idle in zip(taken_s[law], taken_s["nothing"], strict=True)]
-        for law in LAWS
-    }
-    return {
-        law: statistics.median(t / pid for t, pid in zip(own[law], own["pid"], strict=True))
-        for law in LAWS
-    }
+    found = [time_steps(loops) for _ in range(rounds)]
+    return {law: statistics.median(one[law] / one["pid"] for one in found) for law in LAWS}
 
 
 def gains_of(law: str) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, NamedTuple
 
 from hal.backend import Plant
@@ -11,6 +12,7 @@ from hal.faulty import FaultSettings, FaultyRig
 from hal.sim import SimRig, sensor_chain
 from pamctl.exit_codes import Ending
 from pamctl.kernel.calls import PlainCall
+from pamctl.kernel.layout import Block
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.realtime.clock import VirtualClock
@@ -19,6 +21,7 @@ from pamctl.realtime.tick_runner import TickRunner
 from pamctl.recording.rows import (
     COMPENSATED_TICK,
     PLAIN_TICK,
+    ROW_BYTES,
     ROW_HEADER,
     RowKind,
     TickRow,
@@ -27,13 +30,7 @@ from pamctl.recording.rows import (
 )
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings, resolve
-from pamctl.signals import (
-    TICK_FIELDS,
-    Phase,
-    TickRecord,
-    Truth,
-    list_tick_fields,
-)
+from pamctl.signals import Phase, TickRecord, Truth, list_tick_fields
 
 MS = 1_000_000
 COUNT_M = 25.4e-3 / 8000.0
@@ -47,12 +44,22 @@ def run_settings(*overrides: str, **choices: Any) -> RunSettings:
     )
 
 
+@cache
+def row_layout(compensates: bool) -> Block[TickRow]:
+    """Return where the numbers of a row are: found once, as that takes a millisecond."""
+    return make_rows(compensates, 1).block
+
+
+PLAIN_SIZE, COMPENSATED_SIZE = (
+    tick_struct(list_tick_fields(compensates)).size for compensates in (False, True)
+)
+
+
 def unpack_row(row: bytes | bytearray) -> TickRecord:
     """Return the record in a row of the ring."""
     kind, size, tick, t_ns = ROW_HEADER.unpack_from(row)
-    compensates = size != tick_struct(TICK_FIELDS).size
-    assert (kind, size) == (RowKind.TICK, tick_struct(list_tick_fields(compensates)).size)
-    record = make_rows(compensates, 1).block.read(row).record
+    assert (kind, size) in ((RowKind.TICK, PLAIN_SIZE), (RowKind.TICK, COMPENSATED_SIZE))
+    record = row_layout(size == COMPENSATED_SIZE).read(row).record
     assert (tick, t_ns) == (record.timing.tick, record.raw.encoder_t_ns)
     return record
 
@@ -60,10 +67,11 @@ def unpack_row(row: bytes | bytearray) -> TickRecord:
 def pack_row(record: TickRecord) -> bytearray:
     """Return the row of the ring with a record."""
     compensates = record.compensation is not None
-    rows = make_rows(compensates, 1)
     kind = COMPENSATED_TICK if compensates else PLAIN_TICK
-    rows[0] = TickRow(kind, record.timing.tick, record.raw.encoder_t_ns, record)
-    return rows.buffer
+    row = bytearray(ROW_BYTES)
+    value = TickRow(kind, record.timing.tick, record.raw.encoder_t_ns, record)
+    row_layout(compensates).write(row, value)
+    return row
 
 
 @dataclass

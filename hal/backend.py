@@ -12,7 +12,7 @@ Run the cases of `hal/rig_contract.py` over a new one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -263,14 +263,3 @@ def worst_level(findings: Iterable[DoctorFinding]) -> Level:
     """Return the level of the worst finding; without findings all is well."""
     levels = {finding.level for finding in findings}
     return "fault" if "fault" in levels else "warning" if "warning" in levels else "ok"
-
-
-def format_findings(findings: Iterable[DoctorFinding]) -> Iterator[str]:
-    """Write a line for each finding; below each that is not ok, what it should be and the fix."""
-    for finding in findings:
-        yield f"{finding.level:<8} {finding.name:<22} {finding.found}"
-        if finding.level != "ok":
-            if finding.wanted:
-                yield f"{'':<31} should be: {finding.wanted}"
-            if finding.fix:
-                yield f"{'':<31} fix: {finding.fix}"

@@ -22,7 +22,7 @@ from pamctl.cli.options import (
     option,
     verb,
 )
-from pamctl.cli.output import PAGE_BEGIN, print_json, print_report
+from pamctl.cli.output import PAGE_BEGIN, print_report, print_result
 from pamctl.exit_codes import ExitCode
 from pamctl.new_file import NewFileError, require_empty_folder, require_place, write_files
 from pamctl.plain_text import escape_name
@@ -56,10 +56,8 @@ def report(asked: ReportOptions) -> None:
     require_place(target, replaces=PAGE_BEGIN)
     html = write_html(compose_report(logs, doubts), interactive=asked.interactive)
     write_files({target: html}, replaces=PAGE_BEGIN)
-    if asked.as_json:
-        print_json({"page": str(target), "bytes": len(html.encode()), "logs": asked.paths})
-    else:
-        typer.echo(f"report: {target}")
+    document = {"page": str(target), "bytes": len(html.encode()), "logs": asked.paths}
+    print_result(document, f"report: {target}", as_json=asked.as_json)
 
 
 # --- replay -----------------------------------------------------------------------------------
@@ -205,10 +203,9 @@ def compare(asked: CompareOptions) -> None:
         whole = None if plot is None else read(asked.paths[0])
         reports = [report_comparison(path, models, whole) for path, models in found]
     if len(reports) > 1:
-        if asked.as_json:
-            print_json([{**one.document, "plot": None} for one in reports])
-        else:
-            typer.echo("\n\n".join(map(format_terminal, reports)))
+        documents = [{**one.document, "plot": None} for one in reports]
+        text = "\n\n".join(map(format_terminal, reports))
+        print_result(documents, text, as_json=asked.as_json)
         return
     (one,) = reports
     failure = None

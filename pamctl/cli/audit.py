@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import string
-import textwrap
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import typer
-
 from pamctl.cli.options import PlantOptions, argument, flag, verb
-from pamctl.cli.output import print_json
+from pamctl.cli.output import print_report
 from pamctl.cli.settings_from_options import find_argument_file
 from pamctl.settings.resolve import resolve
 
 if TYPE_CHECKING:
     from pamctl.diagnose import Record
-    from pamctl.diagnose.audit import Audit, Inseparable
+    from pamctl.diagnose.audit import Audit, BlindSpot, Inseparable
+    from pamctl.report.report import Part, Report
 
 
 class AuditOptions(PlantOptions):
@@ -43,11 +41,8 @@ def audit(asked: AuditOptions) -> None:
     record = _make_record(asked.what, asked.plant)
     found = audit_run(record, plant)
     runs_here = plant.actuator == "muscle" and not record.is_imported
-    if asked.as_json:
-        print_json(found.as_dict())
-    else:
-        advise = partial(write_advice, actuator=plant.actuator, runs_here=runs_here)
-        typer.echo("\n".join(format_audit(found, advise, verbose=asked.verbose)))
+    advise = partial(write_advice, actuator=plant.actuator, runs_here=runs_here)
+    print_report(report_audit(found, advise, verbose=asked.verbose), as_json=asked.as_json)
 
 
 def _make_record(what: str, plant: str | None) -> Record:
@@ -72,76 +67,60 @@ def _make_record(what: str, plant: str | None) -> Record:
 
 # --- the words --------------------------------------------------------------------------------
 
-_WIDTH = 100
 _NONE = "x"
 Advise = Callable[[str], str]
 
 
-def format_audit(found: Audit, advise: Advise, *, verbose: bool) -> list[str]:
-    """Return the lines of an audit, at most 100 columns wide; the reasons with `verbose`."""
-    seen = f"shows {len(found.sees)} effects: {', '.join(found.sees) or 'none'}"
-    lines = [*textwrap.wrap(seen, _WIDTH, subsequent_indent="  "), ""]
-    if found.blind_spots:
-        lines.append("cannot show, at the smallest size of interest:")
-        lines += _format_blind_spots(found, advise, verbose=verbose)
+def report_audit(found: Audit, advise: Advise, *, verbose: bool) -> Report:
+    """Return what an excitation shows and does not; with the reasons if `verbose`."""
+    from pamctl.report.report import Points, Report, ReportTable, Section, Text
+
+    report = Report("Audit", f"shows {len(found.sees)} effects", document=found.as_dict())
+    report.add(Points([", ".join(found.sees)] if found.sees else []))
+    spots = found.blind_spots
+    if not spots:
+        report.add(Text("no blind spots"))
     else:
-        lines.append("no blind spots")
+        report.add(Section("cannot show, at the smallest size of interest"))
+    if spots and verbose:
+        report.add(Points([_explain_blind_spot(spot, advise) for spot in spots]))
+    elif spots:
+        report.add(ReportTable(["effect", ""], [[spot.name, spot.visibility] for spot in spots]))
+        shown: dict[str, list[str]] = {}
+        for spot in spots:
+            shown.setdefault(spot.experiment, []).append(spot.name)
+        adds = [f"{advise(e)}  # for {', '.join(shown[e])}" for e in sorted(shown) if e]
+        report.add(Points([f"add: {add}" for add in adds]))
     if found.inseparable:
-        lines += [
-            "",
-            "cannot tell apart, at that size:",
-            *_format_matrix(found.inseparable, advise),
-        ]
+        report.add(Section("cannot tell apart, at that size"))
+        report.add(*_draw_matrix(found.inseparable, advise))
     if found.unasked:
-        lines += ["", *_format_unasked(found.unasked, verbose=verbose)]
-    if not verbose and (found.blind_spots or found.unasked):
-        lines += ["", "--verbose says why."]
-    return lines
+        report.add(Section(f"does not ask {len(found.unasked)} effects"))
+        names = [", ".join(name for name, _ in found.unasked)]
+        report.add(Points([f"{name}: {why}" for name, why in found.unasked] if verbose else names))
+    if not verbose and (spots or found.unasked):
+        report.add(Section("--verbose says why."), Text(""))
+    return report
 
 
-def _format_blind_spots(found: Audit, advise: Advise, *, verbose: bool) -> Iterator[str]:
-    width = max(len(spot.name) for spot in found.blind_spots) + 2
-    for spot in found.blind_spots:
-        yield f"  {spot.name:<{width}}{spot.visibility}"
-        add = f"add: {advise(spot.experiment)}" if spot.experiment else ""
-        said = [spot.why] if verbose else []
-        for text in [*said, *([add] if add and verbose else [])]:
-            yield from textwrap.wrap(
-                text, _WIDTH, initial_indent="      ", subsequent_indent="      "
-            )
-    if not verbose:
-        for experiment in sorted({spot.experiment for spot in found.blind_spots} - {""}):
-            shown = ", ".join(s.name for s in found.blind_spots if s.experiment == experiment)
-            text = f"add: {advise(experiment)}  # for {shown}"
-            yield from textwrap.wrap(text, _WIDTH, initial_indent="  ", subsequent_indent="      ")
+def _explain_blind_spot(spot: BlindSpot, advise: Advise) -> str:
+    add = f"; add: {advise(spot.experiment)}" if spot.experiment else ""
+    return f"{spot.name}: {spot.visibility}; {spot.why}{add}"
 
 
-def _format_unasked(unasked: Sequence[tuple[str, str]], *, verbose: bool) -> Iterator[str]:
-    if not verbose:
-        text = f"does not ask {len(unasked)} effects: {', '.join(name for name, _ in unasked)}"
-        yield from textwrap.wrap(text, _WIDTH, subsequent_indent="  ")
-        return
-    yield "does not ask:"
-    width = max(len(name) for name, _ in unasked) + 2
-    for name, why in unasked:
-        yield from textwrap.wrap(
-            f"  {name:<{width}}{why}", _WIDTH, subsequent_indent=" " * (width + 2)
-        )
-
-
-def _format_matrix(pairs: Sequence[Inseparable], advise: Advise) -> Iterator[str]:
+def _draw_matrix(pairs: Sequence[Inseparable], advise: Advise) -> Sequence[Part]:
     """Draw a row and a column for each effect; a letter names what tells the two apart."""
+    from pamctl.report.report import Points, ReportTable
+
     names = sorted({name for pair in pairs for name in pair.names})
     experiments = sorted({pair.experiment for pair in pairs} - {""})
     letter = {"": _NONE, **dict(zip(experiments, string.ascii_lowercase, strict=False))}
     cells = {frozenset(pair.names): letter.get(pair.experiment, "?") for pair in pairs}
-    width = max(map(len, names)) + 6
-    yield f"  {'':<{width}}" + "".join(f"{number:>3}" for number in range(1, len(names) + 1))
-    for number, row in enumerate(names, 1):
-        marks = "".join(f"{cells.get(frozenset((row, column)), '.'):>3}" for column in names)
-        yield f"  {number:>3} {row:<{width - 4}}{marks}"
-    for experiment in experiments:
-        text = f"{letter[experiment]}: {advise(experiment)}"
-        yield from textwrap.wrap(text, _WIDTH, initial_indent="  ", subsequent_indent="     ")
+    rows = [
+        [str(number), row, *(cells.get(frozenset((row, column)), ".") for column in names)]
+        for number, row in enumerate(names, 1)
+    ]
+    key = [f"{letter[experiment]}: {advise(experiment)}" for experiment in experiments]
     if _NONE in cells.values():
-        yield f"  {_NONE}: no shipped experiment separates them"
+        key.append(f"{_NONE}: no shipped experiment separates them")
+    return ReportTable(["", "", *map(str, range(1, len(names) + 1))], rows), Points(key)

@@ -29,7 +29,7 @@ from pamctl.cli.options import (
     require_linux,
     verb,
 )
-from pamctl.cli.output import print_json, print_result, read_records
+from pamctl.cli.output import print_result, read_records
 from pamctl.exit_codes import ExitCode
 from pamctl.new_file import NewFileError, require_empty_folder
 
@@ -125,7 +125,7 @@ def diagnose(asked: DiagnoseOptions) -> None:
     except NewFileError as error:
         failure = error
     document = build_diagnosis_document(diagnosis)
-    print_result(document, lambda: summary(diagnosis) + end, failure, as_json=asked.as_json)
+    print_result(document, summary(diagnosis) + end, failure, as_json=asked.as_json)
     raise typer.Exit(ExitCode.BAD_DATA if diagnosis.reason else ExitCode.OK)
 
 
@@ -174,10 +174,7 @@ def diagnose_on_rig(asked: DiagnoseOptions, plant: PlantSettings) -> None:
         budget = Budget(asked.runs, asked.minutes)
         plan = make_rig_plan(rig.settings(), plant, first, budget)
         if asked.dry_run:
-            if asked.as_json:
-                print_json(plan.as_dict())
-            else:
-                typer.echo(plan.describe())
+            print_result(plan.as_dict(), plan.describe(), as_json=asked.as_json)
             return
         print(plan.describe(), file=sys.stderr)
         if not asked.yes:
@@ -259,7 +256,7 @@ def _finish(investigation: Any, asked: DiagnoseOptions, code: ExitCode, reason: 
     stopped = f"stopped after {investigation.rig_time_s:.0f} s on the rig: {investigation.stopped}"
     document = {**build_diagnosis_document(found), "on_rig": investigation.as_dict()}
     text = f"{summary(found)}\n\n{told}\n{stopped}{end}"
-    print_result(document, lambda: text, failure, as_json=asked.as_json)
+    print_result(document, text, failure, as_json=asked.as_json)
     if reason:
         print_error(reason)
     raise typer.Exit(code)

@@ -92,7 +92,7 @@ class Verbs(TyperGroup):
         except typer.Exit:
             raise
         except ConfigError as error:
-            problems = [problem._asdict() for problem in error.problems]
+            problems = [problem.as_dict() for problem in error.problems]
             raise Failed(error.exit_code, str(error), problems=problems) from error
         except Exception as error:
             if (known := explain_error(error)) is not None:

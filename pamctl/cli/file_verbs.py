@@ -11,7 +11,7 @@ import typer
 
 from pamctl.cli.failure import Failed
 from pamctl.cli.options import MAP, Options, argument, flag, option, verb
-from pamctl.cli.output import print_json, read_records
+from pamctl.cli.output import print_result, read_records
 from pamctl.cli.settings_from_options import SettingsOptions, find_argument_file
 from pamctl.exit_codes import ExitCode
 from pamctl.new_file import require_place, write_files
@@ -53,22 +53,21 @@ def check_files(asked: FilesOptions) -> None:
     """Validate files, each by itself: one line per file, or one per problem."""
     shipped = (path for kind in SECTIONS for path in sorted((config_dir() / kind).glob("*.yaml")))
     checked = [(path, *_check_file(path)) for path in asked.files or shipped]
-    if asked.as_json:
-        print_json(
-            [
-                {
-                    "file": shorten_path(path),
-                    "kind": kind or None,
-                    "ok": not problems,
-                    "problems": [problem._asdict() for problem in problems],
-                }
-                for path, kind, problems in checked
-            ]
-        )
-    else:
-        for path, kind, problems in checked:
-            lines = map(str, problems) if problems else [f"{shorten_path(path)}: ok ({kind})"]
-            typer.echo("\n".join(lines))
+    documents = [
+        {
+            "file": shorten_path(path),
+            "kind": kind or None,
+            "ok": not problems,
+            "problems": [problem.as_dict() for problem in problems],
+        }
+        for path, kind, problems in checked
+    ]
+    lines = [
+        line
+        for path, kind, problems in checked
+        for line in map(str, problems or [f"{shorten_path(path)}: ok ({kind})"])
+    ]
+    print_result(documents, "\n".join(lines), as_json=asked.as_json)
     if any(problems for _, _, problems in checked):
         raise typer.Exit(ExitCode.BAD_CONFIG)
 
@@ -148,24 +147,23 @@ def make_plant(asked: NewPlantOptions) -> None:
     texts = {name: f"given as {text}" for name, text in texts.items()}
     texts |= {name: f"guessed, {guess.how}" for name, guess in guesses.items()}
     write_files({out: format_new_plant(actuator, values, texts, fitted)})
-    if asked.as_json:
-        document = {"plant": str(out), "actuator": actuator, "numbers": values, "fitted": names}
-        guessed = {name: guess._asdict() for name, guess in guesses.items()}
-        print_json(document | ({"guessed": guessed} if records else {}))
-    else:
-        if records and asked.actuator is None:
-            typer.echo(f"by the columns: actuator {actuator}")
-        for name, guess in guesses.items():
-            typer.echo(f"guessed: {name} = {guess.value:.4g}, {guess.how}")
-        column_map = ["--map", asked.map_path] if asked.map_path else []
-        measured = [str(path) for path in asked.measured] or ["LOG"]
-        files = [*measured, *column_map]
-        words = ["pamctl", "diagnose", *files, "--plant", out, "--out", "DIR"]
-        typer.echo(
-            f"plant: {out}\n`pamctl diagnose` will fit {fitted}, from these values on; "
-            "it takes the other numbers as they are\n"
-            f"next: {shlex.join(map(str, words))}"
-        )
+    document = {"plant": str(out), "actuator": actuator, "numbers": values, "fitted": names}
+    lines = []
+    if records:
+        document["guessed"] = {name: guess._asdict() for name, guess in guesses.items()}
+        if asked.actuator is None:
+            lines.append(f"by the columns: actuator {actuator}")
+    lines += [f"guessed: {name} = {g.value:.4g}, {g.how}" for name, g in guesses.items()]
+    column_map = ["--map", asked.map_path] if asked.map_path else []
+    measured = [str(path) for path in asked.measured] or ["LOG"]
+    words = ["pamctl", "diagnose", *measured, *column_map, "--plant", out, "--out", "DIR"]
+    lines += [
+        f"plant: {out}",
+        f"`pamctl diagnose` will fit {fitted}, from these values on; "
+        "it takes the other numbers as they are",
+        f"next: {shlex.join(map(str, words))}",
+    ]
+    print_result(document, "\n".join(lines), as_json=asked.as_json)
 
 
 class ExportPlantOptions(Options):
@@ -192,10 +190,9 @@ def export_plant(asked: ExportPlantOptions) -> None:
 
     settings = read_section_file("plant", find_argument_file("plant", asked.plant))
     platform = write_fmu(settings, out, sources_only=asked.sources_only)
-    if asked.as_json:
-        print_json({"plant": asked.plant, "fmu": str(out), "platform": platform or None})
-    else:
-        typer.echo(f"{out}: FMI 3.0 for co-simulation, {platform or 'sources only'}")
+    document = {"plant": asked.plant, "fmu": str(out), "platform": platform or None}
+    text = f"{out}: FMI 3.0 for co-simulation, {platform or 'sources only'}"
+    print_result(document, text, as_json=asked.as_json)
 
 
 def _split_given(given: list[str], actuator: str) -> dict[str, str]:

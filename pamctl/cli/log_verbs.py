@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,15 +11,15 @@ import typer
 
 from pamctl.cli.failure import print_error
 from pamctl.cli.options import MAP, Options, argument, flag, option, verb
-from pamctl.cli.output import print_json, read_map
+from pamctl.cli.output import print_report, print_result, read_map
 from pamctl.exit_codes import ExitCode
 from pamctl.plain_text import escape_name
-from pamctl.settings.problems import ConfigError
+from pamctl.settings.problems import ConfigError, Problem
 
 if TYPE_CHECKING:
     from pamctl.log.check import LogCheckReport
-    from pamctl.log.edit import CutLog
-    from pamctl.log.recover import Recovery
+    from pamctl.log.importing.pipeline import ImportedColumn, ImportSummary
+    from pamctl.report.report import Part, Report
 
 log_app = typer.Typer(
     no_args_is_help=True, help="Look into logs, mend, cut, export and import them."
@@ -42,25 +43,22 @@ def show_info(asked: InfoOptions) -> None:
     """
     from pamctl.log import info
     from pamctl.log.run_meta import CHANGES, spell_controller
+    from pamctl.report.report import Facts, Report
 
     found = info(asked.path)
-    if asked.as_json:
-        print_json(found)
-    else:
-        found["path"] = escape_name(found["path"])
-        if found["outcome"]:
-            found["outcome"] = f"{found['outcome']['code']}: {found['outcome']['reason']}"
-        if str(found["start"]).startswith("1970-01-01"):
-            found["start"] = "none (simulated without a clock)"
-        changes = found.pop(CHANGES)
-        found["controller"] = spell_controller({**found, CHANGES: changes}) or None
-        typer.echo(
-            "\n".join(
-                f"{name.replace('_', ' '):<16}{_format_value(value)}"
-                for name, value in found.items()
-                if value not in (None, {}, [], "")
-            )
-        )
+    shown = {**found, "outcome": None}
+    if found["outcome"]:
+        shown["outcome"] = f"{found['outcome']['code']}: {found['outcome']['reason']}"
+    if str(found["start"]).startswith("1970-01-01"):
+        shown["start"] = "none (simulated without a clock)"
+    shown["controller"] = spell_controller(found) or None
+    facts = {
+        name.replace("_", " "): _format_value(value)
+        for name, value in shown.items()
+        if name not in {"path", CHANGES} and value not in (None, {}, [], "")
+    }
+    report = Report("Log", escape_name(found["path"]), document=found)
+    print_report(report.add(Facts(facts)), as_json=asked.as_json)
     if not found["complete"]:
         fix = f"save all that is whole with `pamctl log recover {asked.path} DESTINATION`"
         print_error(f"{asked.path} is damaged, or not finished: {fix}")
@@ -92,10 +90,9 @@ def check_logs(asked: LogCheckOptions) -> None:
     Exits with 3 if there is an error in any of them, 65 if a file is no log at all.
     """
     reports = [_check_log(path) for path in asked.paths]
-    if asked.as_json:
-        print_json([report for _, report in reports])
-    else:
-        typer.echo("\n".join(line for _, report in reports for line in _format_report(report)))
+    documents = [document for _, document in reports]
+    text = "" if asked.as_json else "\n".join(map(_format_check, documents))
+    print_result(documents, text, as_json=asked.as_json)
     raise typer.Exit(max(code for code, _ in reports))
 
 
@@ -126,24 +123,39 @@ def _find_config_problems(text: str) -> list[str]:
     return []
 
 
-def _format_report(report: dict[str, Any]) -> list[str]:
-    name = escape_name(report["path"])
-    if "reason" in report:
-        return [f"{name}: no log", f"  error    {report['reason']}"]
-    verdict = f"{'ok' if report['ok'] else 'not ok'}, {report['ticks']} ticks"
-    kinds = {f["kind"] for f in report["findings"] if f["severity"] == "error"}
-    fixes = dict.fromkeys(fix for kind, fix in _FIXES.items() if kind in kinds)
-    return [
-        f"{name}: {verdict}",
-        *(f"  {f['severity']:<9}{f['kind']:<12}{f['message']}" for f in report["findings"]),
-        *(f"  way on   {fix.format(name)}" for fix in fixes),
-    ]
+def _format_check(document: dict[str, Any]) -> str:
+    from pamctl.report.report import Problems, Report, format_terminal
+
+    name = escape_name(document["path"])
+    if "reason" in document:
+        problem = Problem(name, "", document["reason"], fix=_NO_LOG)
+        return format_terminal(Report(f"{name}: no log").add(Problems([problem])))
+    fixes = {kind: fix.format(name) for kind, fix in FIXES.items()}
+    verdict = f"{name}: {'ok' if document['ok'] else 'not ok'}, {document['ticks']} ticks"
+    return format_terminal(Report(verdict).add(*_list_problems(document["findings"], fixes)))
 
 
+def _list_problems(
+    findings: Sequence[Mapping[str, str]], fixes: Mapping[str, str]
+) -> Iterator[Part]:
+    """Yield findings as problems; a fix stands below the first error that it mends."""
+    from pamctl.report.report import Problems
+
+    said = {""}
+    problems = []
+    for severity, kind, message in (found.values() for found in findings):
+        fix = fixes.get(kind, "") if severity == "error" else ""
+        problems.append(Problem(kind, "", message, severity, fix="" if fix in said else fix))
+        said.add(fix)
+    if problems:
+        yield Problems(problems)
+
+
+_NO_LOG = "import a measured file by pamctl log import FILE NEW.mcap"
 _RECOVER = "save all that is whole: pamctl log recover {} NEW.mcap"
 _CUT = "cut a sound part out: pamctl log cut {} --out PART.mcap --from-s ... --to-s ..."
 _ANEW = "make a log of what was measured anew: pamctl log export {} T.csv, then log import"
-_FIXES = {
+FIXES = {
     **dict.fromkeys(("damage", "index", "summary", "chunk", "order"), _RECOVER),
     **dict.fromkeys(("backwards", "duplicated", "phase", "empty", "missing"), _CUT),
     **dict.fromkeys(("tick-order", "clock", "gap", "sequence", "reversed", "columns"), _ANEW),
@@ -169,14 +181,6 @@ def recover_log(asked: RecoverOptions) -> None:
     from pamctl.log.recover import recover_file
 
     recovery = recover_file(asked.source, asked.destination)
-    if asked.as_json:
-        print_json(asdict(recovery))
-    else:
-        typer.echo("\n".join(_format_recovery(recovery)))
-    raise typer.Exit(ExitCode.OK if recovery.lossless else ExitCode.CHECK_FAILED)
-
-
-def _format_recovery(recovery: Recovery) -> list[str]:
     saved = ", ".join(f"{count} of {topic}" for topic, count in recovery.messages.items())
     lines = [f"{escape_name(recovery.destination)}: saved {saved}"]
     lines += [f"  damage   {what}" for what in recovery.damage]
@@ -186,7 +190,8 @@ def _format_recovery(recovery: Recovery) -> list[str]:
         lines.append(
             f"  doubtful no checksum vouches for the metadata {', '.join(recovery.unverified)}"
         )
-    return lines
+    print_result(asdict(recovery), "\n".join(lines), as_json=asked.as_json)
+    raise typer.Exit(ExitCode.OK if recovery.lossless else ExitCode.CHECK_FAILED)
 
 
 # --- export -----------------------------------------------------------------------------------
@@ -226,12 +231,8 @@ def export_log(asked: ExportOptions) -> None:
         to_s=asked.to_s,
         every=asked.every,
     )
-    if asked.as_json:
-        print_json(asdict(done))
-    else:
-        typer.echo(
-            f"{escape_name(done.destination)}: {done.ticks} ticks, {len(done.fields)} columns"
-        )
+    text = f"{escape_name(done.destination)}: {done.ticks} ticks, {len(done.fields)} columns"
+    print_result(asdict(done), text, as_json=asked.as_json)
 
 
 # --- cut --------------------------------------------------------------------------------------
@@ -277,13 +278,6 @@ def cut_file(asked: CutOptions) -> None:
 
     given: Any = limits
     done = cut_log(asked.source, asked.destination, **given, at_gaps=asked.at_gaps)
-    if asked.as_json:
-        print_json(asdict(done))
-    else:
-        typer.echo("\n".join(_format_cut(done)))
-
-
-def _format_cut(done: CutLog) -> list[str]:
     lines = [
         f"{escape_name(piece.destination)}: {piece.last_row - piece.first_row + 1} rows, "
         f"{piece.first_row} to {piece.last_row} of {done.rows}, "
@@ -293,7 +287,7 @@ def _format_cut(done: CutLog) -> list[str]:
     if done.left_out:
         rows = ", ".join(map(str, done.left_out[:10]))
         lines.append(f"left out, alone between two gaps: row {rows}")
-    return lines
+    print_result(asdict(done), "\n".join(lines), as_json=asked.as_json)
 
 
 # --- import -----------------------------------------------------------------------------------
@@ -320,7 +314,7 @@ def import_file(asked: ImportOptions) -> None:
     A header says quantity and unit: position_mm, pressure_gauge_kpa, `Position [mm]`.
     Errors stop the import (65); warnings go into the log.
     """
-    from pamctl.log.importing.pipeline import format_page, import_log
+    from pamctl.log.importing.pipeline import import_log
 
     done = import_log(
         asked.source,
@@ -329,13 +323,34 @@ def import_file(asked: ImportOptions) -> None:
         resample_hz=asked.resample_hz,
         accept_units=asked.accept_units,
     )
-    if asked.as_json:
-        print_json({**asdict(done), "findings": [finding._asdict() for finding in done.findings]})
-    else:
-        head = f"{done.source}: not imported; {done.form}"
-        if done.written:
-            rate = f"one every {done.period_s:.6g} s, over {done.lasts_s:.6g} s"
-            head = f"{done.destination}: {done.ticks} ticks, {rate}; {done.form}"
-        page = format_page(head, done.columns, done.findings, done.map_text)
-        typer.echo("\n".join(page))
+    # As it is to be written: a report would spell it in ASCII.
+    end = f"\nWith --map FILE, which may say:\n{done.map_text.rstrip()}" if done.map_text else ""
+    print_report(_report_import(done), as_json=asked.as_json, end=end)
     raise typer.Exit(ExitCode.OK if done.written else ExitCode.BAD_DATA)
+
+
+def _report_import(done: ImportSummary) -> Report:
+    from pamctl.report.report import Report, ReportTable
+
+    findings = [finding._asdict() for finding in done.findings]
+    head = f"{done.source}: not imported; {done.form}"
+    if done.written:
+        rate = f"one every {done.period_s:.6g} s, over {done.lasts_s:.6g} s"
+        head = f"{done.destination}: {done.ticks} ticks, {rate}; {done.form}"
+    report = Report("Import", head, document={**asdict(done), "findings": findings})
+    rows = [[str(c.number), c.name, *_describe_column(c)] for c in done.columns]
+    report.add(ReportTable(["", "column", "read as", "", "from .. to"], rows))
+    report.add(*_list_problems(findings, {}))
+    return report
+
+
+def _describe_column(column: ImportedColumn) -> tuple[str, str, str]:
+    """Return how a column is read, its course, and between which values."""
+    if column.left_out:
+        return "left out", "", column.left_out
+    ends = "no values"
+    if column.lowest is not None and column.highest is not None:
+        ends = f"{column.lowest:.6g} .. {column.highest:.6g}"
+    rests = f", rests {column.rests:.0%}" if column.rests else ""
+    gone = f", {column.missing} missing" if column.missing else ""
+    return column.read_as, column.plot, f"{ends}{rests}{gone}"

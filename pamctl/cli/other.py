@@ -52,7 +52,7 @@ def reproduce(asked: ReproduceOptions) -> None:
         write_files({numbers: written}, replaces=_NUMBERS_BEGIN)
     except NewFileError as error:
         text, failure = written, error
-    print_result(made.numbers, lambda: text, failure, as_json=asked.as_json)
+    print_result(made.numbers, text, failure, as_json=asked.as_json)
 
 
 def manual(

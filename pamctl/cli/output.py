@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -57,19 +57,16 @@ def print_report(
     """Print a report, and a line at its end; raise `Failed` if it could not be saved."""
     from pamctl.report.report import format_terminal
 
-    print_result(report.document, lambda: format_terminal(report) + end, failure, as_json=as_json)
+    text = "" if as_json else format_terminal(report) + end
+    print_result(report.document, text, failure, as_json=as_json)
 
 
 def print_result(
-    document: Mapping[str, object],
-    text: Callable[[], str],
-    failure: NewFileError | None,
-    *,
-    as_json: bool,
+    document: object, text: str, failure: NewFileError | None = None, *, as_json: bool
 ) -> None:
     """Print a result; raise `Failed` if it could not be saved: it is not lost with the file."""
     if not as_json:
-        typer.echo(text())
+        typer.echo(text)
     elif failure is None:
         print_json(document)
     if failure is not None:

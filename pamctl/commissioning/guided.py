@@ -26,6 +26,7 @@ from pamctl.commissioning.bench import (
 from pamctl.exit_codes import ExitCode
 from pamctl.new_file import NewFileError, require_place, write_files
 from pamctl.processes.backends import require_backend
+from pamctl.report.report import Facts, Report, Text
 from pamctl.settings.config_files import find_config_file
 from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import (
@@ -131,31 +132,28 @@ def _make_rig_file(out: Path, source: Path, outcome: CalibrationOutcome, what: s
     return text
 
 
-def make_calibration_document(made: CalibratedRig) -> dict[str, Any]:
-    """Return what was found as one document; SI, keys as in the rig file."""
-    outcome = made.outcome
-    return {
+def report_calibration(made: CalibratedRig) -> Report:
+    """Return what was found: each value beside the one before; the document has the file's keys."""
+    outcome, before = made.outcome, settings_to_data(made.settings.rig)
+    found = {}
+    for value in outcome.values:
+        section, key = value.keys
+        within = f" +- {value.uncertainty:.2g}" if value.uncertainty else ""
+        was = before.get(section, {}).get(key)
+        found[f"{section}.{key}"] = (
+            f"{value.value:.7g}{within} {value.unit} (was {was:.7g}): {value.how}"
+        )
+    document = {
+        "exit_code": int(ExitCode.OK),
+        "reason": "",
         "values": [{**v._asdict(), "keys": ".".join(v.keys)} for v in outcome.values],
         "rig_file": None if made.failure else str(made.out),
         "notes": list(outcome.notes),
         "figures": dict(outcome.figures),
     }
-
-
-def format_calibration(made: CalibratedRig) -> str:
-    """Return what was found for people: each value beside the one before."""
-    before = settings_to_data(made.settings.rig)
-    lines = []
-    for value in made.outcome.values:
-        section, key = value.keys
-        within = f" +- {value.uncertainty:.2g}" if value.uncertainty else ""
-        was = before.get(section, {}).get(key)
-        lines.append(f"{section}.{key}: {value.value:.7g}{within} {value.unit} (was {was:.7g})")
-        lines.append(f"    {value.how}")
-    lines += made.outcome.notes
-    if not made.failure:
-        lines.append(f"rig file: {shorten_path(made.out)}")
-    return "\n".join(lines)
+    verdict = "no rig file" if made.failure else f"rig file: {shorten_path(made.out)}"
+    report = Report("Calibration", verdict, document=document)
+    return report.add(Facts(found), *map(Text, outcome.notes))
 
 
 class CalibrationValue(NamedTuple):

@@ -28,6 +28,7 @@ from pamctl.report.report import (
     Fold,
     Part,
     Points,
+    Problems,
     Report,
     ReportTable,
     Section,
@@ -175,6 +176,9 @@ def _write_part(part: Part) -> str:
             return f'<p class="callout {escape(kind)}">{_format_inline(text)}</p>'
         case Points(items):
             return f"<ul>{''.join(f'<li>{_format_inline(item)}</li>' for item in items)}</ul>"
+        case Problems(items):
+            rows = [[p.level, p.where or p.key, p.message, p.fix] for p in items]
+            return _write_table(ReportTable(["", "where", "what", "fix"], rows))
         case Facts(facts):
             pairs = (
                 f"<div><dt>{escape(str(name))}</dt><dd>{escape(str(value))}</dd></div>"

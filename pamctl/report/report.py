@@ -16,11 +16,13 @@ Errors are spelled by `spell_um`, so that they have the same digits everywhere.
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from pamctl.report.figure import Levels, Plot
+from pamctl.settings.problems import Problem
 
 
 class Section(NamedTuple):
@@ -42,6 +44,12 @@ class Points(NamedTuple):
     """A list."""
 
     items: Sequence[str]
+
+
+class Problems(NamedTuple):
+    """What was checked: a line each, and below it what it should be and the fix."""
+
+    items: Sequence[Problem]
 
 
 class Facts(NamedTuple):
@@ -73,7 +81,7 @@ class Fold(NamedTuple):
     text: str
 
 
-Part = Section | Text | Points | Facts | ReportTable | Figure | Fold
+Part = Section | Text | Points | Problems | Facts | ReportTable | Figure | Fold
 
 
 @dataclass
@@ -125,13 +133,35 @@ def _drop_empty_sections(parts: Sequence[Part]) -> Iterator[Part]:
             yield part
 
 
+_WIDTH = 100
+
+
+def format_part(part: Part) -> str:
+    """Return one part for a terminal: of an answer that is printed while it is found."""
+    return to_ascii("\n".join(line.rstrip() for line in _list_lines(part)))
+
+
 def _list_lines(part: Part) -> Iterator[str]:
     if isinstance(part, Section):
         yield part.heading
     elif isinstance(part, Text):
         yield part.text.replace("`", "")
     elif isinstance(part, Points):
-        yield from (f"- {item}".replace("`", "") for item in part.items)
+        for item in part.items:
+            yield from textwrap.wrap(
+                f"- {item}".replace("`", ""),
+                _WIDTH,
+                subsequent_indent="  ",
+                break_long_words=False,
+                break_on_hyphens=False,
+            )
+    elif isinstance(part, Problems):
+        for where, key, message, level, wanted, fix in part.items:
+            yield f"{level:<8} {where or key:<22} {message}"
+            if wanted and level != "ok":
+                yield f"{'':<31} should be: {wanted}"
+            if fix and level != "ok":
+                yield f"{'':<31} fix: {fix}"
     elif isinstance(part, Facts):
         width = max(map(len, part.facts), default=0)
         yield from (f"{name:<{width}}  {value}" for name, value in part.facts.items())

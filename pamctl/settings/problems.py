@@ -27,13 +27,19 @@ JsonSchema = dict[str, Any]
 
 
 class Problem(NamedTuple):
-    """One problem to fix."""
+    """What is wrong, or worth knowing."""
 
     where: str
-    """`file:line:column`, or the command-line option."""
+    """`file:line:column`, the command-line option, or what was checked."""
     key: str
     """Dotted path from the section on; empty if the problem is a whole file."""
     message: str
+    level: str = "error"
+    """`ok`, `note`, `warning`, `error` or `fault`."""
+    wanted: str = ""
+    """What it should be, where the message does not say it."""
+    fix: str = ""
+    """What to do, where the message does not say it."""
 
     @property
     def is_missing(self) -> bool:
@@ -42,7 +48,11 @@ class Problem(NamedTuple):
 
     def __str__(self) -> str:
         """Return the problem as one line for the user."""
-        return ": ".join(part for part in self if part)
+        return ": ".join(part for part in self[:3] if part)
+
+    def as_dict(self) -> dict[str, str]:
+        """Return what a document holds."""
+        return {"where": self.where, "key": self.key, "message": self.message}
 
 
 class ConfigError(Exception):

@@ -6,9 +6,10 @@ from itertools import combinations
 
 import pytest
 
-from pamctl.cli.audit import format_audit
+from pamctl.cli.audit import report_audit
 from pamctl.diagnose.audit import Audit, BlindSpot, Inseparable
 from pamctl.plant.catalogue import CATALOGUE
+from pamctl.report.report import format_terminal
 
 NAMES = sorted(CATALOGUE)[:20]
 SPOTS = tuple(
@@ -25,12 +26,13 @@ def test_an_audit_fits_into_100_columns(verbose: bool) -> None:
     )
     unasked = tuple((name, "no candidate of the search, " * 5) for name in NAMES)
     found = Audit(tuple(NAMES), SPOTS, pairs, unasked)
-    lines = format_audit(found, lambda name: f"pamctl run --experiment {name}", verbose=verbose)
+    report = report_audit(found, lambda name: f"pamctl run --experiment {name}", verbose=verbose)
+    lines = format_terminal(report).splitlines()
     assert max(map(len, lines)) <= 100
     assert ("leaves the null" in "\n".join(lines)) == verbose
     assert ("no candidate of the search" in "\n".join(lines)) == verbose
     assert "does not ask" in "\n".join(lines)
-    assert "pamctl run --experiment slow-ramps" in "\n".join(lines)
+    assert "pamctl run --experiment slow-ramps" in " ".join(map(str.strip, lines))
 
 
 def test_the_matrix_names_the_experiment_of_each_pair() -> None:
@@ -39,9 +41,10 @@ def test_the_matrix_names_the_experiment_of_each_pair() -> None:
         Inseparable(("creep", "valve_leak"), "", ""),
         Inseparable(("drift", "valve_leak"), "square-1", ""),
     )
-    lines = format_audit(Audit((), (), pairs), str.upper, verbose=False)
+    report = report_audit(Audit((), (), pairs), str.upper, verbose=False)
+    lines = format_terminal(report).splitlines()
     rows = [line.split()[2:] for line in lines if line.strip()[:2] in ("1 ", "2 ", "3 ")]
     rows = [row for row in rows if len(row) == 3]
     assert rows == [[".", "a", "x"], ["a", ".", "b"], ["x", "b", "."]]
-    assert "  a: CHIRP" in lines
-    assert "  b: SQUARE-1" in lines
+    assert "- a: CHIRP" in lines
+    assert "- b: SQUARE-1" in lines

@@ -17,7 +17,7 @@ from standin.standin import PERMIT, Card, here
 from support.patience import PATIENCE_S
 from support.runs import AO_STEP_V, MS, parts, run_settings
 
-from hal.backend import DoctorFinding, format_findings, worst_level
+from hal.backend import DoctorFinding, worst_level
 from hal.faulty import FaultSettings
 from hal.nidaq.nidaq_backend import (
     check_device_nodes,
@@ -57,6 +57,8 @@ from pamctl.processes.backends import SHARED_MEMORY, ao_path
 from pamctl.processes.interrupts import Interrupts, SignalInterrupt
 from pamctl.realtime.clock import VirtualClock, Wake
 from pamctl.realtime.scheduling import Preparation, PreparationStep
+from pamctl.report.report import Problems, format_part
+from pamctl.settings.problems import Problem
 from pamctl.settings.resolve import RunSettings, resolve
 
 PAMCTL = str(Path(sys.executable).with_name("pamctl"))
@@ -561,9 +563,9 @@ def test_device_nodes_are_judged_by_what_this_user_may(tmp_path: Path) -> None:
 
 
 def test_the_report_gives_the_way_out_below_what_is_wrong_and_nothing_below_what_is_well() -> None:
-    bad = DoctorFinding("a.b", "fault", "broken", "whole", "mend it", {"x": 1})
-    good = DoctorFinding("a.c", "ok", "fine", "unused", "unused")
-    lines = list(format_findings([bad, good]))
+    bad = Problem("a.b", "", "broken", "fault", "whole", "mend it")
+    good = Problem("a.c", "", "fine", "ok", "unused", "unused")
+    lines = format_part(Problems([bad, good])).splitlines()
     assert [line.split()[0] for line in lines] == ["fault", "should", "fix:", "ok"]
 
 

@@ -33,7 +33,7 @@ from pamctl.cli.options import (
     seconds_option,
     verb,
 )
-from pamctl.cli.output import print_json
+from pamctl.cli.output import print_result
 from pamctl.cli.verbs import VERBS
 from pamctl.exit_codes import ExitCode
 from pamctl.plain_text import LONGEST_REMARK, clean_text
@@ -167,20 +167,14 @@ def ask(socket: Path | None, method: str, params: Mapping[str, object] | None = 
 
 def print_answer(answer: Any, text: str, *, as_json: bool) -> None:
     """Print the answer, or `text` filled with its fields for people."""
-    if as_json:
-        print_json(answer)
-    else:
-        typer.echo(text.format(**(answer or {})))
+    print_result(answer, text.format(**(answer or {})), as_json=as_json)
 
 
 def print_settings(settings: Mapping[str, Any], *, as_json: bool) -> None:
     """Print settings, for people as a file."""
-    if as_json:
-        print_json(settings)
-    else:
-        from pamctl.settings.yaml12 import dump_yaml
+    from pamctl.settings.yaml12 import dump_yaml
 
-        typer.echo(dump_yaml(settings).rstrip())
+    print_result(settings, dump_yaml(settings).rstrip(), as_json=as_json)
 
 
 def _read_section(section: str, name: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
@@ -200,12 +194,9 @@ def _read_section(section: str, name: str, overrides: Sequence[str] = ()) -> dic
 def status(asked: OrderOptions) -> None:
     """Show what the daemon is doing."""
     answer = ask(asked.socket, "status")
-    if asked.as_json:
-        print_json(answer)
-        return
     from pamctl.live.feed import format_status
 
-    typer.echo(format_status(answer))
+    print_result(answer, format_status(answer), as_json=asked.as_json)
 
 
 class StartOptions(OrderOptions, AnnotationOptions):

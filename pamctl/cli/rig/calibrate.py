@@ -9,9 +9,8 @@ import typer
 
 from pamctl.cli.failure import Failed
 from pamctl.cli.options import MAY_MOVE, flag, option, require_linux, verb
-from pamctl.cli.output import print_result
+from pamctl.cli.output import print_report
 from pamctl.cli.settings_from_options import RigOptions
-from pamctl.exit_codes import ExitCode
 from pamctl.settings.problems import ConfigError, Problem
 
 if TYPE_CHECKING:  # no other verb waits for these
@@ -154,16 +153,11 @@ def valve(asked: ValveOptions) -> None:
 def _calibrate(
     task: CalibrationTask, answers: Sequence[float] | None, asked: CalibrateOptions
 ) -> None:
-    from pamctl.commissioning.guided import (
-        calibrate_rig,
-        format_calibration,
-        make_calibration_document,
-    )
+    from pamctl.commissioning.guided import calibrate_rig, report_calibration
     from pamctl.processes.interrupts import SignalInterrupt
 
     try:
         made = calibrate_rig(task, answers, may_move=asked.yes)
     except SignalInterrupt as error:
         raise Failed(error.code, str(error)) from error
-    document = {"exit_code": int(ExitCode.OK), "reason": "", **make_calibration_document(made)}
-    print_result(document, lambda: format_calibration(made), made.failure, as_json=asked.as_json)
+    print_report(report_calibration(made), as_json=asked.as_json, failure=made.failure)

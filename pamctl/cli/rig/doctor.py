@@ -10,13 +10,13 @@ import typer
 
 from hal.backend import (
     DoctorFinding,
-    format_findings,
     worst_level,
 )
 from pamctl.cli.options import flag, option, require_linux, verb
-from pamctl.cli.output import print_json
+from pamctl.cli.output import print_result
 from pamctl.cli.settings_from_options import RigOptions
 from pamctl.exit_codes import ExitCode
+from pamctl.settings.problems import Problem
 
 if TYPE_CHECKING:
     from pamctl.processes.interrupts import SignalInterrupt
@@ -42,6 +42,7 @@ def doctor(asked: DoctorOptions) -> None:
     from pamctl.commissioning.examination import examine_all
     from pamctl.processes.backends import device_of
     from pamctl.processes.interrupts import SignalInterrupt
+    from pamctl.report.report import Problems, format_part
 
     findings: list[DoctorFinding] = []
     interrupt: SignalInterrupt | None = None
@@ -54,23 +55,22 @@ def doctor(asked: DoctorOptions) -> None:
             for finding in work:
                 findings.append(finding)
                 if not asked.as_json:
-                    typer.echo("\n".join(format_findings([finding])))
+                    typer.echo(format_part(Problems([_to_problem(finding)])))
     except (SignalInterrupt, KeyboardInterrupt) as error:
         interrupt = error if isinstance(error, SignalInterrupt) else SignalInterrupt(2)
     code = _exit_code(findings, interrupt)
-    if asked.as_json:
-        document = {
-            "schema": SCHEMA,
-            "exit_code": code,
-            "worst": worst_level(findings),
-            "backend": settings.rig.backend,
-            "device": device_of(settings),
-            "actuated": asked.actuate,
-            "findings": [finding._asdict() for finding in findings],
-        }
-        print_json(document)
-    else:
-        typer.echo(str(interrupt) if interrupt else _summarise(findings))
+    document = {
+        "schema": SCHEMA,
+        "exit_code": code,
+        "worst": worst_level(findings),
+        "backend": settings.rig.backend,
+        "device": device_of(settings),
+        "actuated": asked.actuate,
+        "findings": [finding._asdict() for finding in findings],
+    }
+    levels = [finding.level for finding in findings]
+    verdict = f"{levels.count('fault')} faults, {levels.count('warning')} warnings"
+    print_result(document, str(interrupt or verdict), as_json=asked.as_json)
     raise typer.Exit(code)
 
 
@@ -80,6 +80,5 @@ def _exit_code(findings: list[DoctorFinding], interrupt: SignalInterrupt | None)
     return int(ExitCode.CHECK_FAILED if worst_level(findings) == "fault" else ExitCode.OK)
 
 
-def _summarise(findings: list[DoctorFinding]) -> str:
-    levels = [finding.level for finding in findings]
-    return f"{levels.count('fault')} faults, {levels.count('warning')} warnings"
+def _to_problem(finding: DoctorFinding) -> Problem:
+    return Problem(finding.name, "", finding.found, finding.level, finding.wanted, finding.fix)

@@ -9,7 +9,7 @@ import typer
 
 from pamctl.cli.failure import print_error
 from pamctl.cli.options import AnnotationOptions, flag, option, require_linux, verb
-from pamctl.cli.output import print_json
+from pamctl.cli.output import print_result
 from pamctl.cli.settings_from_options import SettingsOptions
 from pamctl.exit_codes import ExitCode
 from pamctl.settings.resolve import settings_to_json, settings_to_yaml
@@ -50,10 +50,8 @@ def run(asked: RunOptions) -> None:
         done = run_once(settings, names, asked.log, progress, quiet=asked.quiet, said=said)
         if done.note:
             print(f"warning: {done.note}", file=sys.stderr)
-        if asked.as_json:
-            print_json(done.document)
-        elif done.text:
-            typer.echo(done.text)
+        if asked.as_json or done.text:
+            print_result(done.document, done.text, as_json=asked.as_json)
         if done.code in (ExitCode.SIGINT, ExitCode.SIGTERM, ExitCode.SIGHUP):
             print(done.reason, file=sys.stderr)
             ignore_signals()

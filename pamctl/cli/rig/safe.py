@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import typer
-
 from pamctl.cli.failure import Failed
 from pamctl.cli.options import require_linux, verb
-from pamctl.cli.output import print_json
+from pamctl.cli.output import print_result
 from pamctl.cli.settings_from_options import RigOptions
 from pamctl.exit_codes import ExitCode
 from pamctl.settings.resolve import RunSettings
@@ -27,12 +25,11 @@ def safe(asked: RigOptions) -> None:
     if failure is not None:
         reason = f"NOT SAFE, {device}: {volts:g} V could not be driven: {failure}"
         raise Failed(ExitCode.UNAVAILABLE, reason, device=device, safe_volts=volts)
-    if asked.as_json:
-        print_json({"exit_code": 0, "device": device, "safe_volts": volts, "reason": ""})
-    else:
-        cal = settings.rig.calibration
-        u_v = (volts - cal.driver_offset_v) / cal.driver_gain
-        typer.echo(f"{device}: {volts:g} V on the output (u = {u_v:g} V): safe")
+    cal = settings.rig.calibration
+    u_v = (volts - cal.driver_offset_v) / cal.driver_gain
+    document = {"exit_code": 0, "device": device, "safe_volts": volts, "reason": ""}
+    text = f"{device}: {volts:g} V on the output (u = {u_v:g} V): safe"
+    print_result(document, text, as_json=asked.as_json)
 
 
 def _make_safe(settings: RunSettings) -> Exception | None:

@@ -8,7 +8,7 @@ the source.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -453,30 +453,3 @@ def _average(values: Floats, count: int) -> Floats:
     """Return the means of so many pieces, shape (count,); NaN for one without values."""
     pieces = [piece[np.isfinite(piece)] for piece in np.array_split(values, count)]
     return np.array([piece.mean() if len(piece) else np.nan for piece in pieces])
-
-
-def format_page(
-    head: str, columns: tuple[ImportedColumn, ...], findings: tuple[LogFinding, ...], map_text: str
-) -> Iterator[str]:
-    """Yield the lines of the page."""
-    yield head
-    name_width = min(max((len(column.name) for column in columns), default=0), 28)
-    role_width = min(max((len(column.read_as) for column in columns), default=0), 40)
-    yield f"  {'':>3} {'column':<{name_width}}  {'read as':<{role_width}}  from .. to"
-    for column in columns:
-        name = f"  {column.number:>3} {column.name:<{name_width}}"
-        if column.left_out:
-            yield f"{name}  left out: {column.left_out}"
-            continue
-        ends = "no values"
-        if column.lowest is not None and column.highest is not None:
-            ends = f"{column.lowest:.6g} .. {column.highest:.6g}"
-        rests = f", rests {column.rests:.0%}" if column.rests else ""
-        gone = f", {column.missing} missing" if column.missing else ""
-        plot = f"{column.plot:<{_PLOT_WIDTH}}"
-        yield f"{name}  {column.read_as:<{role_width}}  {plot}  {ends}{rests}{gone}"
-    for finding in findings:
-        yield f"  {finding.severity:<8} {finding.kind:<11} {finding.message}"
-    if map_text:
-        yield "With --map FILE, which may say:"
-        yield from (f"  {line}" for line in map_text.splitlines())

@@ -355,6 +355,16 @@ class Plot:
             self._y_scale or fit_scale(self.y, [y for mark in self.marks for y in mark.ys]),
         )
 
+    @property
+    def y_ticks(self) -> list[AxisTick]:
+        """The numbers beside the y axis."""
+        return self.scales[1].ticks(max(4, self.height_px // 32))
+
+    @property
+    def longest_number(self) -> int:
+        """Letters of the longest number beside the y axis."""
+        return max((len(tick.text) for tick in self.y_ticks), default=0)
+
     def hides_lines(self) -> bool:
         """Return whether half of one of its coloured lines lies below the later ones."""
         lines = [m for m in self.marks if m.css.startswith("l") and " cm" not in m.css]

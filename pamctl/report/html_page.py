@@ -80,7 +80,7 @@ figcaption{color:var(--dim);font-size:14px;margin-top:6px;max-width:85ch}
 .plot{break-inside:avoid;margin-bottom:6px;min-width:0}
 .ptitle{font-weight:600;font-size:14px;margin:6px 0 2px}
 .ptitle .unit{color:var(--dim);font-weight:400;margin-left:6px}
-.frame{padding:0 10px 0 56px}
+.frame{padding:0 10px 0 max(56px,var(--numbers,0px))}
 .grid2{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,400px),1fr));gap:8px 24px}
 .levels{display:grid;grid-template-columns:max-content 1fr max-content;gap:4px 10px;
 align-items:center;font-size:14px}.levels svg{width:100%;height:15px}
@@ -106,8 +106,8 @@ font-size:13px;color:var(--dim);max-width:none}
 details{margin:10px 0}summary{cursor:pointer;font-weight:600}
 code{background:var(--panel);padding:1px 4px;font-size:13px;white-space:nowrap}
 pre{overflow-x:auto;background:var(--panel);padding:10px 12px;font-size:12.5px;line-height:1.4}
-@media(max-width:600px){main{padding:16px 12px 48px}h1{font-size:22px}.frame{padding-left:50px}
-.spare{display:none}code{white-space:normal}
+@media(max-width:600px){main{padding:16px 12px 48px}h1{font-size:22px}
+.frame{padding-left:max(50px,var(--numbers,0px))}.spare{display:none}code{white-space:normal}
 nav{flex-wrap:nowrap;overflow-x:auto;white-space:nowrap;padding-bottom:6px}
 td,th{padding-right:6px}td:last-child,th:last-child{padding-right:0}table{font-size:13px}.short{white-space:normal}td:not(.num):not(.short){min-width:6em}.facts{grid-template-columns:repeat(2,minmax(0,1fr))}}
 @media print{:root{color-scheme:light;--bg:#fff;--fg:#000;--dim:#444;--rule:#ccc;--panel:#f6f6f6;
@@ -122,7 +122,7 @@ pre{white-space:pre-wrap}.wide{overflow:visible;background:none}table{font-size:
 STYLE = COLOURS + _PAGE
 """The style sheet of all written pages."""
 
-_SHORT = 16
+_SHORT, _DIGIT_PX = 16, 7
 _CODE = re.compile("`([^`]+)`")
 _POLICY = ("default-src 'none'", "style-src 'unsafe-inline'")
 """The browser itself refuses to load or send anything."""
@@ -232,8 +232,10 @@ def _draw_figure(figure: Figure, zoomed: list[Plot] | None) -> str:
             zoomed.append(plot)
         else:
             parts.append(draw_plot(plot))
-    inside = "".join(parts)
-    return f'<div class="grid2">{inside}</div>' if figure.is_grid else inside
+    drawn = [plot for plot in figure.plots if isinstance(plot, Plot)]
+    letters = max((plot.longest_number for plot in drawn), default=0)
+    css = ' class="grid2"' if figure.is_grid else ""
+    return f'<div{css} style="--numbers:{letters * _DIGIT_PX + 8}px">{"".join(parts)}</div>'
 
 
 def _format_inline(text: str) -> str:

@@ -51,7 +51,7 @@ def draw_plot(plot: Plot) -> str:
         f'<div class="frame"><svg role="img" aria-label="{name}" width="100%" '
         f'height="{px + _ABOVE + below}"><title>{name}</title>'
         f'<svg y="{_ABOVE}" width="100%" height="{px + below}" class="open">'
-        f"{''.join(_draw_grid(plot, x, y))}"
+        f"{''.join(_draw_grid(plot, x))}"
         f'<svg class="data" width="100%" height="{px}" viewBox="0 0 {FRAME_WIDTH} '
         f'{px * PIXEL:.0f}" preserveAspectRatio="none">{drawn}{_draw_straight_lines(plot, x, y)}'
         f"</svg>{''.join(_write_labels(plot, x, y))}{empty}</svg></svg></div></div>"
@@ -121,11 +121,11 @@ def _shade(across: Floats, down: Floats, height: float, css: str) -> Iterator[st
         yield f'<path class="{css}" fill-opacity="{shade / _SHADES:.1f}" d="{path}"/>'
 
 
-def _draw_grid(plot: Plot, x: Scale, y: Scale) -> Iterator[str]:
+def _draw_grid(plot: Plot, x: Scale) -> Iterator[str]:
     """Yield grid lines and numbers; a narrow x axis may omit every second number."""
     bottom = plot.height_px
     yield f'<rect class="paper" width="100%" height="{bottom}"/>'
-    for place, text, _ in y.ticks(max(4, bottom // 32)):
+    for place, text, _ in plot.y_ticks:
         at = (1.0 - place) * bottom
         yield f'<line class="grid" x2="100%" y1="{at:.1f}" y2="{at:.1f}"/>'
         yield _write(0.0, at + 4, text, "yt", -6)

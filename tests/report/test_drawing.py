@@ -250,3 +250,14 @@ def test_names_of_moments_near_each_other_stand_below_each_other() -> None:
         plot.place(at_s, "a mark that says much")
     heights = re.findall(r'<text class="note[^"]*" x="[\d.]+%" dx="-?4" y="(\d+)"', draw_plot(plot))
     assert heights == ["12", "25", "38", "12"]
+
+
+def test_the_numbers_beside_an_axis_have_the_room_that_they_need() -> None:
+    def measure_room(value: float) -> int:
+        y = [value, value * 1.00001]
+        plot = Plot("p", PlotAxis("time", "s"), PlotAxis("p", "Pa")).line([0.0, 1.0], y)
+        page = write_html(Report("p").add(Figure([plot])))
+        return int(page.split("--numbers:")[1].split("px")[0])
+
+    assert measure_room(1.0) < measure_room(-1.2345e-9)
+    assert measure_room(-1.2345e-9) >= 12 * 7

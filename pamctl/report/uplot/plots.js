@@ -153,6 +153,7 @@
     const nameX = [plot.x.label, plot.x.unit].filter(Boolean).join(", ");
     const height = plot.height + (plot.x.named ? 60 : 42);
     frame.textContent = "";
+    const beside = Math.max(56, parseFloat(getComputedStyle(frame).paddingLeft));
     frame.style.padding = 0;
     const chart = new uPlot({
       width: frame.clientWidth,
@@ -165,7 +166,7 @@
       },
       axes: [
         { ...axis, size: 26, values: writeTicks, label: plot.x.named ? nameX : undefined, labelSize: 18, labelFont: axis.font },
-        { ...axis, size: 56, values: writeTicks },
+        { ...axis, size: beside, values: writeTicks },
       ],
       series: [{}, ...series],
       bands,

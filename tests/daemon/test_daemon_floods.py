@@ -29,6 +29,8 @@ REACHES_VALVE_S = 0.5
 or some tenths of a second where other work keeps both CPUs."""
 TRIES = 3
 """The other processes of a busy PC may delay one stop or the other; a flood delays most."""
+AT_ONCE_S = 0.1
+"""A first stop as quick as this has waited for nothing: no other is tried."""
 STOP_RAMP_S = 0.05
 VALVE_CLOSED = {"kind": "steps", "steps": [{"valve_v": 0.0, "hold_s": 600.0}]}
 """Holds the air in the muscle; the safe voltage lets it out."""
@@ -90,7 +92,8 @@ def measure_stop_s(made: Daemon, stop: Callable[[], object]) -> float:
 
 def has_median_below(took_s: list[float], most_s: float) -> bool:
     """Tell whether most of all tries are quick, whatever those that are left would take."""
-    return sum(one_s < most_s for one_s in took_s) > TRIES // 2
+    is_plain = took_s[0] < most_s - REACHES_VALVE_S + AT_ONCE_S
+    return is_plain or sum(one_s < most_s for one_s in took_s) > TRIES // 2
 
 
 @pytest.fixture(scope="module")

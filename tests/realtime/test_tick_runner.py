@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -64,10 +64,16 @@ def pack(record: TickRecord) -> bytes:
 
 
 def run_with(
-    tick: TickRunner, settings: RunSettings, *faults: FaultSettings, missed: Any = None
+    tick: TickRunner,
+    settings: RunSettings,
+    *faults: FaultSettings,
+    missed: Any = None,
+    make_helm: Callable[..., CuedHelm] = CuedHelm,
+    make_supervisor: Callable[[CuedHelm], ScriptedSupervisor] = lambda helm: ScriptedSupervisor(),
 ) -> tuple[Ending, MemoryJournal]:
     setup, made = build_tick_setup(settings), parts(settings, faults, missed)
     journal, program = MemoryJournal(), build_program(settings)
+    helm = make_helm(setup, settings.controller.model_dump(mode="json"), program, journal)
     ending = ControlLoop(
         rig=made.whole,
         clock=made.clock,
@@ -75,12 +81,27 @@ def run_with(
         nominal_zero=nominal_zero_of(settings),
         program=program,
         journal=journal,
-        supervisor=ScriptedSupervisor(),
+        supervisor=make_supervisor(helm),
         truth=lambda: Truth(0.0, 0.0),
-        helm=CuedHelm(setup, settings.controller.model_dump(mode="json"), program, journal),
+        helm=helm,
         tick=tick,
     ).run()
     return ending, journal
+
+
+def run_both(settings: RunSettings, **how: Any) -> list[bytes]:
+    """Run in plain Python and in machine code; return the rows, which must be the same."""
+    plain, fast = (
+        [
+            *map(
+                pack,
+                run_with(TickRunner(build_tick_setup(settings), kind), settings, **how)[1].ticks,
+            )
+        ]
+        for kind in (PlainCall, NativeCall)
+    )
+    assert plain == fast
+    return plain
 
 
 RUNS: dict[str, tuple[Sequence[str], Sequence[FaultSettings], dict[int, int]]] = {
@@ -111,57 +132,16 @@ def test_a_run_has_the_same_rows_events_and_frozen_states(name: str) -> None:
 
 def test_gains_that_change_on_a_ramp_are_followed() -> None:
     settings = run_settings(*SHORT, "rig.homing.enabled=false")
-    outcome = []
-    for tick in (
-        plain_tick(build_tick_setup(settings)),
-        TickRunner(build_tick_setup(settings), NativeCall),
-    ):
-        setup, made, journal = build_tick_setup(settings), parts(settings), MemoryJournal()
-        program = build_program(settings)
-        helm = Softening(setup, settings, program, journal)
-        ControlLoop(
-            rig=made.whole,
-            clock=made.clock,
-            setup=setup,
-            nominal_zero=nominal_zero_of(settings),
-            program=program,
-            journal=journal,
-            supervisor=ScriptedSupervisor(),
-            truth=lambda: Truth(0.0, 0.0),
-            helm=helm,
-            tick=tick,
-        ).run()
-        outcome.append([*map(pack, journal.ticks)])
-    assert outcome[0] == outcome[1]
+    softened = run_both(
+        settings, make_helm=lambda setup, *others: Softening(settings, setup, *others)
+    )
+    assert softened != run_both(settings)
 
 
 def test_another_law_than_the_one_built_runs_in_plain_python() -> None:
-    settings = run_settings(*SHORT)
     other = run_settings(controller="smc").controller
-    outcome = []
-    for tick in (
-        plain_tick(build_tick_setup(settings)),
-        TickRunner(build_tick_setup(settings), NativeCall),
-    ):
-        setup, made, journal = build_tick_setup(settings), parts(settings), MemoryJournal()
-        program = build_program(settings)
-        helm = CuedHelm(setup, settings.controller.model_dump(mode="json"), program, journal)
-        supervisor = Replacing(helm, other)
-        ControlLoop(
-            rig=made.whole,
-            clock=made.clock,
-            setup=setup,
-            nominal_zero=nominal_zero_of(settings),
-            program=program,
-            journal=journal,
-            supervisor=supervisor,
-            truth=lambda: Truth(0.0, 0.0),
-            helm=helm,
-            tick=tick,
-        ).run()
-        outcome.append([*map(pack, journal.ticks)])
-    assert len(outcome[0]) > 2000
-    assert outcome[0] == outcome[1]
+    rows = run_both(run_settings(*SHORT), make_supervisor=lambda helm: Replacing(helm, other))
+    assert len(rows) > 2000
 
 
 class Replacing(ScriptedSupervisor):
@@ -180,9 +160,9 @@ class Replacing(ScriptedSupervisor):
 class Softening(CuedHelm):
     """Begins a ramp to softer gains at tick 300."""
 
-    def __init__(self, setup: TickSetup, settings: RunSettings, *others: Any) -> None:
+    def __init__(self, settings: RunSettings, *others: Any) -> None:
         self.controller = settings.controller
-        super().__init__(setup, settings.controller.model_dump(mode="json"), *others)
+        super().__init__(*others)
 
     def finish_tick(self, done: TickRunner) -> None:
         if done.timing.tick == 300:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from pamctl.diagnose.evidence.measured_motion import find_starts, judge_motion
 from pamctl.diagnose.evidence.run_pieces import WINDOW_S
 from pamctl.log import NO_PHASE, Log, LogError, Signals, signals
+from pamctl.log.record_problems import find_frozen
 from pamctl.plant.drive import (
     NO_RESTARTS,
     Restarts,
@@ -88,6 +89,8 @@ class Comparison:
     """The mechanics begin again from the measured state so often; None where they run freely."""
     unused: tuple[str, ...] = ()
     """A sentence for each signal of the log that the model does not read."""
+    frozen: Mask | None = None
+    """Ticks at which a sensor is frozen, which count in no gap; None where there are none."""
 
     @property
     def all_ways(self) -> tuple[ModelOutput, ModelOutput, ModelOutput]:
@@ -103,7 +106,10 @@ class Comparison:
         self, modelled: ModelOutput, signal: str, where: Mask | slice = slice(None)
     ) -> ComparisonGap:
         """Return the gap of one way of driving in `position_m` or `pressure_pa`."""
-        return measure_gap(getattr(modelled, signal), getattr(self.measured, signal), where)
+        model = getattr(modelled, signal)
+        if model is not None and self.frozen is not None:
+            model = np.where(self.frozen, np.nan, model)
+        return measure_gap(model, getattr(self.measured, signal), where)
 
     def regimes(self) -> list[Regime]:
         """Return the blocks' gaps by phase, by the valve, and by the motion."""
@@ -199,7 +205,15 @@ def compare_model(
         ModelOutput("mechanics", rows["block_x"] if pressed or pulled else None, None),
         again_s,
         tuple(describe_unused(name, actuator) for name in unused),
+        _find_frozen(used),
     )
+
+
+def _find_frozen(used: Signals) -> Mask | None:
+    sensors = (used.pressure_pa, used.position_m, used.force_n)
+    found = [find_frozen(used.t_s, s) for s in sensors if s is not None]
+    frozen = np.logical_or.reduce(found) if found else np.zeros(len(used), bool)
+    return frozen if frozen.any() else None
 
 
 def _begin_again(

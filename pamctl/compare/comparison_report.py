@@ -53,8 +53,10 @@ def report_comparison(path: Path, found: _Models, log: Log | None = None) -> Rep
                 "measured state, as in a diagnosis."
             )
         )
-    unused = dict.fromkeys(text for comparison in comparisons for text in comparison.unused)
-    return report.add(*map(Text, unused), Text(f"next: `{_suggest_next(path, found)}`"))
+    said = dict.fromkeys(text for comparison in comparisons for text in comparison.unused)
+    for frozen in (c.frozen for c in comparisons[:1] if c.frozen is not None):
+        said[f"A sensor is frozen at {int(frozen.sum())} ticks: they count in no gap."] = None
+    return report.add(*map(Text, said), Text(f"next: `{_suggest_next(path, found)}`"))
 
 
 def _drop_empty(header: list[str], rows: list[list[str]]) -> tuple[list[str], list[list[str]]]:

@@ -332,12 +332,27 @@ def judge_sensors(
         yield from _judge_spikes(t_s, sensor, jumps)
 
 
-def _judge_frozen(t_s: Floats, sensor: Sensor) -> list[RecordProblem]:
+def find_frozen(t_s: Floats, values: Floats) -> Flags:
+    """Return the samples at which a sensor is frozen, shape (n,): they say nothing.
+
+    `values` is its column, of the same shape, in any unit.
+    """
+    frozen = np.zeros(len(values), np.bool_)
+    for start, stop in _find_frozen(Sensor(RecordColumn("", "", values), t_s)):
+        frozen[start:stop] = True
+    return frozen
+
+
+def _find_frozen(sensor: Sensor) -> list[tuple[int, int]]:
     """Return where a sensor holds a value while its noise shows right before and after."""
     if not sensor.is_noisy:
         return []
-    held = [stretch for stretch in _find_held(sensor) if _is_noise_beside(sensor, stretch)]
-    return _describe_held(t_s, sensor, held, "while its noise shows before and after")
+    return [stretch for stretch in _find_held(sensor) if _is_noise_beside(sensor, stretch)]
+
+
+def _judge_frozen(t_s: Floats, sensor: Sensor) -> list[RecordProblem]:
+    why = "while its noise shows before and after"
+    return _describe_held(t_s, sensor, _find_frozen(sensor), why)
 
 
 def _judge_stopped(t_s: Floats, sensor: Sensor, others: Sequence[Sensor]) -> list[RecordProblem]:
@@ -386,12 +401,11 @@ def _find_held(sensor: Sensor) -> list[tuple[int, int]]:
 
 
 def _is_noise_beside(sensor: Sensor, stretch: tuple[int, int]) -> bool:
-    """Tell whether the noise goes on beside a stretch within the record: else it may be a rest."""
+    """Tell whether the noise goes on beside a stretch, as far as the record does."""
     start, stop = stretch
-    if start < BESIDE or stop > len(sensor.values) - BESIDE:
-        return False
-    beside = (sensor.values[start - BESIDE : start], sensor.values[stop : stop + BESIDE])
-    return all(_measure_noise(part)[0] > 0.3 * sensor.noise for part in beside)
+    sides = (sensor.values[max(start - BESIDE, 0) : start], sensor.values[stop : stop + BESIDE])
+    beside = [side for side in sides if len(side) == BESIDE]
+    return bool(beside) and all(_measure_noise(b)[0] > 0.3 * sensor.noise for b in beside)
 
 
 def _find_mover(others: Sequence[Sensor], stretches: Sequence[tuple[int, int]]) -> str | None:

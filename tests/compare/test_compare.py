@@ -56,6 +56,19 @@ def measured(
     return path
 
 
+def test_ticks_at_which_a_sensor_is_frozen_count_in_no_gap(tmp_path: Path) -> None:
+    whole = measured(tmp_path / "whole.mcap", {})
+    log = signals(read(whole))
+    pressure_pa = np.array(log.pressure_pa)
+    pressure_pa[1500:1900] = pressure_pa[1500]
+    columns = {"valve_v": log.valve_v, "pressure_pa": pressure_pa, "position_m": log.position_m}
+    write_imported(tmp_path / "frozen.mcap", log.t_s, columns, {})
+    found = compare_model(read(tmp_path / "frozen.mcap"), PAPER)
+    assert found.frozen is not None
+    assert np.flatnonzero(found.frozen).tolist() == list(range(1500, 1900))
+    assert found.gap(found.coupled, "pressure_pa").max < 5.0 * NOISE_PA
+
+
 # --- a model that is right ---------------------------------------------------------------------
 
 

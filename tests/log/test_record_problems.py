@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from pamctl.log.record_problems import (
     RecordColumn,
     RecordProblem,
+    find_frozen,
     find_record_problems,
     find_sensor_step,
 )
@@ -161,3 +162,12 @@ def test_the_step_of_a_converter_is_found(spread, step, offset):
     levels = np.random.default_rng(spread).integers(-spread, spread + 1, 500)
     values = levels * step + offset * step
     assert find_sensor_step(values) == pytest.approx(step, rel=1e-4)
+
+
+@pytest.mark.parametrize(("start", "stop"), [(0, 100), (1000, 1100), (1900, 2000)])
+def test_a_frozen_stretch_is_found_wherever_it_lies(start: int, stop: int) -> None:
+    chance, t_s = np.random.default_rng(6), np.arange(2000) * 1e-3
+    values = np.cumsum(chance.normal(size=2000)) + chance.normal(size=2000)
+    assert not find_frozen(t_s, values).any()
+    values[start:stop] = values[start]
+    assert np.flatnonzero(find_frozen(t_s, values)).tolist() == list(range(start, stop))

@@ -32,7 +32,8 @@ from pamctl.diagnose.evidence.measured_motion import (
     judge_motion,
 )
 from pamctl.diagnose.evidence.pool import CHAIN
-from pamctl.diagnose.evidence.sample_masks import fill_gone, find_frozen, find_neighbours
+from pamctl.diagnose.evidence.sample_masks import fill_gone, find_neighbours
+from pamctl.log.record_problems import find_frozen
 from pamctl.plant.drive import (
     NO_RESTARTS,
     Restarts,
@@ -196,8 +197,9 @@ class Runs:
         shown = np.stack([columns[c] for c in self.channels])
         masked = ~np.isfinite(shown)
         shown = np.stack([fill_gone(row, gone) for row, gone in zip(shown, masked, strict=True)])
+        when_s = grids[COARSE_STEP_S].samples_s
         for row, gone in zip(shown, masked, strict=True):
-            gone |= find_frozen(row)
+            gone |= find_frozen(when_s, row)
         if counts is not None:
             masked |= ~np.asarray(counts, dtype=bool)
         pressures = columns.get("pressure_pa")

@@ -1,7 +1,4 @@
-"""Samples at which a record says nothing: frozen stretches; and what fills them.
-
-Spikes and dropouts are found before (`diagnose.mend`), and come in a record's `counts`.
-"""
+"""What stands in for samples at which a record says nothing."""
 
 from __future__ import annotations
 
@@ -16,26 +13,10 @@ from pamctl.log.record_problems import find_sensor_step
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-FROZEN = 20
-"""Equal samples in a row of a channel whose noise is above its step."""
-
 
 def find_resolution(row: Array) -> float:
     """Return the step with which a channel was digitised; a millionth of its span if none shows."""
     return find_sensor_step(row) or max(1e-6 * float(np.ptp(row)), 1e-12)
-
-
-def find_frozen(row: Array) -> Mask:
-    """Return the samples of runs of equal values, where the channel's noise forbids them."""
-    changes = np.diff(row) != 0.0
-    frozen = np.zeros(len(row), dtype=bool)
-    if changes.mean() < 0.5:  # a resting encoder repeats itself
-        return frozen
-    edges = np.flatnonzero(np.concatenate([[True], changes, [True]]))
-    for begin, end in pairwise(edges):
-        if end - begin >= FROZEN:
-            frozen[begin:end] = True
-    return frozen
 
 
 def fill_gone(row: Array, gone: Mask) -> Array:

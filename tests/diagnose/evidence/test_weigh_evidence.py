@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from hidden.excitations import PROGRAMS
 from hidden.rig import Record, hidden_rig
 
 from pamctl.diagnose.evidence import weigh_evidence
 from pamctl.diagnose.evidence.pool import PAPER_SCALES, list_effects
-from pamctl.diagnose.evidence.sample_masks import find_frozen
 from pamctl.plant.catalogue import CATALOGUE
 
 
@@ -45,11 +43,3 @@ def test_records_without_an_input_are_refused() -> None:
     train, _ = records_of({}, 40713)
     with pytest.raises(ValueError, match="needs valve_v"):
         weigh_evidence([replace(r, valve_v=None, pressure_pa=None) for r in train])
-
-
-def test_a_frozen_column_is_masked() -> None:
-    rng = np.random.default_rng(6)
-    row = np.cumsum(rng.normal(size=2000)) + rng.normal(size=2000)
-    assert not find_frozen(row).any()
-    row[1000:1100] = row[1000]
-    assert list(np.flatnonzero(find_frozen(row))) == list(range(1000, 1100))

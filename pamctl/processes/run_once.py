@@ -40,8 +40,7 @@ from pamctl.recording.ring import Ring
 from pamctl.report.progress_line import ProgressLine
 from pamctl.runs.index_finished import index_quietly
 from pamctl.settings.build import build_tick_setup
-from pamctl.settings.config_files import list_shipped
-from pamctl.settings.resolve import RunSettings, resolve, settings_to_json, settings_to_yaml
+from pamctl.settings.resolve import RunSettings, settings_to_json, settings_to_yaml
 from pamctl.signals import list_tick_fields
 from pamctl.simulate.many_ticks import find_many_ticks
 
@@ -198,7 +197,7 @@ def _conclude_run(
     }
     lines = []
     if path.exists():
-        figures, text = _compute_figures(settings, names, path, ending)
+        figures, text = _compute_figures(settings, path, ending)
         document |= figures
         lines = [text] if text else []
         if ending.code and figures.get("ticks") == 0:
@@ -212,7 +211,7 @@ def _conclude_run(
 
 
 def _compute_figures(
-    settings: RunSettings, names: dict[str, str], path: Path, ending: Ending
+    settings: RunSettings, path: Path, ending: Ending
 ) -> tuple[dict[str, Any], str]:
     # Slow imports: a run does not wait for them before its first tick.
     from pamctl.log.reader import LogError, read_some
@@ -225,7 +224,7 @@ def _compute_figures(
         return {"log_error": str(error)}, f"error: {error}"
     if not len(log):
         return {"ticks": 0}, ""
-    figures = summarise_run(log, _find_shipped_experiment(settings, names["experiment"]))
+    figures = summarise_run(log)
     text = format_run_summary(figures, settings.controller.law)
     if ending.code in (ExitCode.SAFETY_TRIP, ExitCode.OVERRUNS):
         from pamctl.log.reader import read_paged
@@ -238,14 +237,6 @@ def _compute_figures(
         except NewFileError as error:
             text += f"\nno table of the last two seconds: {error}"
     return figures, text
-
-
-def _find_shipped_experiment(settings: RunSettings, name: str) -> str | None:
-    """Return the experiment's name if it is a shipped one, unchanged: Table IV is about those."""
-    shipped = bare_name(name)
-    if shipped not in list_shipped("experiment"):
-        return None
-    return shipped if resolve(experiment=shipped).experiment == settings.experiment else None
 
 
 def build_machine_code(settings: RunSettings, *, quiet: bool = False) -> None:

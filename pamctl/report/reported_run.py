@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from pamctl.control.law_registry import LawWords, find_law, read_law_words
 from pamctl.log import Log
 from pamctl.log.run_meta import Moment, list_moments
-from pamctl.settings.resolve import resolve as shipped
-from pamctl.settings.resolve import settings_to_data
+from pamctl.report.run_figures import find_paper_experiment
 from pamctl.signals import Phase
 from pamctl.simulate.merit import TABLE_IV
 
@@ -33,8 +32,6 @@ REPORT_FIELDS = (
 """The columns of a log that a report shows, of those that it has."""
 
 MICRO = 1e6
-
-PAPER_EXPERIMENTS = ("tracking-1", "tracking-2")
 
 
 @dataclass(frozen=True)
@@ -143,11 +140,8 @@ class ReportedRun:
 
     @property
     def paper_experiment(self) -> str | None:
-        """The paper's experiment with exactly these settings; None if there is none."""
-        experiment = self.log.config.get("experiment")
-        return next(
-            (name for name in PAPER_EXPERIMENTS if _read_settings(name) == experiment), None
-        )
+        """The paper's experiment with exactly these settings, of its muscle; else None."""
+        return find_paper_experiment(self.log.config)
 
 
 def rms_of_finite(values: np.ndarray) -> float:
@@ -179,8 +173,3 @@ def law_name(law: str) -> str:
 def paper_rows(experiment: str | None) -> list[Any]:
     """Return the rows of Table IV for an experiment."""
     return [row for row in TABLE_IV if row.experiment == experiment]
-
-
-def _read_settings(experiment: str) -> dict[str, Any]:
-    found: dict[str, Any] = settings_to_data(shipped(experiment=experiment).experiment)
-    return found

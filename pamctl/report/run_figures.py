@@ -7,9 +7,12 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pamctl.log.reader import Log
+from pamctl.plant.model import PlantSettings
 from pamctl.report.report import Report, ReportTable, Text, format_terminal, spell_um
+from pamctl.settings.resolve import resolve, settings_to_data
 from pamctl.simulate.merit import TABLE_IV, Merit, compute_log_merits, summarise_timing
 
+PAPER_EXPERIMENTS = ("tracking-1", "tracking-2")
 FIGURE_FIELDS = (
     *("t_s", "phase", "missed", "reference_m"),
     *("position_m", "corrected_position_m", "true_position_m"),
@@ -18,12 +21,28 @@ FIGURE_FIELDS = (
 """The columns of a log that `summarise_run` needs."""
 
 
-def summarise_run(log: Log, experiment: str | None) -> dict[str, Any]:
-    """Return the figures of a run as one JSON document: SI, None for what is not known.
+def find_paper_experiment(config: Mapping[str, Any]) -> str | None:
+    """Return the paper's experiment of which a run's settings are: Table IV is about those.
 
-    `experiment` is the shipped experiment to compare with Table IV; None if it was another one,
-    or changed.
+    None for another experiment, and for another muscle than the paper's; what its model lacks, the
+    `effects`, do not count.
     """
+    paper, plant = settings_to_data(PlantSettings()), config.get("plant", {})
+    if any(plant.get(key, paper.get(key)) != paper.get(key) for key in ("actuator", "parameters")):
+        return None
+    return next(
+        (
+            name
+            for name in PAPER_EXPERIMENTS
+            if settings_to_data(resolve(experiment=name).experiment) == config.get("experiment")
+        ),
+        None,
+    )
+
+
+def summarise_run(log: Log) -> dict[str, Any]:
+    """Return the figures of a run as one JSON document: SI, None for what is not known."""
+    experiment = find_paper_experiment(log.config)
     setup, refused = log.metadata.get("timing_setup", {}), "not done: "
     return {
         "ticks": len(log),

@@ -184,9 +184,7 @@ def test_some_columns_suffice_for_figures_and_signals(name: str) -> None:
     whole = pamctl.log.read(path)
     figures = read_some(path, FIGURE_FIELDS)
     assert len(figures.columns) < len(whole.columns)
-    np.testing.assert_equal(
-        summarise_run(figures, "tracking-1"), summarise_run(whole, "tracking-1")
-    )
+    np.testing.assert_equal(summarise_run(figures), summarise_run(whole))
     some = pamctl.log.signals(read_some(path, SIGNAL_FIELDS))
     for field in Signals.__dataclass_fields__:
         np.testing.assert_equal(getattr(some, field), getattr(pamctl.log.signals(whole), field))

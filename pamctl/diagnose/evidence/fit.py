@@ -332,11 +332,15 @@ class Weigher:
         seen = self.find_seen(a, b).max() > 0.5 * SEEN_SHARE
         return bool(seen or self.find_imprint(a, b).max() > 0.5)
 
+    def is_small(self, m: WeighedModel) -> bool:
+        """Tell whether a model's last name is smaller than what is of interest."""
+        sizes = m.picked[m.names[-1]].sizes
+        away = ((abs(m.values[u.name] - (u.neutral or 0.0)), u.smallest) for u in sizes)
+        return all(size < SMALL_SHARE * smallest for size, smallest in away)
+
     def counts(self, a: WeighedModel, b: WeighedModel) -> bool:
         """Tell whether b's last name is worth saying against a: sure, seen, and sized."""
-        variant = b.picked[b.names[-1]]
-        sizes = [(abs(b.values[u.name] - (u.neutral or 0.0)), u.smallest) for u in variant.sizes]
-        if all(size < SMALL_SHARE * smallest for size, smallest in sizes):
+        if self.is_small(b):
             return False
         gain = a.left_out - b.left_out
         low, middle, _ = bound_gain(gain)

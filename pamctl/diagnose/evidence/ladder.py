@@ -91,15 +91,22 @@ def climb_ladder(search: NameSearch, base: WeighedModel, m: WeighedModel) -> lis
     """Return what may be said of each name of a model, in the order in which they were found."""
     intervals = search.weigher.find_intervals(m)
     search.weigher.meet(base, m)
-    return [_find_level(search, base, m, name, intervals) for name in m.names]
+    whole = max(base.total - m.total, 1e-9)
+    return [_find_level(search, base, m, name, intervals, whole) for name in m.names]
 
 
 def _find_level(
-    search: NameSearch, base: WeighedModel, m: WeighedModel, name: str, intervals: Intervals
-) -> Finding:
+    search: NameSearch, base: WeighedModel, m: WeighedModel, name: str, intervals: Intervals,
+    whole: float,
+) -> Finding:  # fmt: skip
     weigher, pool, mine = search.weigher, search.pool, search.pool[name]
-    without = search.drop(m, name)
+    without, is_first = search.drop(m, name), name == m.names[0]
     own = without.left_out - m.left_out
+    low, _, high = bound_gain(own)
+    gained = float(own.sum()), (float(low), float(high)), float(own.sum()) / whole
+    numbers, at_range = _list_numbers(m, name, intervals), list_at_range(m, name)
+    if not is_first and own.sum() < NAME_SHARE * whole:  # nobody asks for its rivals
+        return Finding(mine, False, False, False, *gained, numbers, at_range, True, ())
     asked = [n for n in pool if n != name and _may_rival(search, n, mine)]
     scored = _choose_rivals(search, search.score(without, asked), mine)
     promised = {s.name: s.gain for s in scored}
@@ -149,21 +156,12 @@ def _find_level(
             intervals[u.name][0] <= (u.neutral or 0.0) <= intervals[u.name][1]
             for u in m.picked[name].sizes
         )
-    at_range = list_at_range(m, name)
-    is_first = name == m.names[0]
     enough = takes_enough(weigher, without, m, LEFT_SHARE if is_first else 2.0 * LEFT_SHARE)
-    low, _, high = bound_gain(own)
-    search.weigher.meet(base, m)
-    whole = max(base.total - m.total, 1e-9)
     taken2 = weigher.find_robust2(without) - weigher.find_robust2(m)
     little = bool((taken2 < NAME_SHARE**2 * weigher.find_robust2(base)).all())
-    is_rest = not is_first and (
-        own.sum() < NAME_SHARE * whole or (little and not says_place) or not enough
-    )
+    is_rest = not is_first and ((little and not says_place) or not enough)
     return Finding(
-        mine, says_place, says_kind,
-        says_name and not at_range and enough, float(own.sum()), (float(low), float(high)),
-        float(own.sum()) / whole, _list_numbers(m, name, intervals),
+        mine, says_place, says_kind, says_name and not at_range and enough, *gained, numbers,
         at_range, bool(is_rest), tuple(sorted(judged, key=lambda j: j.behind_nats)),
     )  # fmt: skip
 

@@ -83,12 +83,23 @@ class NameSearch:
             fits = self.refit(m, scored)
             best = ", ".join(f"{f.names[-1]} {m.total - f.total:.0f}" for f in fits[:3])
             self.tell(f"fitted, they gain, in nats: {best}")
-            taken = next((f for f in fits[:3] if self.weigher.counts(m, f)), None)
+            taken = self.take(m, fits[:3])
             if taken is None:
                 break
             taken = self.choose_form(m, taken)
             m = self.exchange(base, self.settle_anew(self.weigher.settle(taken, 4)))
         return self.prune(m)
+
+    def take(self, m: WeighedModel, fits: Sequence[WeighedModel]) -> WeighedModel | None:
+        """Return the first that counts; what is too small by its name counts by no law either."""
+        small = list[Hypothesis]()
+        for f in fits:
+            its = self.pool[f.names[-1]]
+            if self.weigher.counts(m, f) and not any(s.may_be(its) for s in small):
+                return f
+            if self.weigher.is_small(f):
+                small.append(its)
+        return None
 
     def settle_anew(self, m: WeighedModel) -> WeighedModel:
         """Return the model fitted again from the plant file's numbers, if that explains more.

@@ -295,8 +295,9 @@ def describe_sizes(diagnosis: Diagnosis) -> str:
 
 
 def describe_bounds(diagnosis: Diagnosis) -> str:
-    """Name the fitted numbers that ended at an end of their range; empty where none did."""
-    ended = [name.removeprefix(CHAIN) for name in diagnosis.at_bound]
+    """Name the numbers at an end of their range, but of what only mends; empty where none is."""
+    only_mends = {n.name for f in diagnosis.findings if f.level == "rest" for n in f.numbers}
+    ended = [n.removeprefix(CHAIN) for n in diagnosis.at_bound if n not in only_mends]
     if not ended:
         return ""
     return f", with {join_words(ended)} at an end of {'its range' if len(ended) == 1 else 'ranges'}"

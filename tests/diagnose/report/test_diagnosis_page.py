@@ -202,6 +202,10 @@ def test_a_number_at_its_range_stands_in_the_first_sentence(named: Diagnosis) ->
     assert build_diagnosis_document(found)["at_bound"] == ["valve_deadband.fill_width_v"]
     (line,) = (row for row in summary(found).splitlines() if row.startswith("valve_deadband.fill"))
     assert line.endswith("(at an end of its range)")
+    only_mends = replace(
+        found, evidence=replace(named.evidence, findings=(replace(ended, is_rest=True),))
+    )
+    assert "at an end" not in sentence(only_mends).split(". ")[0]
 
 
 def test_a_wave_is_shown_as_amplitude_and_phase_with_their_intervals(named: Diagnosis) -> None:

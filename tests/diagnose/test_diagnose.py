@@ -13,6 +13,7 @@ from pamctl.diagnose import Diagnosis, Verdict, diagnose, sentence
 from pamctl.diagnose.audit import audit_run
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import format_plant_file
+from pamctl.diagnose.report.verdict_words import list_shifts
 from pamctl.plant.model import PlantSettings
 from pamctl.settings.resolve import SECTIONS, RawSettings, validate_settings
 

@@ -159,6 +159,8 @@ FIXES = {
     **dict.fromkeys(("damage", "index", "summary", "chunk", "order"), _RECOVER),
     **dict.fromkeys(("backwards", "duplicated", "phase", "empty", "missing"), _CUT),
     **dict.fromkeys(("tick-order", "clock", "gap", "sequence", "reversed", "columns"), _ANEW),
+    "version": "read it with the version that wrote it, which is in the file's metadata",
+    "units": "export the ticks, and import them with the right units: pamctl log export {} T.csv",
     "schema": "export the ticks for other tools: pamctl log export {} NEW.csv",
     "config": "replay it with the version that wrote it, which pamctl log info {} names",
 }

@@ -1,0 +1,54 @@
+"""Whatever a check finds wrong comes with the way on."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+from pamctl.cli.log_verbs import FIXES
+
+ROOT = Path(__file__).parents[2]
+LEVEL, FIX = 1, 4
+"""Places of two arguments of `DoctorFinding`."""
+
+
+def list_calls(folder: str) -> Iterator[tuple[str, str, ast.Call]]:
+    for path in sorted((ROOT / folder).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call):
+                name = getattr(node.func, "attr", getattr(node.func, "id", ""))
+                yield f"{path.relative_to(ROOT)}:{node.lineno}", name, node
+
+
+def test_each_error_of_log_check_has_a_way_on() -> None:
+    kinds = set[str]()
+    for where, name, call in list_calls("pamctl/log"):
+        named = [a.value for a in call.args if isinstance(a, ast.Constant)]
+        kind = next((value for value in named if isinstance(value, str)), "")
+        if name in {"error", "errors", "_error"} and "importing" not in where and kind:
+            kinds.add(kind)
+        if name == "make_problem" and any(k.arg == "is_fatal" for k in call.keywords):
+            kinds.add(kind)
+    assert {"damage", "gap", "backwards"} <= kinds
+    assert kinds - set(FIXES) == set()
+
+
+def test_each_fault_that_the_doctor_finds_has_a_fix() -> None:
+    findings = [
+        (where, call)
+        for folder in ("hal", "pamctl/commissioning")
+        for where, name, call in list_calls(folder)
+        if name == "DoctorFinding"
+    ]
+    assert len(findings) > 50
+    without = []
+    for where, call in findings:
+        level = call.args[LEVEL]
+        if isinstance(level, ast.Constant) and level.value == "ok":
+            continue
+        named = [keyword.value for keyword in call.keywords if keyword.arg == "fix"]
+        fix = next(iter([*call.args[FIX:], *named]), None)
+        if fix is None or (isinstance(fix, ast.Constant) and not fix.value):
+            without.append(where)
+    assert without == []

@@ -8,7 +8,7 @@ are removed where text comes in, and again where it is shown: an old log may hol
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TextIO
 from unicodedata import category
 
@@ -96,3 +96,11 @@ class PlainStream:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.unfiltered, name)
+
+
+def hint_at_nearest(name: str, known: Iterable[str]) -> str:
+    """Return `; did you mean NAME?` of the nearest known name; empty if none is near."""
+    from difflib import get_close_matches  # a name that is known needs none of it
+
+    near = get_close_matches(name, known, n=1)
+    return f"; did you mean {near[0]}?" if near and near[0] != name else ""

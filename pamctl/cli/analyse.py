@@ -22,10 +22,9 @@ from pamctl.cli.options import (
     option,
     verb,
 )
-from pamctl.cli.output import PAGE_BEGIN, print_report, print_result
+from pamctl.cli.output import PAGE_BEGIN, print_report, print_result, tell, warn
 from pamctl.exit_codes import ExitCode
 from pamctl.new_file import NewFileError, require_empty_folder, require_place, write_files
-from pamctl.plain_text import escape_name
 
 if TYPE_CHECKING:
     from pamctl.log import Log
@@ -50,8 +49,7 @@ def report(asked: ReportOptions) -> None:
     logs = [read_some(path, REPORT_FIELDS) for path in asked.paths]
     doubts = [find_doubts(log) for log in logs]
     for path, found in zip(asked.paths, doubts, strict=True):
-        for doubt in found:
-            typer.echo(f"warning: {escape_name(str(path))}: {doubt}", err=True)
+        warn(path, found)
     target = asked.out or asked.paths[0].with_suffix(".html")
     require_place(target, replaces=PAGE_BEGIN)
     html = write_html(compose_report(logs, doubts), interactive=asked.interactive)
@@ -121,8 +119,7 @@ def replay(asked: ReplayOptions) -> None:
     if asked.controller_from is not None:
         use_law_file(asked.controller_from)
     log = read_paged(asked.path)
-    for doubt in judge_description(log):
-        typer.echo(f"warning: {escape_name(str(asked.path))}: {doubt}", err=True)
+    warn(asked.path, judge_description(log))
     work = _run_what_if if is_what_if else _compare_with_log
     raise typer.Exit(work(log, asked))
 
@@ -196,8 +193,7 @@ def compare(asked: CompareOptions) -> None:
         for number, path in enumerate(asked.paths):
             progress(number, count, f"reading {path.name}")
             log = read_some(path, SIGNAL_FIELDS)
-            for doubt in judge_ticks(log):
-                typer.echo(f"warning: {escape_name(str(path))}: {doubt}", err=True)
+            warn(path, judge_ticks(log))
             begun = partial(_show_plant, progress, number, count)
             found.append((path, compare_plants(log, asked.plants, begun)))
         whole = None if plot is None else read(asked.paths[0])
@@ -265,9 +261,7 @@ def health(asked: HealthOptions) -> None:
         rows = [row for row in index.select(with_gains=False) if row.ending != UNREADABLE]
     logs = [(folder / row.path, row.when_s) for row in rows][-asked.last if asked.last else 0 :]
     with start_workers(asked.jobs) if asked.jobs != 1 else nullcontext() as executor:
-        found = follow_health(
-            logs, plant, executor, lambda line: typer.echo(line, err=True), stated
-        )
+        found = follow_health(logs, plant, executor, tell, stated)
     report = report_health(found, folder.name or str(folder))
     files = {
         "health.json": to_json(report.document).decode() + "\n",

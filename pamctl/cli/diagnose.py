@@ -6,10 +6,8 @@ On the rig it asks before the first motion, runs the rounds, and keeps what was 
 from __future__ import annotations
 
 import signal
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,9 +27,10 @@ from pamctl.cli.options import (
     require_linux,
     verb,
 )
-from pamctl.cli.output import print_result, read_records
+from pamctl.cli.output import print_result, read_records, tell
 from pamctl.exit_codes import ExitCode
 from pamctl.new_file import NewFileError, require_empty_folder
+from pamctl.plain_text import hint_at_nearest
 
 if TYPE_CHECKING:
     from pamctl.plant.model import PlantSettings
@@ -106,7 +105,7 @@ def diagnose(asked: DiagnoseOptions) -> None:
     records = read_records([*asked.logs, *asked.holdout], asked.map_path)
     train, held = records[: len(asked.logs)], records[len(asked.logs) :]
     if not held:
-        typer.echo("no --holdout: two stretches of each log are held out", err=True)
+        tell("no --holdout: two stretches of each log are held out")
     diagnosis = find_missing_effects(
         train,
         held,
@@ -115,7 +114,7 @@ def diagnose(asked: DiagnoseOptions) -> None:
         accept=accepted,
         noise=stated,
         jobs=asked.jobs,
-        progress=lambda line: typer.echo(line, err=True),
+        progress=tell,
     )
     names = [path.name for path in (*asked.logs, *asked.holdout)]
     failure, end = None, ""
@@ -151,8 +150,7 @@ def _require_known(names: Sequence[str]) -> None:
 
     for name in names:
         if name not in CATALOGUE:
-            near = get_close_matches(name, CATALOGUE, 1)
-            hint = f"; did you mean {near[0]}?" if near else ""
+            hint = hint_at_nearest(name, CATALOGUE)
             raise typer.BadParameter(
                 f"there is no effect {name} in the catalogue{hint}", param_hint="--without"
             )
@@ -176,7 +174,7 @@ def diagnose_on_rig(asked: DiagnoseOptions, plant: PlantSettings) -> None:
         if asked.dry_run:
             print_result(plan.as_dict(), plan.describe(), as_json=asked.as_json)
             return
-        print(plan.describe(), file=sys.stderr)
+        tell(plan.describe())
         if not asked.yes:
             Terminal().require_yes("May the rig be pressurised and move?")
         investigation = Investigation(plan, records)
@@ -195,15 +193,12 @@ def _run_rounds(rig: Any, investigation: Any) -> tuple[ExitCode, str]:
     from pamctl.on_rig.decide_on_rig import decide_on_rig
     from pamctl.session.pamctl_error import PamctlError
 
-    def progress(line: str) -> None:
-        print(line, file=sys.stderr, flush=True)
-
     try:
         with (
             end_on_signals(),
             rig,
         ):  # a daemon that cannot be left well ends the rounds, and loses none of them
-            decide_on_rig(rig, investigation, progress=progress)
+            decide_on_rig(rig, investigation, progress=tell)
     except KeyboardInterrupt as interrupt:
         investigation.stopped = "it was interrupted"
         code = ExitCode.SIGTERM if isinstance(interrupt, _Terminated) else ExitCode.SIGINT

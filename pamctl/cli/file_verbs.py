@@ -15,6 +15,7 @@ from pamctl.cli.output import print_result, read_records
 from pamctl.cli.settings_from_options import SettingsOptions, find_argument_file
 from pamctl.exit_codes import ExitCode
 from pamctl.new_file import require_place, write_files
+from pamctl.plain_text import hint_at_nearest
 from pamctl.settings.config_files import config_dir
 from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import (
@@ -197,8 +198,6 @@ def export_plant(asked: ExportPlantOptions) -> None:
 
 def _split_given(given: list[str], actuator: str) -> dict[str, str]:
     """Return the texts by name; leave with 2 for a name that this actuator does not have."""
-    from difflib import get_close_matches
-
     from pamctl.settings.datasheet import list_questions
 
     names = [question.name for question in list_questions(actuator)]
@@ -206,8 +205,7 @@ def _split_given(given: list[str], actuator: str) -> dict[str, str]:
     for text in given:
         name, equals, number = (part.strip() for part in text.partition("="))
         if name not in names or not equals or not number:
-            near = get_close_matches(name, names, 1)
-            hint = f"; did you mean {near[0]}?" if near and near[0] != name else ""
+            hint = hint_at_nearest(name, names)
             raise typer.BadParameter(
                 f"{text!r} is no NAME=NUMBER of the actuator {actuator}{hint}; its numbers are "
                 f"{', '.join(names)}",

@@ -12,6 +12,7 @@ import typer
 from pamctl.cli.failure import Failed
 from pamctl.json_text import to_json
 from pamctl.new_file import NewFileError
+from pamctl.plain_text import escape_name
 
 if TYPE_CHECKING:
     from pamctl.diagnose.record import Record
@@ -25,6 +26,17 @@ PAGE_BEGIN = "<"
 def print_json(document: object) -> None:
     """Print one JSON document; floats that are not finite are "nan", "inf" and "-inf"."""
     typer.echo(json.dumps(json.loads(to_json(document)), indent=2))
+
+
+def tell(line: str) -> None:
+    """Print a line about the work on standard error."""
+    typer.echo(line, err=True)
+
+
+def warn(path: Path, doubts: Iterable[str]) -> None:
+    """Print what is doubtful in a file on standard error."""
+    for doubt in doubts:
+        tell(f"warning: {escape_name(str(path))}: {doubt}")
 
 
 def read_map(path: Path | None) -> ImportMap | None:
@@ -47,7 +59,7 @@ def read_records(paths: Iterable[Path], map_path: Path | None = None) -> list[Re
     records = [record_of(path, column_map) for path in paths]
     for record in records:
         for note in record.notes:
-            typer.echo(f"{record.name}: {note}", err=True)
+            tell(f"{record.name}: {note}")
     return records
 
 

@@ -19,7 +19,7 @@ from pamctl.cli.options import (
     require_one_place,
     verb,
 )
-from pamctl.cli.output import print_report
+from pamctl.cli.output import print_report, tell
 from pamctl.cli.settings_from_options import resolve_options
 from pamctl.exit_codes import ExitCode
 from pamctl.settings.resolve import settings_to_data
@@ -126,7 +126,7 @@ def tune(asked: TuneOptions) -> None:
         if not sys.stderr.isatty():  # there the line that is rewritten says it
             of = f"{best.generation} of {asked.generations}"
             line = f"generation {of}: {best.cost:.3f}, {took_s:.0f} s"
-            print(line, file=sys.stderr, flush=True)
+            tell(line)
 
     found = search_gains(task, asked.jobs, asked.generations, command, show_progress, asked.cluster)
     failure = found.failure

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +18,7 @@ from pamctl.diagnose.record import CHANNELS, Array, Record, SensorFault, estimat
 from pamctl.exit_codes import ExitCode
 from pamctl.log.importing.plausibility import is_switched
 from pamctl.log.record_problems import find_sensor_step
+from pamctl.plain_text import hint_at_nearest
 from pamctl.plant.effects.description import USED_SIGNALS, describe_unused
 from pamctl.plant.model import PlantSettings
 
@@ -427,8 +427,7 @@ def read_acceptances(texts: Iterable[str]) -> dict[str, str]:
     for text in texts:
         rule, _, reason = (part.strip() for part in text.partition("="))
         if rule not in RULES:
-            near = get_close_matches(rule, RULES, 1)
-            hint = f"; did you mean {near[0]}?" if near else ""
+            hint = hint_at_nearest(rule, RULES)
             raise UnknownRule(
                 f"--accept {text}: there is no rule {rule!r}{hint} (rules: {', '.join(RULES)})"
             )

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 from bisect import bisect_right
 from collections import OrderedDict
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,12 +17,6 @@ WALL_TIME = "/time_ns"
 _GROWN_TICKS = 1 << 18
 
 Page = Mapping[str, NDArray[Any]]
-
-
-def suggest_nearest(name: str, columns: Collection[str]) -> str:
-    """Return a hint with the nearest name, an empty text if none is near."""
-    near = difflib.get_close_matches(name, columns, 1)
-    return f"; did you mean {near[0]}?" if near else ""
 
 
 class TickColumns:

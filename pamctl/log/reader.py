@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from pamctl.json_text import from_json
 from pamctl.log.annotation import ANNOTATION, Annotation
-from pamctl.log.columns import WALL_TIME, GridRows, Page, Pages, TickColumns, suggest_nearest
+from pamctl.log.columns import WALL_TIME, GridRows, Page, Pages, TickColumns
 from pamctl.log.framing import (
     Damage,
     FileRecord,
@@ -56,7 +56,7 @@ from pamctl.log.schema import (
     unit_of_column,
 )
 from pamctl.log.wire import TickBatch, TickDecoder, UnknownLayout
-from pamctl.plain_text import clean_document, escape_name
+from pamctl.plain_text import clean_document, escape_name, hint_at_nearest
 from pamctl.signals import Phase
 
 __all__ = ["Log", "LogError", "NoSuchColumn", "Scan", "info", "read", "read_paged", "read_some"]
@@ -99,7 +99,7 @@ class Log:
         """Return a column; raise LogError with the nearest name if there is none."""
         if name in self.columns:
             return self.columns[name]
-        raise NoSuchColumn(f"{self.path} has no column {name}{suggest_nearest(name, self.columns)}")
+        raise NoSuchColumn(f"{self.path} has no column {name}{hint_at_nearest(name, self.columns)}")
 
     def __len__(self) -> int:
         """Return the number of ticks."""
@@ -128,7 +128,7 @@ def read(path: str | Path, *topics: str, fields: Collection[str] | None = None) 
     scan = Scan(path, topics, fields).run().require_whole()
     for name in fields or ():
         if scan.ticks is not None and name not in scan.ticks.none:
-            near = suggest_nearest(name, scan.ticks.none)
+            near = hint_at_nearest(name, scan.ticks.none)
             raise NoSuchColumn(f"{path} has no column {name}{near}")
     return _collect_log(scan)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from difflib import get_close_matches
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -15,6 +14,7 @@ from pydantic import (
 )
 
 from hal.calibration import Configured
+from pamctl.plain_text import hint_at_nearest
 from pamctl.plant.catalogue import CATALOGUE, WITH_TERMS
 from pamctl.plant.effects.description import (
     ACTUATORS,
@@ -220,8 +220,7 @@ class PlantSettings(Configured):
         names = {*MuscleParameters.model_fields, *NEUTRAL, *GEOMETRY_OF.get(self.actuator, ())}
         for name in self.known:
             if name not in names:
-                near = get_close_matches(name, names, n=1)
-                hint = f"; did you mean {near[0]}?" if near else ""
+                hint = hint_at_nearest(name, names)
                 raise ValueError(f"known: no number of a plant is called {name}{hint}")
         return self
 

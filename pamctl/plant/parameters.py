@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from difflib import get_close_matches
 from math import nan
 from typing import Any, NamedTuple
 
+from pamctl.plain_text import hint_at_nearest
 from pamctl.plant.bristles import Bristles
 from pamctl.plant.catalogue import (
     CATALOGUE,
@@ -273,5 +273,4 @@ def _leave_out_braid(v: Mapping[str, float], actuator: Actuator) -> dict[str, fl
 
 
 def _explain_unknown(name: str) -> str:
-    near = get_close_matches(name, _DEFAULTS, n=1)
-    return f"{name}: no such parameter of a plant" + (f"; did you mean {near[0]}?" if near else "")
+    return f"{name}: no such parameter of a plant{hint_at_nearest(name, _DEFAULTS)}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import difflib
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pamctl.exit_codes import ExitCode
+from pamctl.plain_text import hint_at_nearest
 from pamctl.report.report import Report, ReportTable
 from pamctl.runs.run_index import RunIndex
 from pamctl.runs.run_row import ENDING_WORDS, RunRow, find_varying_keys, read_value
@@ -117,8 +117,7 @@ def _read_number(part: str, text: str) -> float:
 
 def _suggest_key(index: RunIndex, key: str) -> str:
     known = {name for row in index.select() for name in row.gains}
-    near = difflib.get_close_matches(key, [*sorted(known), *_NUMBERS, *_TEXTS], 1)
-    return f"; did you mean {near[0]}?" if near else ""
+    return hint_at_nearest(key, [*sorted(known), *_NUMBERS, *_TEXTS])
 
 
 _HEADER = (

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from difflib import get_close_matches
 from itertools import pairwise
 from typing import NamedTuple
 
 from pamctl.compensation.around_the_law import Compensation, limit_slope, list_wanted_v
 from pamctl.control.law import LawSettings
+from pamctl.plain_text import hint_at_nearest
 from pamctl.plant.catalogue import CATALOGUE, Effects, undo_reading, undo_valve_v
 from pamctl.plant.effects.description import acts
 from pamctl.plant.model import PlantSettings, plant_parameters, values_of
@@ -68,8 +68,7 @@ def _require_known(names: Sequence[str], plant: PlantSettings) -> None:
     undoable, values = list_undoable(), values_of(plant)
     for name in names:
         if name not in CATALOGUE:
-            near = get_close_matches(name, undoable, n=1)
-            hint = f"; did you mean {near[0]}?" if near else ""
+            hint = hint_at_nearest(name, undoable)
             raise ValueError(f"compensate: no effect is called {name}{hint}")
         if name not in undoable:
             raise ValueError(

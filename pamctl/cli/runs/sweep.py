@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -20,7 +19,7 @@ from pamctl.cli.options import (
     require_linux,
     verb,
 )
-from pamctl.cli.output import PAGE_BEGIN, print_report
+from pamctl.cli.output import PAGE_BEGIN, print_report, tell
 from pamctl.cli.settings_from_options import SettingsOptions, resolve_options
 from pamctl.log.run_meta import file_safe_name
 from pamctl.new_file import require_folder, write_files
@@ -109,7 +108,7 @@ def sweep(asked: SweepOptions) -> None:
 
 def _tell(line: str, *, quiet: bool) -> None:
     if not quiet:
-        print(line, file=sys.stderr, flush=True)
+        tell(line)
 
 
 def _conclude(plan: SweepPlan, end: SweepEnd, *, as_json: bool) -> None:

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.log.columns import suggest_nearest
 from pamctl.log.framing import LogError
+from pamctl.plain_text import hint_at_nearest
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -84,7 +84,7 @@ class MeasuredTable:
         if text.isdecimal() and 1 <= int(text) <= len(self.columns):
             return self.columns[int(text) - 1]
         names = list(dict.fromkeys(column.name for column in self.columns))
-        hint = suggest_nearest(text, names)
+        hint = hint_at_nearest(text, names)
         listed = ", ".join(names[:20]) or "none"
         raise ImportRefused(f"there is no column {wanted!r}{hint}; there are {listed}")
 

@@ -9,8 +9,13 @@ from hidden.excitations import PROGRAMS
 from hidden.rig import Record, hidden_rig
 
 from pamctl.diagnose.evidence import weigh_evidence
+from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.pool import PAPER_SCALES, list_effects
+from pamctl.diagnose.evidence.weigh import list_pool, prepare_weigher
 from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.model import PlantSettings
+
+PAPER = PlantSettings()
 
 
 def records_of(effects: dict[str, float], seed: int) -> tuple[list[Record], list[Record]]:
@@ -43,3 +48,20 @@ def test_records_without_an_input_are_refused() -> None:
     train, _ = records_of({}, 40713)
     with pytest.raises(ValueError, match="needs valve_v"):
         weigh_evidence([replace(r, valve_v=None, pressure_pa=None) for r in train])
+
+
+def test_no_law_counts_where_the_name_that_explains_as_much_is_too_small() -> None:
+    train, held_out = records_of({"coulomb_friction": 5}, 40714)
+    weigher, start = prepare_weigher(train, held_out, PAPER)
+    pool = {h.name: h for h in list_pool(weigher.train, weigher.base, PAPER)}
+    search, base = NameSearch(weigher, pool), weigher.settle(start)
+    weigher.set_floor(base)
+    weigher.leave_out(base)
+    asked = ["coulomb_friction", "force~hysteresis(position)"]
+    fits = {f.names[-1]: f for f in search.refit(base, search.score(base, asked), 2)}
+    name, law = (fits[n] for n in asked)
+    assert search.take(base, [name, law]) is name
+    assert search.take(base, [law]) is law
+    at = [n.name for n in name.numbers].index("coulomb_friction.force_n")
+    name.x[at] = 0.1 * name.numbers[at].smallest
+    assert search.take(base, [name, law]) is None

@@ -19,15 +19,11 @@ from typing import NoReturn
 
 from hal.rig import RigError
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.processes.backends import build_clock, build_rig, make_plant, require_backend
+from pamctl.processes.backends import require_backend
+from pamctl.processes.compose_loop import compose_loop
 from pamctl.processes.loop_supervisor import LoopSupervisor
-from pamctl.realtime.loop import ControlLoop
 from pamctl.realtime.orders import Orders
-from pamctl.realtime.program import CuedHelm, Program
-from pamctl.realtime.scheduling import Preparation, SchedulingError, keep_single_threaded, prepare
-from pamctl.realtime.steering import SteeredProgram
-from pamctl.realtime.tick import TickSetup
-from pamctl.realtime.tick_runner import TickCost, TickRunner, rehearse_tick_s
+from pamctl.realtime.scheduling import SchedulingError, keep_single_threaded, prepare
 from pamctl.recording.journal import (
     RingJournal,
     SessionJournal,
@@ -37,14 +33,7 @@ from pamctl.recording.journal import (
 )
 from pamctl.recording.recorder import leave_recorder
 from pamctl.recording.ring import RecorderFlag, Ring, RingError, RingFull
-from pamctl.settings.build import (
-    build_ordered_program,
-    build_program,
-    build_tick_setup,
-    nominal_zero_of,
-)
 from pamctl.settings.resolve import RunSettings, from_resolved
-from pamctl.simulate.many_ticks import find_many_ticks
 
 
 def main() -> NoReturn:
@@ -127,69 +116,9 @@ def _run(
     if not settings.fast and (ending := _await_guardian(ring, supervisor)) is not None:
         return ending
     with prepare("off" if settings.fast else settings.rt, settings.rig.loop.cpu) as preparation:
-        setup = build_tick_setup(settings)
-        tick = TickRunner(setup)
-        timing = {**preparation.as_metadata(), "tick": tick.way}
-        if settings.fast:
-            timing = {"mode": "fast: no clock"}
-        journal.note_start({"event": "timing_setup", **timing})
-        for event in () if settings.fast else check_rate(settings, setup, tick):
-            journal.note_start(event)
-        clock = build_clock(settings, may_spin=preparation.may_spin)
-        parts = build_rig(settings, clock, plant=make_plant(settings))
-        controller = settings.controller.model_dump(mode="json")
-        program: Program | SteeredProgram
-        helm: CuedHelm | SteeredProgram
-        if isinstance(journal, SessionJournal):
-            assert orders is not None
-            program_of = partial(build_ordered_program, settings)
-            program = helm = SteeredProgram(
-                orders, journal, setup, controller, program_of, preparation.defer_page_faults
-            )
-        else:
-            ring.put_gains(0, ring.meta.start_mono_ns, controller)
-            program = build_program(settings)
-            helm = CuedHelm(setup, controller, program, journal, orders)
         if settings.fast:
             wait_for_recorder(ring)
-        return ControlLoop(
-            rig=parts.rig,
-            clock=parts.clock,
-            setup=setup,
-            nominal_zero=nominal_zero_of(settings),
-            program=program,
-            journal=journal,
-            supervisor=supervisor,
-            truth=parts.truth,
-            helm=helm,
-            opened=partial(_free_foreign_threads, preparation),
-            tick=tick,
-            many=find_many_ticks(setup, parts.rig, parts.clock),
-            ended=tell_parent,
-        ).run()
-
-
-def check_rate(
-    settings: RunSettings, setup: TickSetup, tick: TickRunner | None = None
-) -> list[dict[str, object]]:
-    """Warn of a rate that this PC cannot hold; return what to note in the log.
-
-    Call it in the loop's process as it is scheduled, before the rig is open.
-    """
-    rate_hz = settings.rig.loop.rate_hz
-    cost = TickCost.estimate(rehearse_tick_s(setup, 1.0 / rate_hz, tick=tick))
-    warning = cost.find_warning(rate_hz)
-    if not warning:
-        return []
-    with suppress(OSError):  # nobody may be there to read it; the log has it
-        print(f"warning: {warning}", file=sys.stderr, flush=True)
-    return [{"event": "rate_warning", "detail": warning, **cost._asdict()}]
-
-
-def _free_foreign_threads(preparation: Preparation) -> list[dict[str, object]]:
-    """Free the threads of the rig's driver; return what to note in the log."""
-    steps = preparation.free_foreign_threads()
-    return [{"event": step.name, "done": step.done, "detail": step.detail} for step in steps]
+        return compose_loop(settings, journal, supervisor, orders, preparation, tell_parent).run()
 
 
 def _await_recorder(ring: Ring, supervisor: LoopSupervisor) -> Ending | None:

@@ -33,6 +33,11 @@ class RingJournal:
         self._now_ns = now_ns
         self._worst_late_s = 0.0
 
+    @property
+    def start_ns(self) -> int:
+        """When the run began, on the monotonic clock."""
+        return self._ring.meta.start_mono_ns
+
     def put_row(self, row: bytearray, late_s: float, missed: int) -> None:
         """Put a tick that is packed already."""
         self._ring.put_row(row)
@@ -55,7 +60,7 @@ class RingJournal:
 
     def note_start(self, event: Mapping[str, object]) -> None:
         """Put an event before the rig is open: no heartbeat begins, as a driver may be slow."""
-        self._ring.put_event(0, self._ring.meta.start_mono_ns, event)
+        self._ring.put_event(0, self.start_ns, event)
         self._watched.loop_beat_ns = self._now_ns()
 
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:

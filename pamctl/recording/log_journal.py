@@ -55,6 +55,15 @@ class LogJournal:
     def rehearse_row(self, row: bytearray) -> None:
         """Do nothing: without a clock there is no rehearsal."""
 
+    @property
+    def start_ns(self) -> int:
+        """When the run began, on its own clock."""
+        return self._meta.start_mono_ns
+
+    def note_start(self, event: Mapping[str, object]) -> None:
+        """Keep an event before the rig is open."""
+        self.put_event(0, self.start_ns, event)
+
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
         """Keep an event; its key `event` names it."""
         self._put(RowKind.EVENT, tick, t_ns, to_json(event))

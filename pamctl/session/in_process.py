@@ -10,7 +10,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
@@ -19,10 +18,9 @@ from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.exit_codes import EMERGENCY_STOP, Ending, ExitCode
 from pamctl.log.framing import LogError
 from pamctl.log.run_meta import RunMeta
-from pamctl.processes.backends import build_clock, build_rig, require_backend
+from pamctl.processes.backends import require_backend
+from pamctl.processes.compose_loop import compose_loop
 from pamctl.processes.run_once import make_run_meta, new_ring_path
-from pamctl.realtime.loop import ControlLoop
-from pamctl.realtime.steering import SteeredProgram
 from pamctl.recording.drain import record_run
 from pamctl.recording.journal import (
     SessionJournal,
@@ -32,7 +30,6 @@ from pamctl.recording.journal import (
 )
 from pamctl.recording.ring import RecorderFlag, Ring, RingError, RingFull
 from pamctl.session.pamctl_error import hold_back_ctrl_c
-from pamctl.settings.build import build_ordered_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings
 from pamctl.signals import Phase
 
@@ -237,7 +234,7 @@ class InProcessLoop:
 
     def _work(self) -> None:
         try:
-            ending = self._run_loop()
+            ending = compose_loop(self._settings, self._journal, self, orders=self).run()
         except RingError as error:  # the log could not be written
             ending = Ending(ExitCode.UNEXPECTED, str(error))
         except Exception as error:
@@ -249,31 +246,6 @@ class InProcessLoop:
             ending = Ending(ExitCode.UNEXPECTED, str(error))
         self._ending = ending
         self._done.put(None)
-
-    def _run_loop(self) -> Ending:
-        settings = self._settings
-        setup = build_tick_setup(settings)
-        start = {"event": "timing_setup", "mode": "fast: no clock"}
-        self._journal.put_event(0, self._ring.meta.start_mono_ns, start)
-        parts = build_rig(settings, build_clock(settings, may_spin=False))
-        steered = SteeredProgram(
-            self,
-            self._journal,
-            setup,
-            settings.controller.model_dump(mode="json"),
-            partial(build_ordered_program, settings),
-        )
-        return ControlLoop(
-            rig=parts.rig,
-            clock=parts.clock,
-            setup=setup,
-            nominal_zero=nominal_zero_of(settings),
-            program=steered,
-            journal=self._journal,
-            supervisor=self,
-            truth=parts.truth,
-            helm=steered,
-        ).run()
 
 
 class _TickedJournal(SessionJournal):

@@ -44,6 +44,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import numpy as np
 from measured_table import format_table, write_measured
+from resumable_study import read_results, store_result
 from standin.standin import Card
 
 from hal.sim import peek_v
@@ -375,7 +376,9 @@ def main() -> int:
     parser.add_argument("--write", action="store_true", help="put the table into the manual")
     options = parser.parse_args()
     names = options.benches.split(",")
-    cases = read_kept(options.resume)
+    cases: dict[str, list[dict[str, Any]]] = {}
+    for found in read_results(options.resume):
+        cases.setdefault(found.pop("case"), []).append(found)
     done = Counter({case: len(found) for case, found in cases.items()})
     stopped = False
     try:
@@ -386,7 +389,7 @@ def main() -> int:
                 file=sys.stderr,
                 flush=True,
             )
-            keep(options.resume, {"case": case, **found})
+            store_result(options.resume, {"case": case, **found})
     except KeyboardInterrupt:
         stopped = True
     report = {case: summary(found) for case, found in cases.items()}
@@ -397,23 +400,6 @@ def main() -> int:
     if stopped:
         return 130
     return 0 if all(row["rounds"] == row["well"] for row in report.values()) else 3
-
-
-def read_kept(path: Path | None) -> dict[str, list[dict[str, Any]]]:
-    """Return the rounds of an earlier call, by case, without a line that was cut short."""
-    cases: dict[str, list[dict[str, Any]]] = {}
-    lines = path.read_text().splitlines() if path is not None and path.exists() else []
-    for line in lines:
-        with suppress(ValueError):
-            found = json.loads(line)
-            cases.setdefault(found.pop("case"), []).append(found)
-    return cases
-
-
-def keep(path: Path | None, found: dict[str, Any]) -> None:
-    if path is not None:
-        with path.open("a") as file:
-            file.write(json.dumps(found) + "\n")
 
 
 def describe_round(found: dict[str, Any]) -> str:

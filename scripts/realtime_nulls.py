@@ -26,13 +26,14 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import numpy as np
+from resumable_study import read_results, store_result
 from standin.standin import Card
 
 import pamctl.log
@@ -222,16 +223,14 @@ def main() -> int:
     parser.add_argument("--resume", type=Path, metavar="FILE", help="file that stores each case")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep the logs of alarms here")
     options = parser.parse_args()
-    results = read_kept(options.resume)
+    results = {found.pop("case"): found for found in read_results(options.resume)}
     cases = list_cases(options.rounds, options.benches.split(","))
     stopped = False
     try:
         for case, found in run_cases([c for c in cases if c.name not in results], options.keep):
             results[case.name] = found
             print(f"{case.name:<38}{describe(found)}", file=sys.stderr, flush=True)
-            if options.resume is not None:
-                with options.resume.open("a") as file:
-                    file.write(json.dumps({"case": case.name, **found}) + "\n")
+            store_result(options.resume, {"case": case.name, **found})
     except KeyboardInterrupt:
         stopped = True
     report = summarise(results)
@@ -241,17 +240,6 @@ def main() -> int:
     if stopped:
         return 130
     return 3 if alarms else 0
-
-
-def read_kept(path: Path | None) -> dict[str, dict[str, Any]]:
-    """Return the cases of an earlier call by name, without a line that was cut short."""
-    kept: dict[str, dict[str, Any]] = {}
-    lines = path.read_text().splitlines() if path is not None and path.exists() else []
-    for line in lines:
-        with suppress(ValueError):
-            found = json.loads(line)
-            kept[found.pop("case")] = found
-    return kept
 
 
 def describe(found: Mapping[str, Any]) -> str:

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,15 +20,21 @@ Outcome = dict[str, Any]
 
 def read_stored(path: Path) -> dict[str, Outcome]:
     """Return the stored results by key, without crashed tasks and lines that a kill cut short."""
-    results: dict[str, Outcome] = {}
-    for line in path.read_text().splitlines() if path.exists() else ():
-        try:
-            result = json.loads(line)
-        except json.JSONDecodeError:
-            continue
-        if "error" not in result:
-            results[result["key"]] = result
-    return results
+    return {one["key"]: one for one in read_results(path) if "error" not in one}
+
+
+def read_results(path: Path | None) -> Iterator[Outcome]:
+    """Yield every stored result; a line that a kill cut short is left out."""
+    for line in path.read_text().splitlines() if path is not None and path.exists() else ():
+        with suppress(json.JSONDecodeError):
+            yield json.loads(line)
+
+
+def store_result(path: Path | None, result: Mapping[str, Any]) -> None:
+    """Append a result to the file of a study that is kept."""
+    if path is not None:
+        with path.open("a") as file:
+            file.write(json.dumps(result) + "\n")
 
 
 def run_resumable(
@@ -45,14 +52,12 @@ def run_resumable(
     results = read_stored(path)
     left = [task for key, task in tasks.items() if key not in results]
     began = time.perf_counter()
-    with path.open("a") as file:
-        for done, result in enumerate(_run_tasks(left, examine, workers), 1):
-            file.write(json.dumps(result) + "\n")
-            file.flush()
-            results[result["key"]] = result
-            spent_s = time.perf_counter() - began
-            what = f"{result['key']}: {describe(result)}".rstrip(": ")
-            print(f"{done}/{len(left)} {spent_s:6.0f} s  {what}", file=sys.stderr)
+    for done, result in enumerate(_run_tasks(left, examine, workers), 1):
+        store_result(path, result)
+        results[result["key"]] = result
+        spent_s = time.perf_counter() - began
+        what = f"{result['key']}: {describe(result)}".rstrip(": ")
+        print(f"{done}/{len(left)} {spent_s:6.0f} s  {what}", file=sys.stderr)
     return results
 
 

@@ -124,12 +124,12 @@ def _in_file(harness: Callable[[Path], object], suffix: str) -> Harness:
 
 
 def _read() -> Harness:
+    from pamctl.errors import ConfigError
     from pamctl.log import LogError, info, read, signals
     from pamctl.log.check import check_log
     from pamctl.log.measured_signals import judge_ticks
     from pamctl.log.reader import read_paged
     from pamctl.replay.replay_source import read_replay_source
-    from pamctl.settings.problems import ConfigError
 
     def look(path: Path) -> None:
         for tool in (
@@ -301,7 +301,7 @@ def _mats() -> Iterator[bytes]:
 
 
 def _yaml() -> Harness:
-    from pamctl.settings.problems import ConfigError
+    from pamctl.errors import ConfigError
     from pamctl.settings.resolve import SECTIONS, RawSettings, settings_to_data, validate_settings
     from pamctl.settings.yaml12 import dump_yaml, parse_yaml
 

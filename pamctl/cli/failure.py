@@ -21,10 +21,10 @@ from typer.core import TyperGroup
 
 from pamctl.cli.examples import EXAMPLES, write_epilog
 from pamctl.cli.waiting import SLOW_VERBS, tell_while_silent
+from pamctl.errors import ConfigError
 from pamctl.exit_codes import ExitCode
 from pamctl.plain_text import PlainStream, clean_lines
 from pamctl.session.pamctl_error import explain_error
-from pamctl.settings.problems import ConfigError
 
 
 class Failed(typer.Exit):

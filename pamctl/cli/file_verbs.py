@@ -13,11 +13,11 @@ from pamctl.cli.failure import Failed
 from pamctl.cli.options import MAP, Options, argument, flag, option, verb
 from pamctl.cli.output import print_result, read_records
 from pamctl.cli.settings_from_options import SettingsOptions, find_argument_file
+from pamctl.errors import ConfigError, Problem
 from pamctl.exit_codes import ExitCode
 from pamctl.new_file import require_place, write_files
 from pamctl.plain_text import hint_at_nearest
 from pamctl.settings.config_files import config_dir
-from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import (
     SECTIONS,
     build_config_schema,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,14 +11,13 @@ import typer
 from pamctl.cli.failure import print_error
 from pamctl.cli.options import MAP, Options, argument, flag, option, verb
 from pamctl.cli.output import print_report, print_result, read_map
+from pamctl.errors import ConfigError, Problem
 from pamctl.exit_codes import ExitCode
 from pamctl.plain_text import escape_name
-from pamctl.settings.problems import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from pamctl.log.check import LogCheckReport
     from pamctl.log.importing.pipeline import ImportedColumn, ImportSummary
-    from pamctl.report.report import Part, Report
+    from pamctl.report.report import Report
 
 log_app = typer.Typer(
     no_args_is_help=True, help="Look into logs, mend, cut, export and import them."
@@ -89,27 +87,38 @@ def check_logs(asked: LogCheckOptions) -> None:
 
     Exits with 3 if there is an error in any of them, 65 if a file is no log at all.
     """
-    reports = [_check_log(path) for path in asked.paths]
-    documents = [document for _, document in reports]
-    text = "" if asked.as_json else "\n".join(map(_format_check, documents))
+    from pamctl.report.report import format_terminal
+
+    checked = [_check_log(path) for path in asked.paths]
+    documents = [report.document for _, report in checked]
+    text = "\n".join(format_terminal(report) for _, report in checked)
     print_result(documents, text, as_json=asked.as_json)
-    raise typer.Exit(max(code for code, _ in reports))
+    raise typer.Exit(max(code for code, _ in checked))
 
 
-def _check_log(path: Path) -> tuple[ExitCode, dict[str, Any]]:
+def _check_log(path: Path) -> tuple[ExitCode, Report]:
     from pamctl.log import LogError
-    from pamctl.log.check import check_log
+    from pamctl.log.check import check_log, list_findings
+    from pamctl.report.report import Problems, Report
 
+    name = escape_name(str(path))
     try:
-        report: LogCheckReport = check_log(path, _find_config_problems)
+        checked = check_log(path, _find_config_problems)
     except LogError as error:
-        return ExitCode.BAD_DATA, {"path": str(path), "ok": False, "reason": str(error)}
-    return ExitCode.OK if report.ok else ExitCode.CHECK_FAILED, {
-        "path": report.path,
-        "ok": report.ok,
-        "ticks": report.ticks,
-        "findings": [finding._asdict() for finding in report.findings],
+        document = {"path": str(path), "ok": False, "reason": str(error)}
+        problem = Problem(name, "", str(error), fix=_NO_LOG)
+        report = Report(f"{name}: no log", document=document)
+        return ExitCode.BAD_DATA, report.add(Problems([problem]))
+    document = {
+        "path": checked.path,
+        "ok": checked.ok,
+        "ticks": checked.ticks,
+        "findings": list_findings(checked.findings),
     }
+    verdict = f"{name}: {'ok' if checked.ok else 'not ok'}, {checked.ticks} ticks"
+    report = Report(verdict, document=document)
+    report.add(*[Problems(checked.findings)] * bool(checked.findings))
+    return ExitCode.OK if checked.ok else ExitCode.CHECK_FAILED, report
 
 
 def _find_config_problems(text: str) -> list[str]:
@@ -123,48 +132,7 @@ def _find_config_problems(text: str) -> list[str]:
     return []
 
 
-def _format_check(document: dict[str, Any]) -> str:
-    from pamctl.report.report import Problems, Report, format_terminal
-
-    name = escape_name(document["path"])
-    if "reason" in document:
-        problem = Problem(name, "", document["reason"], fix=_NO_LOG)
-        return format_terminal(Report(f"{name}: no log").add(Problems([problem])))
-    fixes = {kind: fix.format(name) for kind, fix in FIXES.items()}
-    verdict = f"{name}: {'ok' if document['ok'] else 'not ok'}, {document['ticks']} ticks"
-    return format_terminal(Report(verdict).add(*_list_problems(document["findings"], fixes)))
-
-
-def _list_problems(
-    findings: Sequence[Mapping[str, str]], fixes: Mapping[str, str]
-) -> Iterator[Part]:
-    """Yield findings as problems; a fix stands below the first error that it mends."""
-    from pamctl.report.report import Problems
-
-    said = {""}
-    problems = []
-    for severity, kind, message in (found.values() for found in findings):
-        fix = fixes.get(kind, "") if severity == "error" else ""
-        problems.append(Problem(kind, "", message, severity, fix="" if fix in said else fix))
-        said.add(fix)
-    if problems:
-        yield Problems(problems)
-
-
 _NO_LOG = "import a measured file by pamctl log import FILE NEW.mcap"
-_RECOVER = "save all that is whole: pamctl log recover {} NEW.mcap"
-_CUT = "cut a sound part out: pamctl log cut {} --out PART.mcap --from-s ... --to-s ..."
-_ANEW = "make a log of what was measured anew: pamctl log export {} T.csv, then log import"
-FIXES = {
-    **dict.fromkeys(("damage", "index", "summary", "chunk", "order"), _RECOVER),
-    **dict.fromkeys(("backwards", "duplicated", "phase", "empty", "missing"), _CUT),
-    **dict.fromkeys(("tick-order", "clock", "gap", "sequence", "reversed", "columns"), _ANEW),
-    "version": "read it with the version that wrote it, which is in the file's metadata",
-    "units": "export the ticks, and import them with the right units: pamctl log export {} T.csv",
-    "schema": "export the ticks for other tools: pamctl log export {} NEW.csv",
-    "config": "replay it with the version that wrote it, which pamctl log info {} names",
-}
-"""What to do about errors, by their kind."""
 
 # --- recover ----------------------------------------------------------------------------------
 
@@ -332,9 +300,10 @@ def import_file(asked: ImportOptions) -> None:
 
 
 def _report_import(done: ImportSummary) -> Report:
-    from pamctl.report.report import Report, ReportTable
+    from pamctl.log.check import list_findings
+    from pamctl.report.report import Problems, Report, ReportTable
 
-    findings = [finding._asdict() for finding in done.findings]
+    findings = list_findings(done.findings)
     head = f"{done.source}: not imported; {done.form}"
     if done.written:
         rate = f"one every {done.period_s:.6g} s, over {done.lasts_s:.6g} s"
@@ -342,7 +311,7 @@ def _report_import(done: ImportSummary) -> Report:
     report = Report("Import", head, document={**asdict(done), "findings": findings})
     rows = [[str(c.number), c.name, *_describe_column(c)] for c in done.columns]
     report.add(ReportTable(["", "column", "read as", "", "from .. to"], rows))
-    report.add(*_list_problems(findings, {}))
+    report.add(*[Problems(done.findings)] * bool(done.findings))
     return report
 
 

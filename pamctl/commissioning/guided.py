@@ -23,12 +23,12 @@ from pamctl.commissioning.bench import (
     open_workplace,
     summarise_samples,
 )
+from pamctl.errors import ConfigError, Problem
 from pamctl.exit_codes import ExitCode
 from pamctl.new_file import NewFileError, require_place, write_files
 from pamctl.processes.backends import require_backend
 from pamctl.report.report import Facts, Report, Text
 from pamctl.settings.config_files import find_config_file
-from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import (
     SECTIONS,
     RawSettings,

@@ -18,9 +18,9 @@ from hal.rig import RawSample
 from pamctl.control.course import Segment, make_valve_reference
 from pamctl.control.experiment import ProgramSettings, plan_experiment
 from pamctl.diagnose.record import Array, Record
+from pamctl.errors import ConfigError
 from pamctl.safety import INITIAL_SAFETY_STATE, Limits, admit
 from pamctl.settings.build import build_tick_setup
-from pamctl.settings.problems import ConfigError
 from pamctl.settings.resolve import from_resolved
 from pamctl.signals import Command, Estimate, Measurement, Phase, Timing
 

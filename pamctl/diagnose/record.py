@@ -341,7 +341,7 @@ def _import_beside(path: Path, imported: Path, column_map: ImportMap | None) -> 
     try:
         done = import_log(path, imported, column_map)
         if not done.written:
-            wrong = "; ".join(f.message for f in done.findings if f.severity == Severity.ERROR)
+            wrong = "; ".join(f.message for f in done.findings if f.level == Severity.ERROR)
             raise pamctl.log.LogError(f"not imported: {wrong}")
     except pamctl.log.LogError as error:
         named = "" if str(path) in str(error) else f"{path}: "
@@ -352,7 +352,7 @@ def _import_beside(path: Path, imported: Path, column_map: ImportMap | None) -> 
     read_as = ", ".join(f"{c.name} as {c.read_as}" for c in done.columns if c.read_as)
     unused = ", ".join(f"{c.name} ({c.left_out})" for c in done.columns if c.left_out)
     notes = [f"imported: {read_as}", *([f"not used: {unused}"] if unused else [])]
-    notes += [f.message for f in done.findings if f.severity == Severity.WARNING]
+    notes += [f.message for f in done.findings if f.level == Severity.WARNING]
     return tuple(map(escape_name, notes))
 
 

@@ -23,10 +23,10 @@ from pamctl.control.law_registry import find_law
 from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
 from pamctl.daemon.protocol import RequestError, check_params, list_orders
 from pamctl.daemon.rig_session import RigSession
+from pamctl.errors import ConfigError, Problem
 from pamctl.runs.run_index import RunIndex, RunsError
 from pamctl.runs.run_list import RunFilter, select_runs
 from pamctl.settings.config_files import config_dir, list_shipped
-from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import read_section_file, settings_to_data
 from pamctl.signals import TICK_FIELDS, Phase
 

@@ -7,15 +7,16 @@ it needs no configuration and no outcome. https://mcap.dev/spec
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pamctl.errors import Problem
 from pamctl.json_text import from_json
 from pamctl.log.file_index import IndexCheck
 from pamctl.log.framing import LogError
@@ -25,6 +26,7 @@ from pamctl.log.record_problems import FIRST_TICKS, judge_first_tick
 from pamctl.log.record_walk import Hole, Loaded
 from pamctl.log.schema import CUT, EVENT_TOPIC, SCHEMA_VERSION, TICK_TOPIC, unit_of_column
 from pamctl.log.wire import SEQUENCE, TickBatch, UnknownLayout
+from pamctl.plain_text import escape_name
 from pamctl.signals import TICK_FIELDS
 
 MOST_OF_A_KIND = 5
@@ -34,6 +36,21 @@ CLOCK_TOLERANCE_S = 1e-6
 
 ConfigCheck = Callable[[str], Sequence[str]]
 """Returns the problems of a resolved configuration, one sentence each."""
+
+
+_RECOVER = "save all that is whole: pamctl log recover {} NEW.mcap"
+_CUT = "cut a sound part out: pamctl log cut {} --out PART.mcap --from-s ... --to-s ..."
+_ANEW = "make a log of what was measured anew: pamctl log export {} T.csv, then log import"
+FIXES = {
+    **dict.fromkeys(("damage", "index", "summary", "chunk", "order"), _RECOVER),
+    **dict.fromkeys(("backwards", "duplicated", "phase", "empty", "missing"), _CUT),
+    **dict.fromkeys(("tick-order", "clock", "gap", "sequence", "reversed", "columns"), _ANEW),
+    "version": "read it with the version that wrote it, which is in the file's metadata",
+    "units": "export the ticks, and import them with the right units: pamctl log export {} T.csv",
+    "schema": "export the ticks for other tools: pamctl log export {} NEW.csv",
+    "config": "replay it with the version that wrote it, which pamctl log info {} names",
+}
+"""What to do about errors, by their kind."""
 
 
 class Severity(StrEnum):
@@ -47,20 +64,11 @@ class Severity(StrEnum):
     """Nothing is wrong, but it is worth mentioning."""
 
 
-class LogFinding(NamedTuple):
-    """One finding."""
-
-    severity: Severity
-    kind: str
-    """A name that stays the same between versions, for scripts."""
-    message: str
-
-
 @dataclass
 class LogFindings:
     """All findings, in the order in which they were made."""
 
-    all: list[LogFinding] = field(default_factory=list)
+    all: list[Problem] = field(default_factory=list)
     kinds: Counter[str] = field(default_factory=Counter)
     """Number of findings of each kind, listed or not."""
 
@@ -80,7 +88,7 @@ class LogFindings:
         """Add a finding."""
         self.kinds[kind] += 1
         if self.kinds[kind] <= MOST_OF_A_KIND:
-            self.all.append(LogFinding(severity, kind, message))
+            self.all.append(Problem("", kind, message, severity))
 
     def errors(self, kind: str, rows: NDArray[np.intp], describe: Callable[[int], str]) -> None:
         """Add an error for each of these rows; only those that are listed are described."""
@@ -90,25 +98,30 @@ class LogFindings:
         if not self.kinds[kind]:
             del self.kinds[kind]
 
-    def summarise(self) -> list[LogFinding]:
+    def summarise(self) -> list[Problem]:
         """Return the findings, and for each kind with too many the number of the rest."""
         more = {kind: n - MOST_OF_A_KIND for kind, n in self.kinds.items() if n > MOST_OF_A_KIND}
-        weights = {finding.kind: finding.severity for finding in self.all}
+        weights = {finding.key: finding.level for finding in self.all}
         rest = (
-            LogFinding(weights[kind], kind, f"and {n} more of these") for kind, n in more.items()
+            Problem("", kind, f"and {n} more of these", weights[kind]) for kind, n in more.items()
         )
         return [*self.all, *rest]
 
     def any(self, severity: Severity) -> bool:
         """Tell whether there is a finding of this severity."""
-        return any(finding.severity == severity for finding in self.all)
+        return any(finding.level == severity for finding in self.all)
 
     def soften(self, kind: str) -> None:
         """Turn errors of a kind into warnings: something else explains them."""
         self.all = [
-            finding._replace(severity=Severity.WARNING) if finding.kind == kind else finding
+            finding._replace(level=Severity.WARNING) if finding.key == kind else finding
             for finding in self.all
         ]
+
+
+def list_findings(findings: Iterable[Problem]) -> list[dict[str, str]]:
+    """Return findings as a document, and a log, have them."""
+    return [{"severity": f.level, "kind": f.key, "message": f.message} for f in findings]
 
 
 @dataclass(frozen=True)
@@ -117,12 +130,12 @@ class LogCheckReport:
 
     path: str
     ticks: int
-    findings: tuple[LogFinding, ...]
+    findings: tuple[Problem, ...]
 
     @property
     def ok(self) -> bool:
         """Whether there are no errors."""
-        return all(finding.severity != Severity.ERROR for finding in self.findings)
+        return all(finding.level != Severity.ERROR for finding in self.findings)
 
 
 def check_log(
@@ -143,7 +156,14 @@ def check_log(
     ticks.end()
     _check_schema(scan, findings)
     _check_story(scan, findings, problems_of_config)
-    return LogCheckReport(str(path), ticks.count, tuple(findings.summarise()))
+    log = escape_name(str(path))
+    problems = (
+        finding._replace(fix=FIXES.get(finding.key, "").format(log))
+        if finding.level == Severity.ERROR
+        else finding
+        for finding in findings.summarise()
+    )
+    return LogCheckReport(str(path), ticks.count, tuple(problems))
 
 
 class _CheckScan(Scan):

@@ -19,6 +19,7 @@ from hal.backend import find_backends
 from hal.calibration import Output, Zero
 from pamctl.control.law import LawSettings
 from pamctl.control.law_registry import compare_law_source, explain_absent_law
+from pamctl.errors import ConfigError
 from pamctl.exit_codes import ExitCode
 from pamctl.json_text import to_json
 from pamctl.kernel.calls import PlainCall, recall
@@ -30,7 +31,6 @@ from pamctl.realtime.tick import TickSetup, TickState, first_state, rezero_state
 from pamctl.realtime.tick_runner import UPDATES
 from pamctl.recording.rows import make_rows, row_dtype
 from pamctl.settings.build import build_tick_setup, output_of
-from pamctl.settings.problems import ConfigError
 from pamctl.settings.resolve import (
     SECTIONS,
     RawSettings,

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pamctl.errors import ConfigError, Problem
 from pamctl.log import Log
 from pamctl.new_file import write_files
 from pamctl.replay.replay_source import (
@@ -24,7 +25,6 @@ from pamctl.replay.replay_source import (
     read_replay_source,
 )
 from pamctl.settings.build import build_tick_setup
-from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import (
     RUN,
     RawSettings,

@@ -21,8 +21,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from pamctl.errors import Problem
 from pamctl.report.figure import Levels, Plot
-from pamctl.settings.problems import Problem
 
 
 class Section(NamedTuple):
@@ -156,12 +156,14 @@ def _list_lines(part: Part) -> Iterator[str]:
                 break_on_hyphens=False,
             )
     elif isinstance(part, Problems):
+        said = {""}
         for where, key, message, level, wanted, fix in part.items:
             yield f"{level:<8} {where or key:<22} {message}"
             if wanted and level != "ok":
                 yield f"{'':<31} should be: {wanted}"
-            if fix and level != "ok":
+            if fix not in said and level != "ok":  # one fix may mend many
                 yield f"{'':<31} fix: {fix}"
+                said.add(fix)
     elif isinstance(part, Facts):
         width = max(map(len, part.facts), default=0)
         yield from (f"{name:<{width}}  {value}" for name, value in part.facts.items())

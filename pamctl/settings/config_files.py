@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
 
-from pamctl.settings.problems import ConfigError, Problem
+from pamctl.errors import ConfigError, Problem
 
 DEFAULT_NAMES: Mapping[str, str] = {
     "controller": "qsmc",

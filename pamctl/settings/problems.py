@@ -2,8 +2,7 @@
 
 Pydantic finds the errors, and describes them and their places in its own terms. This module
 translates: keys as in the file, bounds as a sentence, the nearest name for a typing error, and a
-hint at the cause of a wrong value. Neither pydantic nor YAML is imported here: every verb knows
-`ConfigError`.
+hint at the cause of a wrong value. Neither pydantic nor YAML is imported here.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pamctl.exit_codes import ExitCode
+from pamctl.errors import MISSING
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -24,51 +23,6 @@ if TYPE_CHECKING:
     from pamctl.settings.yaml12 import KeyPath
 
 JsonSchema = dict[str, Any]
-
-
-class Problem(NamedTuple):
-    """What is wrong, or worth knowing."""
-
-    where: str
-    """`file:line:column`, the command-line option, or what was checked."""
-    key: str
-    """Dotted path from the section on; empty if the problem is a whole file."""
-    message: str
-    level: str = "error"
-    """`ok`, `note`, `warning`, `error` or `fault`."""
-    wanted: str = ""
-    """What it should be, where the message does not say it."""
-    fix: str = ""
-    """What to do, where the message does not say it."""
-
-    @property
-    def is_missing(self) -> bool:
-        """Whether a key without a default was not given."""
-        return self.message.startswith(_MISSING)
-
-    def __str__(self) -> str:
-        """Return the problem as one line for the user."""
-        return ": ".join(part for part in self[:3] if part)
-
-    def as_dict(self) -> dict[str, str]:
-        """Return what a document holds."""
-        return {"where": self.where, "key": self.key, "message": self.message}
-
-
-class ConfigError(Exception):
-    """Settings that cannot be used, with all their problems."""
-
-    def __init__(self, problems: Iterable[Problem]) -> None:
-        """Keep the problems; the message has one line each."""
-        self.problems = tuple(problems)
-        super().__init__("\n".join(map(str, self.problems)))
-
-    @property
-    def exit_code(self) -> ExitCode:
-        """2 where only options are wrong, 78 where a file or a setting is."""
-        places = [problem.where for problem in self.problems]
-        options_only = all(at.startswith("--") and not at.startswith("--set") for at in places)
-        return ExitCode.USAGE if options_only else ExitCode.BAD_CONFIG
 
 
 @dataclass(frozen=True)
@@ -137,9 +91,6 @@ def _find_child(node: JsonSchema, name: str | int) -> JsonSchema | None:
     return child if isinstance(child, dict) else None
 
 
-_MISSING = "missing, and has no default"
-
-
 class _Complaint(NamedTuple):
     """One pydantic error: what the value must be, or else a complete message."""
 
@@ -161,7 +112,7 @@ def explain_errors(
     found: dict[KeyPath, list[_Complaint]] = {}
     for complaint in complaints:
         if not (
-            complaint.message.startswith(_MISSING) and complaint.at in meant
+            complaint.message.startswith(MISSING) and complaint.at in meant
         ):  # one mistake, one line
             found.setdefault(complaint.at, []).append(complaint)
     return {at: _join_complaints(at_one_place) for at, at_one_place in found.items()}
@@ -215,7 +166,7 @@ def _explain_key(kind: str, parent: _Place, key: str | int, title: str) -> _Comp
         return _Complaint(parent.at, message=f"must hold more than {key} items")
     if kind == "missing":
         about = parent.description(key)
-        return _Complaint(at, message=f"{_MISSING} ({about})" if about else _MISSING)
+        return _Complaint(at, message=f"{MISSING} ({about})" if about else MISSING)
     if (title, *at) in {(key, key), ("", key, key)}:
         message = f"unknown key; the keys of a {key} file have no heading"
         return _Complaint(at, message=message)

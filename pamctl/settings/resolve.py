@@ -24,14 +24,13 @@ from pamctl.control.law_registry import (
     add_law_file,
     explain_missing_law,
 )
+from pamctl.errors import ConfigError, Problem
 from pamctl.log.importing.column_map import ImportMap
 from pamctl.plant.model import PlantSettings
 from pamctl.settings.config_files import DEFAULT_NAMES, find_config_file, list_shipped
 from pamctl.settings.known_effects import build_compensation
 from pamctl.settings.problems import (
-    ConfigError,
     JsonSchema,
-    Problem,
     explain_errors,
     join_choices,
     join_key_path,

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from pamctl.settings.problems import ConfigError, Problem, join_key_path
+from pamctl.errors import ConfigError, Problem
+from pamctl.settings.problems import join_key_path
 from pamctl.settings.resolve import RawSettings
 from pamctl.settings.yaml12 import KeyPath
 

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, Protocol
 
 from pamctl.cluster.worker_processes import start_workers
 from pamctl.control.law_registry import find_law, installed_laws
+from pamctl.errors import ConfigError, Problem
 from pamctl.exit_codes import ExitCode
 from pamctl.log.run_meta import bare_name
 from pamctl.new_file import NewFileError, require_place, write_files
@@ -23,7 +24,6 @@ from pamctl.report.progress_line import WorkProgress
 from pamctl.report.report import Points, Report, Section, Text
 from pamctl.settings.config_files import find_config_file
 from pamctl.settings.known_effects import build_compensation
-from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import (
     SECTIONS,
     RunSettings,

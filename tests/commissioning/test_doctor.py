@@ -52,13 +52,13 @@ from pamctl.commissioning.rig_checks import (
     judge_sensors,
     measure_at_rest,
 )
+from pamctl.errors import Problem
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
 from pamctl.processes.interrupts import Interrupts, SignalInterrupt
 from pamctl.realtime.clock import VirtualClock, Wake
 from pamctl.realtime.scheduling import Preparation, PreparationStep
 from pamctl.report.report import Problems, format_part
-from pamctl.settings.problems import Problem
 from pamctl.settings.resolve import RunSettings, resolve
 
 PAMCTL = str(Path(sys.executable).with_name("pamctl"))

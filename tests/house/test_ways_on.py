@@ -6,7 +6,7 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
-from pamctl.cli.log_verbs import FIXES
+from pamctl.log.check import FIXES
 
 ROOT = Path(__file__).parents[2]
 LEVEL, FIX = 1, 4

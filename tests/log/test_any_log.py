@@ -149,7 +149,7 @@ def test_every_way_to_read_a_log_finds_what_was_written(
     report = check_log(written.path)
     assert report.ticks == count
     # Of what this writer leaves out, nothing is wrong; the log is no run of pamctl.
-    wrong = {f.kind for f in report.findings if f.severity == "error"}
+    wrong = {f.key for f in report.findings if f.level == "error"}
     assert wrong <= {"version", "units", "columns", "config", "empty"}, report.findings
 
     if count > 2:

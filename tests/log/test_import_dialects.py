@@ -240,7 +240,7 @@ def judge_dialect(dialect: dict[str, Any]) -> str:
         require_way_on(content, str(refusal))
         return "refused"
     if measured is None:
-        assert any(finding.severity == "error" for finding in done.findings)
+        assert any(finding.level == "error" for finding in done.findings)
         assert read_shown_map("  " + done.map_text.replace("\n", "\n  ")) == done.map
         return "refused"
     told = " ".join(finding.message for finding in done.findings)

@@ -67,7 +67,7 @@ def write_ticks(path: Path, changes: dict[str, Any], count: int = 50) -> Path:
 
 
 def kinds(report: LogCheckReport, severity: Severity = Severity.ERROR) -> set[str]:
-    return {finding.kind for finding in report.findings if finding.severity == severity}
+    return {finding.key for finding in report.findings if finding.level == severity}
 
 
 # Valid logs.
@@ -189,7 +189,7 @@ def test_what_is_doubtful_is_said_with_its_rows_and_stands_on_the_page(tmp_path)
 def test_a_schema_version_that_never_was_is_named(tmp_path, version, monkeypatch):
     monkeypatch.setattr("pamctl.log.writer.SCHEMA_VERSION", version)
     findings = check_log(write_ticks(tmp_path / "a.mcap", {})).findings
-    (found,) = (finding.message for finding in findings if finding.kind == "version")
+    (found,) = (finding.message for finding in findings if finding.key == "version")
     assert found == f"the schema version of /pam/tick is {version!r}; versions begin with 1"
 
 
@@ -207,7 +207,7 @@ def test_a_protobuf_schema_that_is_labelled_otherwise_is_named(tmp_path):
 
 def test_a_million_errors_of_a_kind_are_told_in_a_screenful(tmp_path):
     report = check_log(write_ticks(tmp_path / "a.mcap", {"missed": STEPS + 1}))
-    told = [finding.message for finding in report.findings if finding.kind == "gap"]
+    told = [finding.message for finding in report.findings if finding.key == "gap"]
     assert len(told) == 6
     assert told[-1] == "and 44 more of these"
 

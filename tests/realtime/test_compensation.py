@@ -16,6 +16,7 @@ from hal.calibration import Zero
 from pamctl.cli.app import app
 from pamctl.compensation.around_the_law import Compensation, compensate_command, find_command_v
 from pamctl.control.course import make_valve_reference
+from pamctl.errors import ConfigError
 from pamctl.log.reader import read
 from pamctl.plant.catalogue import Effects, pass_command, pass_opening
 from pamctl.plant.model import PlantSettings, plant_parameters
@@ -23,7 +24,6 @@ from pamctl.plant.parameters import vented_state
 from pamctl.realtime.tick import first_state, freeze_state, keyframe_fields, thaw_state
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.known_effects import STEEPEST, build_compensation, list_undoable
-from pamctl.settings.problems import ConfigError
 from pamctl.settings.resolve import RunSettings, resolve
 from pamctl.signals import (
     COMPENSATION_FIELDS,

@@ -12,10 +12,10 @@ from support.command_line import run_pamctl
 from hal.calibration import CalibrationSettings
 from hal.rig import RigError
 from hal.sim import SimRig, SimSettings, sensor_chain
+from pamctl.errors import ConfigError
 from pamctl.processes.backends import SHARED_MEMORY
 from pamctl.settings.build import build_program, build_tick_setup
 from pamctl.settings.envelope import find_excesses
-from pamctl.settings.problems import ConfigError
 from pamctl.settings.resolve import resolve, settings_to_data
 
 EDGES = ("1e-320", "1e308", "-1e308", "-0.0", ".nan", ".inf", "99999999999999999999")

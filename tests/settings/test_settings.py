@@ -19,8 +19,8 @@ from typer.testing import CliRunner
 
 from hal.calibration import Configured
 from pamctl.cli.app import app
+from pamctl.errors import ConfigError
 from pamctl.settings.config_files import DEFAULT_NAMES, config_dir, find_config_file, list_shipped
-from pamctl.settings.problems import ConfigError
 from pamctl.settings.resolve import (
     SECTIONS,
     RawSettings,

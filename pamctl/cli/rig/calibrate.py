@@ -11,7 +11,7 @@ from pamctl.cli.failure import Failed
 from pamctl.cli.options import MAY_MOVE, flag, option, require_linux, verb
 from pamctl.cli.output import print_report
 from pamctl.cli.settings_from_options import RigOptions
-from pamctl.settings.problems import ConfigError, Problem
+from pamctl.errors import ConfigError, Problem
 
 if TYPE_CHECKING:  # no other verb waits for these
     from collections.abc import Sequence

@@ -15,8 +15,8 @@ from hal.backend import (
 from pamctl.cli.options import flag, option, require_linux, verb
 from pamctl.cli.output import print_result
 from pamctl.cli.settings_from_options import RigOptions
+from pamctl.errors import Problem
 from pamctl.exit_codes import ExitCode
-from pamctl.settings.problems import Problem
 
 if TYPE_CHECKING:
     from pamctl.processes.interrupts import SignalInterrupt

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pamctl.errors import Problem
 from pamctl.json_text import to_json
-from pamctl.log.check import LogFinding, LogFindings, Severity
+from pamctl.log.check import LogFindings, Severity, list_findings
 from pamctl.log.importing.column_map import (
     ATMOSPHERIC_PRESSURE_PA,
     TIME,
@@ -68,7 +69,7 @@ class ImportSummary:
     """Every column of the file, in its order."""
     map: ImportMap
     """How its columns are read."""
-    findings: tuple[LogFinding, ...]
+    findings: tuple[Problem, ...]
     map_text: str
     """The map as a text, with what would mend it, where nothing was written."""
 
@@ -203,8 +204,8 @@ def _judge_own_time(table: MeasuredTable, kept: slice, rows: Ints, findings: Log
         values = UNITS[TIME][meaning.unit] * column.values[kept]
         judge_record(values, {}, rows, own, column.name)
         for finding in own.all:
-            if finding.kind != "jitter":
-                findings.warning(finding.kind, f"rate_hz is used, but {finding.message}")
+            if finding.key != "jitter":
+                findings.warning(finding.key, f"rate_hz is used, but {finding.message}")
         return
 
 
@@ -353,7 +354,7 @@ def _tell_story(
         "map": write_map(chosen.map.as_keys(), {}),
         "left_out": to_json(left_out).decode(),
         "resampled_hz": "" if resample_hz is None else repr(resample_hz),
-        "report": to_json([finding._asdict() for finding in findings.summarise()]).decode(),
+        "report": to_json(list_findings(findings.summarise())).decode(),
     }
 
 

@@ -117,7 +117,8 @@ def _check_log(path: Path) -> tuple[ExitCode, Report]:
     }
     verdict = f"{name}: {'ok' if checked.ok else 'not ok'}, {checked.ticks} ticks"
     report = Report(verdict, document=document)
-    report.add(*[Problems(checked.findings)] * bool(checked.findings))
+    if checked.findings:
+        report.add(Problems(checked.findings))
     return ExitCode.OK if checked.ok else ExitCode.CHECK_FAILED, report
 
 
@@ -311,7 +312,8 @@ def _report_import(done: ImportSummary) -> Report:
     report = Report("Import", head, document={**asdict(done), "findings": findings})
     rows = [[str(c.number), c.name, *_describe_column(c)] for c in done.columns]
     report.add(ReportTable(["", "column", "read as", "", "from .. to"], rows))
-    report.add(*[Problems(done.findings)] * bool(done.findings))
+    if done.findings:
+        report.add(Problems(done.findings))
     return report
 
 

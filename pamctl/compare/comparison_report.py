@@ -54,9 +54,11 @@ def report_comparison(path: Path, found: _Models, log: Log | None = None) -> Rep
             )
         )
     said = dict.fromkeys(text for comparison in comparisons for text in comparison.unused)
-    for frozen in (c.frozen for c in comparisons[:1] if c.frozen is not None):
-        said[f"A sensor is frozen at {int(frozen.sum())} ticks: they count in no gap."] = None
-    return report.add(*map(Text, said), Text(f"next: `{_suggest_next(path, found)}`"))
+    report.add(*map(Text, said))
+    frozen = comparisons[0].frozen
+    if frozen is not None:
+        report.add(Text(f"A sensor is frozen at {int(frozen.sum())} ticks: they count in no gap."))
+    return report.add(Text(f"next: `{_suggest_next(path, found)}`"))
 
 
 def _drop_empty(header: list[str], rows: list[list[str]]) -> tuple[list[str], list[list[str]]]:

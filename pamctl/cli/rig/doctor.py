@@ -8,10 +8,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from hal.backend import (
-    DoctorFinding,
-    worst_level,
-)
+from hal.backend import DoctorFinding, worst_level
 from pamctl.cli.options import flag, option, require_linux, verb
 from pamctl.cli.output import print_result
 from pamctl.cli.settings_from_options import RigOptions

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hidden.excitations import PROGRAMS
 from hidden.rig import Record, hidden_rig
 
-from pamctl.diagnose.evidence import weigh_evidence
+from pamctl.diagnose.evidence import fit, weigh_evidence
 from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.pool import PAPER_SCALES, list_effects
 from pamctl.diagnose.evidence.weigh import list_pool, prepare_weigher
@@ -65,3 +66,18 @@ def test_no_law_counts_where_the_name_that_explains_as_much_is_too_small() -> No
     at = [n.name for n in name.numbers].index("coulomb_friction.force_n")
     name.x[at] = 0.1 * name.numbers[at].smallest
     assert search.take(base, [name, law]) is None
+
+
+def test_intervals_are_wider_where_much_is_left_and_not_where_noise_is_left(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for effects, is_wider in ({"coulomb_friction": 5}, True), ({}, False):
+        weigher, start = prepare_weigher(records_of(effects, 40715)[0], [], PAPER)
+        base = weigher.settle(start)
+        found = weigher.find_intervals(base)
+        with monkeypatch.context() as independent:  # each stretch counts as one
+            independent.setattr(fit, "LEFT_TIMES", np.inf)
+            narrow = weigher.find_intervals(base)
+        low, high = found["stiffness_n_per_m"]
+        ratio = (high - low) / (narrow["stiffness_n_per_m"][1] - narrow["stiffness_n_per_m"][0])
+        assert ratio > 1.5 if is_wider else ratio == pytest.approx(1.0)

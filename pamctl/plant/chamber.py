@@ -384,21 +384,22 @@ def net_flow(p: PlantParameters, now: AirNow, pressure_pa: float, step_s: float)
 
 def stop_at_balance(
     p: PlantParameters,
+    begin: AirBegin,
     now: AirNow,
+    exponent: float,
+    end_m: float,
     pressure_pa: float,
     next_pa: float,
     net_kg_per_s: float,
-    still_pa: float,
-    step_s: float,
 ) -> tuple[float, bool]:
     """Stop at the pressure where inflow and outflow balance; return whether it is reached.
 
-    `net_kg_per_s` is the net flow at `pressure_pa`, which the caller has computed already, and
-    `still_pa` the pressure after a step without flow. With one source the balance is at the
-    source's pressure, as in `pressure_step`. With two, motion may carry the pressure across the
-    balance: there the flow at the end of the step counts, and nothing is held. With a resistance
-    in the line the flow decays smoothly and needs no stop.
+    `net_kg_per_s` is the net flow at `pressure_pa`, which the caller has computed already. With one
+    source the balance is at the source's pressure, as in `pressure_step`. With two, motion may
+    carry the pressure across the balance: there the flow at the end of the step counts, and nothing
+    is held. With a resistance in the line the flow decays smoothly and needs no stop.
     """
+    step_s = 0.5 * begin.step_s
     if restricts(p.effects.air.line_restriction):
         return next_pa, False
     escapes = now.atmosphere_m2 > 0.0 or p.effects.air.chamber_leak.area_m2 > 0.0
@@ -407,6 +408,7 @@ def stop_at_balance(
         comes = net_kg_per_s > 0.0
         if comes == (net_flow(p, now, next_pa, step_s) > 0.0):
             return next_pa, False
+        still_pa = without_flow_pa(p, begin, exponent, end_m)
         worth = (next_pa - still_pa) / net_kg_per_s
         low = min(pressure_pa, min(next_pa, still_pa))
         high = max(pressure_pa, max(next_pa, still_pa))
@@ -439,8 +441,7 @@ def chamber_middle_pa(p: PlantParameters, begin: AirBegin) -> tuple[float, bool]
     worth = worth_of_flow(p, exponent, begin.air.warmth, begin.position_m, pressure_pa, net)
     middle_m = begin.middle_m
     middle_pa, _ = fill_chamber(p, begin, fed_by, leak, exponent, worth, middle_m, half_s)
-    still_pa = without_flow_pa(p, begin, exponent, middle_m)
-    return stop_at_balance(p, now, pressure_pa, middle_pa, net, still_pa, half_s)
+    return stop_at_balance(p, begin, now, exponent, middle_m, pressure_pa, middle_pa, net)
 
 
 def chamber_step(
@@ -461,8 +462,7 @@ def chamber_step(
     worth = worth_of_flow(p, exponent, air.warmth, begin.middle_m, middle_pa, net)
     end_pa, line_pa = fill_chamber(p, begin, fed_by, leak, exponent, worth, end_m, step_s)
     if not restricts(p.effects.air.line_restriction):
-        still_pa = without_flow_pa(p, begin, exponent, end_m)
-        end_pa, _ = stop_at_balance(p, now, middle_pa, end_pa, net, still_pa, half_s)
+        end_pa, _ = stop_at_balance(p, begin, now, exponent, end_m, middle_pa, end_pa, net)
     end_pa, warmth = exchange_heat(p, begin, heat, end_pa, end_m)
     if not restricts(p.effects.air.line_restriction):
         line_pa = end_pa

@@ -100,7 +100,7 @@ def make_page(name: str, folder: Path) -> Path:
     if name == "report":
         page = compose_report([read(make_log(folder))])
     else:
-        page = make_laws_page() if name == "laws" else reproduce_paper([name], 0).page
+        page = make_laws_page() if name == "laws" else reproduce_paper([name], 0)
     file.write_text(write_html(page), encoding="utf-8")
     return file
 

@@ -27,7 +27,7 @@ from pamctl.cli.options import (
     require_linux,
     verb,
 )
-from pamctl.cli.output import print_result, read_records, tell
+from pamctl.cli.output import print_report, print_result, read_records, tell
 from pamctl.exit_codes import ExitCode
 from pamctl.new_file import NewFileError, require_empty_folder
 from pamctl.plain_text import hint_at_nearest
@@ -93,10 +93,9 @@ def diagnose(asked: DiagnoseOptions) -> None:
         return
     assert out is not None  # only --dry-run, which is for --on-rig, goes without
     from pamctl.diagnose import diagnose as find_missing_effects
-    from pamctl.diagnose import summary
+    from pamctl.diagnose import report_diagnosis
     from pamctl.diagnose.record import require_held_out
     from pamctl.diagnose.refuse import read_acceptances
-    from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
     from pamctl.diagnose.report.diagnosis_page import write_diagnosis
 
     accepted = read_acceptances(asked.accept)
@@ -123,8 +122,7 @@ def diagnose(asked: DiagnoseOptions) -> None:
         end = f"\n\n{out}: {', '.join(written)}"
     except NewFileError as error:
         failure = error
-    document = build_diagnosis_document(diagnosis)
-    print_result(document, summary(diagnosis) + end, failure, as_json=asked.as_json)
+    print_report(report_diagnosis(diagnosis), as_json=asked.as_json, failure=failure, end=end)
     raise typer.Exit(ExitCode.BAD_DATA if diagnosis.reason else ExitCode.OK)
 
 
@@ -231,9 +229,8 @@ def end_on_signals() -> Iterator[None]:
 
 def _finish(investigation: Any, asked: DiagnoseOptions, code: ExitCode, reason: str) -> None:
     """Write the folder and print the result; the document is there as far as it is."""
-    from pamctl.diagnose import summary
-    from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
-    from pamctl.on_rig.decide_on_rig import write_investigation
+    from pamctl.diagnose import report_diagnosis
+    from pamctl.on_rig.decide_on_rig import tell_rounds, write_investigation
 
     assert asked.out is not None
     found = investigation.diagnosis
@@ -244,14 +241,10 @@ def _finish(investigation: Any, asked: DiagnoseOptions, code: ExitCode, reason: 
         end = f"\n\n{asked.out}: {', '.join(write_investigation(investigation, asked.out))}"
     except NewFileError as error:
         failure = error
-    told = "\n".join(
-        f"round {each.number}: {each.program or 'given logs'}: {each.diagnosis.verdict.value}"
-        for each in investigation.rounds
-    )
-    stopped = f"stopped after {investigation.rig_time_s:.0f} s on the rig: {investigation.stopped}"
-    document = {**build_diagnosis_document(found), "on_rig": investigation.as_dict()}
-    text = f"{summary(found)}\n\n{told}\n{stopped}{end}"
-    print_result(document, text, failure, as_json=asked.as_json)
+    report = report_diagnosis(found)
+    tell_rounds(report, investigation)
+    report.document = {**report.document, "on_rig": investigation.as_dict()}
+    print_report(report, as_json=asked.as_json, failure=failure, end=end)
     if reason:
         print_error(reason)
     raise typer.Exit(code)

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from pamctl.cli.options import Options, argument, option, verb
-from pamctl.cli.output import PAGE_BEGIN, print_result
+from pamctl.cli.output import PAGE_BEGIN, print_report
 from pamctl.json_text import to_json
 from pamctl.new_file import NewFileError, require_folder, require_place, write_files
 
@@ -45,14 +45,14 @@ def reproduce(asked: ReproduceOptions) -> None:
         require_place(numbers, replaces=_NUMBERS_BEGIN)
     with WorkProgress("reproduce") as progress:
         made = reproduce_paper(parts, asked.seed, progress)
-    text, failure = f"page: {page}\nnumbers: {numbers}", None
-    written = to_json(made.numbers).decode() + "\n"
+    end, failure = f"\n\npage: {page}\nnumbers: {numbers}", None
+    written = to_json(made.document).decode() + "\n"
     try:
-        write_files({page: write_html(made.page)}, replaces=PAGE_BEGIN)
+        write_files({page: write_html(made)}, replaces=PAGE_BEGIN)
         write_files({numbers: written}, replaces=_NUMBERS_BEGIN)
     except NewFileError as error:
-        text, failure = written, error
-    print_result(made.numbers, text, failure, as_json=asked.as_json)
+        end, failure = "", error
+    print_report(made, as_json=asked.as_json, failure=failure, end=end)
 
 
 def manual(

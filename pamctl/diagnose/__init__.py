@@ -10,7 +10,7 @@ Read `workflow.py` first, then `evidence/weigh.py`.
 
 from pamctl.diagnose.diagnosis import Diagnosis, Verdict
 from pamctl.diagnose.record import Record, record_of
-from pamctl.diagnose.report.diagnosis_document import summary
+from pamctl.diagnose.report.diagnosis_document import report_diagnosis
 from pamctl.diagnose.report.verdict_words import sentence
 from pamctl.diagnose.workflow import diagnose
 
@@ -20,6 +20,6 @@ __all__ = [
     "Verdict",
     "diagnose",
     "record_of",
+    "report_diagnosis",
     "sentence",
-    "summary",
 ]

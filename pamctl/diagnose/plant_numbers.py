@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import ceil, log10
 
 from pamctl.plant.catalogue import WITH_TERMS
 from pamctl.plant.effects.description import EffectParameter
@@ -47,6 +48,15 @@ class FittedNumber:
     def as_dict(self) -> dict[str, object]:
         """Return what the document holds."""
         return {"value": self.value, "ci90": [self.low, self.high], "unit": self.unit}
+
+    def spell(self) -> list[str]:
+        """Return value, interval and unit; of the half width of the interval two digits count."""
+        half, size, digits = 0.5 * (self.high - self.low), abs(self.value), 4
+        if half > 0.0 and size > 0.0:
+            digits = min(max(ceil(log10(size / half)) + 1, 3), 9)
+        numbers = (self.value, self.low, self.high)
+        value, *ends = (f"{x:#.{digits}g}".rstrip(".") for x in numbers)
+        return [value, " to ".join(ends), self.unit]
 
 
 def look_up_parameter(dotted: str) -> EffectParameter:

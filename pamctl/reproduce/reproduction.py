@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -439,19 +439,12 @@ PARTS: dict[str, Part] = {
 SCHEMA = 1
 
 
-class Reproduction(NamedTuple):
-    """The result: `numbers` is in SI, and equal for equal seeds."""
-
-    page: Report
-    numbers: dict[str, Any]
-
-
 def reproduce_paper(
     parts: Sequence[str],
     seed: int,
     progress: Callable[[float, float, str], object] = lambda done, of, name: None,
-) -> Reproduction:
-    """Simulate and lay out these of `PARTS`.
+) -> Report:
+    """Simulate and lay out these of `PARTS`; the document is in SI, and equal for equal seeds.
 
     `progress` gets how many of how many are done, and the name of each as it begins.
     """
@@ -472,4 +465,5 @@ def reproduce_paper(
     for done, name in enumerate(parts):
         progress(done, len(parts), name)
         numbers[name] = PARTS[name](page, seed)
-    return Reproduction(page, numbers)
+    page.document = numbers
+    return page

@@ -15,12 +15,13 @@ from hidden.sensors import ENCODER_STEP_M
 from hidden.uncatalogued import UNCATALOGUED
 from support.made_records import names_of, numbers_of, to_records
 
-from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, summary
+from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, report_diagnosis
 from pamctl.diagnose.record import Array
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page, format_plant_file
 from pamctl.plant.model import PlantSettings
 from pamctl.report.html_page import write_html
+from pamctl.report.report import format_terminal
 from pamctl.settings.yaml12 import parse_yaml_value
 
 
@@ -67,7 +68,7 @@ def test_page_and_terminal_say_the_law() -> None:
     (term,) = build_diagnosis_document(found)["terms"]
     html = write_html(build_diagnosis_page(found, [*found.train, *found.holdout]))
     assert term["text"] in html
-    assert f"{term['text']}: kind is sure" in summary(found)
+    assert f"{term['text']}: kind is sure" in format_terminal(report_diagnosis(found))
 
 
 def test_a_bowed_pressure_sensor_is_described_with_its_curve() -> None:

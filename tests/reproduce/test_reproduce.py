@@ -118,7 +118,7 @@ def test_the_same_seed_gives_the_same_page_and_another_seed_other_numbers():
     def made(seed: int) -> tuple[str, dict[str, Any]]:
         cases._simulate_case.cache_clear()
         found = reproduce_paper(["fig5"], seed)
-        return write_html(found.page), found.numbers
+        return write_html(found), found.document
 
     first = made(3)
     assert made(3) == first

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import starmap
 from typing import Any
 
 from pamctl.diagnose.diagnosis import Diagnosis, Verdict
@@ -15,6 +16,7 @@ from pamctl.diagnose.report.finding_words import (
     list_ambiguous,
     list_effects,
     list_faults,
+    list_fitted,
     list_numbers,
     list_places,
     list_terms,
@@ -26,12 +28,14 @@ from pamctl.diagnose.report.next_experiment import (
     list_blind_spots,
 )
 from pamctl.diagnose.report.verdict_words import (
-    SIGNAL_DISPLAYS,
     describe_noise,
     relative_shift,
     sentence,
+    spell_gap,
 )
+from pamctl.errors import Problem
 from pamctl.plant.catalogue import CATALOGUE
+from pamctl.report.report import Part, Points, Problems, Report, ReportTable, Section, Text
 
 SCHEMA = 2
 
@@ -44,7 +48,7 @@ def build_diagnosis_document(diagnosis: Diagnosis) -> dict[str, Any]:
         "verdict": diagnosis.verdict.value,
         "sentence": sentence(diagnosis),
         **({"reason": diagnosis.reason} if bad else {}),
-        "setup": [fault.as_dict() for fault in list_faults(diagnosis)],
+        "setup": [fault._asdict() for fault in list_faults(diagnosis)],
         "effects": [_describe_effect(diagnosis, f) for f in list_effects(diagnosis)],
         "terms": list_terms(diagnosis),
         "places": list_places(diagnosis),
@@ -137,68 +141,70 @@ def find_masked_shares(diagnosis: Diagnosis) -> dict[str, float]:
 
 
 MOST_RIVALS = 3
+_SURE = {"rest": "mends the model", "set": "one of these"}
 
 
-def summary(diagnosis: Diagnosis) -> str:
-    """Lay the diagnosis out for a terminal: the sentence, then what it rests on."""
-    return "\n\n".join(part for part in _list_parts(diagnosis) if part)
-
-
-def _list_parts(diagnosis: Diagnosis) -> Iterator[str]:
-    yield f"{diagnosis.verdict.value}: {sentence(diagnosis)}"
-    yield "\n".join(
-        f"set-up: {fault.text}\n  to mend it: {fault.how_to_mend}"
-        for fault in list_faults(diagnosis)
+def report_diagnosis(diagnosis: Diagnosis) -> Report:
+    """Return the answer for a terminal: the sentence, then what it rests on."""
+    report = Report(
+        "Diagnosis",
+        f"{diagnosis.verdict.value}: {sentence(diagnosis)}",
+        document=build_diagnosis_document(diagnosis),
     )
-    yield "\n".join(_list_finding_rows(diagnosis))
-    yield "\n".join(_list_number_rows(diagnosis))
-    yield "\n".join(_list_gap_rows(diagnosis))
-    yield "\n".join(_list_masks(diagnosis))
-    yield "\n".join(describe_noise(diagnosis))
-    for accepted in diagnosis.accepted:
-        yield f"accepted ({accepted.rule}): {accepted.reason}: {'; '.join(accepted.doubts)}"
+    faults = list_faults(diagnosis)
+    if faults:
+        report.add(
+            Section("set-up"),
+            Problems([Problem("", f.number, f.text, "warning", fix=f.how_to_mend) for f in faults]),
+        )
+    if diagnosis.findings:
+        report.add(Section("what was found"))
+    for finding in diagnosis.findings:
+        report.add(*_report_finding(diagnosis, finding))
+    report.add(*_report_numbers(diagnosis), *_report_gap(diagnosis))
+    masked = [
+        f"{channel}: {100.0 * share:.2g} % of the samples do not count"
+        for channel, share in find_masked_shares(diagnosis).items()
+        if share > 0.0
+    ]
+    accepted = [
+        f"accepted ({a.rule}): {a.reason}: {'; '.join(a.doubts)}" for a in diagnosis.accepted
+    ]
+    notes = [*masked, *describe_noise(diagnosis), *accepted]
+    if notes:
+        report.add(Section("about the data"), Points(notes))
     experiment = choose_next_experiment(diagnosis)
     if experiment:
-        yield f"next: {experiment['do']}  # {experiment['why']}"
+        report.add(Section(f"next: {experiment['do']}  # {experiment['why']}"), Text(""))
+    return report
 
 
-def _list_finding_rows(diagnosis: Diagnosis) -> Iterator[str]:
-    for finding in diagnosis.findings:
-        sure = {"rest": "mends the model", "set": "one of these"}.get(
-            finding.level, f"{finding.level} is sure"
-        )
-        low, high = finding.interval_nats
-        gain = f"gain {finding.gain_nats:.0f} nats ({low:.0f} to {high:.0f})"
-        yield f"{spell_finding(diagnosis, finding)}: {sure}; {gain}"
-        for rival in finding.judged[:MOST_RIVALS]:
-            label = spell_names(label_hypothesis(rival.hypothesis))
-            yield f"  {label}: {rival.behind_nats:.0f} nats behind{describe_standing(rival)}"
+def _report_finding(diagnosis: Diagnosis, finding: Finding) -> Iterator[Part]:
+    sure = _SURE.get(finding.level, f"{finding.level} is sure")
+    low, high = finding.interval_nats
+    gain = f"gain {finding.gain_nats:.0f} nats ({low:.0f} to {high:.0f})"
+    yield Text(f"{spell_finding(diagnosis, finding)}: {sure}; {gain}")
+    yield Points(
+        [
+            f"{spell_names(label_hypothesis(rival.hypothesis))}: {rival.behind_nats:.0f} nats "
+            f"behind{describe_standing(rival)}"
+            for rival in finding.judged[:MOST_RIVALS]
+        ]
+    )
 
 
-def _list_number_rows(diagnosis: Diagnosis) -> Iterator[str]:
-    found = [n for f in diagnosis.findings for n in list_numbers(f)]
-    numbers = [*diagnosis.recalibrated, *found]
-    if numbers:
-        yield f"{'fitted':<36}{'value':>12}  90 % interval"
-    for n in numbers:
-        bound = "  (at an end of its range)" if n.name in diagnosis.at_bound else ""
-        line = f"{n.name:<36}{n.value:>12.5g}  {n.low:.5g} to {n.high:.5g} {n.unit}".rstrip()
-        yield f"{line}{bound}"
+def _report_numbers(diagnosis: Diagnosis) -> Iterator[Part]:
+    rows = [
+        [n.name, *n.spell(), "at an end" if n.name in diagnosis.at_bound else ""]
+        for n in list_fitted(diagnosis)
+    ]
+    if rows:
+        yield ReportTable(["fitted", "value", "90 % interval", "unit", "range"], rows)
 
 
-def _list_gap_rows(diagnosis: Diagnosis) -> Iterator[str]:
-    if not diagnosis.gap:
-        return
-    of = "held-out gap, RMS" if diagnosis.is_held_out else "gap, RMS"
-    yield f"{of:<20}{'start model':>12}{'recalibrated':>14}{'extended':>12}{'noise':>10}"
-    for channel, gap in diagnosis.gap.items():
-        display = SIGNAL_DISPLAYS[channel]
-        a, b, c, d = (f"{display.gap_factor * level:.4g}" for level in gap)
-        label = f"{display.short}, {display.gap_unit}"
-        yield f"{label:<20}{a:>12}{b:>14}{c:>12}{d:>10}"
-
-
-def _list_masks(diagnosis: Diagnosis) -> Iterator[str]:
-    for channel, share in find_masked_shares(diagnosis).items():
-        if share > 0.0:
-            yield f"{channel}: {100.0 * share:.2g} % of the samples do not count"
+def _report_gap(diagnosis: Diagnosis) -> Iterator[Part]:
+    gaps = starmap(spell_gap, diagnosis.gap.items())
+    rows = [[f"{name}, {unit}", *levels] for name, unit, *levels in gaps]
+    if rows:
+        of = "held-out gap, RMS" if diagnosis.is_held_out else "gap, RMS"
+        yield ReportTable([of, "start model", "recalibrated", "extended", "noise"], rows)

@@ -21,6 +21,7 @@ from pamctl.diagnose.report.finding_words import (
     is_in_catalogue,
     label_hypothesis,
     list_faults,
+    list_fitted,
     list_numbers,
     spell_finding,
     spell_kind,
@@ -143,9 +144,7 @@ def write_setup(page: Report, diagnosis: Diagnosis) -> None:
     rows = [
         [
             fault.text,
-            f"{fault.value:.5g}",
-            f"{fault.ci90[0]:.5g} to {fault.ci90[1]:.5g}",
-            fault.unit,
+            *FittedNumber("", fault.value, *fault.ci90, fault.unit).spell(),
             ", ".join(map(spell_names, fault.cannot_be_told_from)) or "-",
         ]
         for fault in list_faults(diagnosis)
@@ -267,8 +266,8 @@ def _explain_rivals(finding: Finding) -> str:
 
 def _number_row(finding: Finding, n: FittedNumber) -> list[str]:
     meaning = look_up_parameter(n.name).meaning if is_in_catalogue(finding) else "-"
-    ends = [f"{n.value:.5g}", f"{n.low:.5g} to {n.high:.5g}", n.unit]
-    return [n.name.lstrip("~"), meaning, *ends, "at an end" if n.name in finding.at_range else ""]
+    end = "at an end" if n.name in finding.at_range else ""
+    return [n.name.lstrip("~"), meaning, *n.spell(), end]
 
 
 def _list_recalibrated(diagnosis: Diagnosis) -> Iterator[Sequence[str]]:
@@ -277,9 +276,7 @@ def _list_recalibrated(diagnosis: Diagnosis) -> Iterator[Sequence[str]]:
         yield [
             n.name,
             f"{diagnosis.start_value(n.name):.5g}",
-            f"{n.value:.5g}",
-            f"{n.low:.5g} to {n.high:.5g}",
-            n.unit,
+            *n.spell(),
             f"{100.0 * off:+.2f} %" if off is not None else "-",
             "at an end" if n.name in diagnosis.at_bound else "",
         ]
@@ -404,11 +401,12 @@ def _head_lines(diagnosis: Diagnosis, logs: Sequence[str]) -> Iterator[str]:
     yield f"Verdict: {diagnosis.verdict.value}. {sentence(diagnosis)}"
     for fault in list_faults(diagnosis):
         yield f"Set-up: {fault.text}. To mend it: {fault.how_to_mend}."
-    numbers = [*diagnosis.recalibrated, *(n for f in diagnosis.findings for n in list_numbers(f))]
+    numbers = list_fitted(diagnosis)
     if numbers:
         yield "Fitted, with 90 % intervals:"
     for n in numbers:
-        yield f"  {n.name} {n.value:.6g}, {n.low:.6g} to {n.high:.6g} {n.unit}".rstrip()
+        value, interval, unit = n.spell()
+        yield f"  {n.name} {value}, {interval} {unit}".rstrip()
 
 
 def write_diagnosis(

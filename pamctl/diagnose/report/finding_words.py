@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import log, pi, sqrt
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -178,6 +178,12 @@ def list_numbers(finding: Finding) -> list[FittedNumber]:
         elif not n.name.endswith(".cosine"):
             found.append(_with_unit(n))
     return found
+
+
+def list_fitted(diagnosis: Diagnosis) -> list[FittedNumber]:
+    """Return every fitted number with its unit: of the model first, then of what was found."""
+    found = (n for finding in diagnosis.findings for n in list_numbers(finding))
+    return [*diagnosis.recalibrated, *found]
 
 
 def _join_wave(sine: FittedNumber, cosine: FittedNumber) -> list[FittedNumber]:
@@ -371,8 +377,7 @@ def label_fault(kind: str, number: str) -> str:
     return f"{_LABELS.get(kind, f'{kind} of ')}{number}"
 
 
-@dataclass(frozen=True)
-class SetupFault:
+class SetupFault(NamedTuple):
     """One number of the set-up that is not what the plant file or the record says."""
 
     kind: str
@@ -382,7 +387,9 @@ class SetupFault:
     unit: str
     said: float | None
     """What the plant file says; None for a column."""
-    cannot_be_told_from: tuple[str, ...]
+    cannot_be_told_from: list[str]
+    how_to_mend: str
+    text: str
 
     @classmethod
     def read(cls, diagnosis: Diagnosis, finding: Finding, others: list[str]) -> SetupFault:
@@ -394,66 +401,53 @@ class SetupFault:
         short = n.name.lstrip("~").split(".")[0]
         said = diagnosis.evidence.weigher.base.get(number) if kind == "plant_constant" else None
         unit = UNITS.get(number, "") if kind == "plant_constant" else SETUP_UNITS.get(short, "")
-        return cls(kind, number, n.value, (n.low, n.high), unit, said, tuple(others))
+        text, mend = _say_fault(kind, number, n.value, unit, said)
+        return cls(kind, number, n.value, (n.low, n.high), unit, said, others, mend, text)
 
-    @property
-    def text(self) -> str:
-        """What is wrong."""
-        number, value, unit = self.number, self.value, self.unit
-        column = _CALLED.get(number, number)
-        if self.kind == "plant_constant":
-            return f"{number} is {value:.5g} {unit}, the plant file says {self.said:.5g}"
-        if self.kind == "skew":
-            word = "late" if value > 0.0 else "early"
-            return f"{column} is logged {1e3 * abs(value):.2f} ms too {word} against the others"
-        if self.kind == "clock_rate" and number == "t_s":
-            word = "long" if value > 0.0 else "short"
-            return f"all times are {100.0 * abs(value):.2g} % too {word}"
-        if self.kind == "clock_rate":
-            return f"{column} runs away from the others by {1e6 * value:+.0f} us in each second"
-        if self.kind == "filtered":
-            return f"{column} is smoothed over {1e3 * value:.3g} ms, forwards and backwards"
-        if self.kind == "sign":
-            return f"{column} has the wrong sign"
-        if self.kind == "added":
-            return f"{column} is {1e-3 * value:.4g} kPa too high: the atmosphere was added twice"
-        return f"{label_fault(self.kind, number)} is {value:.5g} {unit}".rstrip()
 
-    @property
-    def how_to_mend(self) -> str:
-        """What to do about it."""
-        number, value = self.number, self.value
-        if self.kind == "plant_constant":
-            how = _MEND_NUMBER.get(number, "measure it")
-            return f"plant.yaml has the corrected {number}; {how}"
-        if self.kind == "skew":
-            way = "earlier" if value > 0.0 else "later"
+def _say_fault(
+    kind: str, number: str, value: float, unit: str, said: float | None
+) -> tuple[str, str]:
+    """Say what is wrong about a number of the set-up, and what to do about it."""
+    column = _CALLED.get(number, number)
+    one_clock = "log all columns with one clock"
+    match kind:
+        case "plant_constant":
             return (
-                f"log all columns with one clock; this record is mended by moving {number} "
-                f"{1e3 * abs(value):.2f} ms {way}"
+                f"{number} is {value:.5g} {unit}, the plant file says {said:.5g}",
+                f"plant.yaml has the corrected {number}; {_MEND_NUMBER.get(number, 'measure it')}",
             )
-        if self.kind == "clock_rate":
-            return "log all columns with one clock; two clocks never run alike"
-        if self.kind == "filtered":
+        case "skew":
+            (word, way), ms = (
+                (("late", "earlier") if value > 0.0 else ("early", "later")),
+                f"{1e3 * abs(value):.2f} ms",
+            )
+            return (
+                f"{column} is logged {ms} too {word} against the others",
+                f"{one_clock}; this record is mended by moving {number} {ms} {way}",
+            )
+        case "clock_rate":
+            word = "long" if value > 0.0 else "short"
+            text = f"{column} runs away from the others by {1e6 * value:+.0f} us in each second"
+            if number == "t_s":
+                text = f"all times are {100.0 * abs(value):.2g} % too {word}"
+            return text, f"{one_clock}; two clocks never run alike"
+        case "filtered":
             hz = sqrt(log(2.0)) / (2.0 * pi * max(value, 1e-9))  # half the power passes
-            return f"give the data as they were measured: this filter ends near {hz:.3g} Hz"
-        if self.kind == "added":
-            return f"{number} is absolute already: take the atmosphere out of the import map"
-        return f"change the sign of {number} in the import map or in the calibration"
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return what the document holds."""
-        return {
-            "kind": self.kind,
-            "number": self.number,
-            "value": self.value,
-            "ci90": [*self.ci90],
-            "unit": self.unit,
-            "said": self.said,
-            "cannot_be_told_from": [*self.cannot_be_told_from],
-            "how_to_mend": self.how_to_mend,
-            "text": self.text,
-        }
+            return (
+                f"{column} is smoothed over {1e3 * value:.3g} ms, forwards and backwards",
+                f"give the data as they were measured: this filter ends near {hz:.3g} Hz",
+            )
+        case "added":
+            return (
+                f"{column} is {1e-3 * value:.4g} kPa too high: the atmosphere was added twice",
+                f"{number} is absolute already: take the atmosphere out of the import map",
+            )
+    text = f"{label_fault(kind, number)} is {value:.5g} {unit}".rstrip()
+    return (
+        f"{column} has the wrong sign" if kind == "sign" else text,
+        f"change the sign of {number} in the import map or in the calibration",
+    )
 
 
 BEST_KNOWN = ("name", "set")

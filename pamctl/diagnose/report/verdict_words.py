@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from itertools import starmap
 from typing import NamedTuple
 
-from pamctl.diagnose.diagnosis import Diagnosis, Verdict
+from pamctl.diagnose.diagnosis import Diagnosis, HeldOutGap, Verdict
 from pamctl.diagnose.evidence.constants import LEFT_TIMES
 from pamctl.diagnose.evidence.pool import CHAIN
 from pamctl.diagnose.plant_numbers import FittedNumber
@@ -256,20 +257,11 @@ def join_words(parts: list[str]) -> str:
     return " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)
 
 
-def format_interval(low: float, high: float) -> str:
-    """Return both ends with four digits, or with as many more as show that they differ."""
-    for digits in range(4, 10):
-        ends = [f"{end:.{digits}g}" for end in (low, high)]
-        if ends[0] != ends[1]:
-            return " to ".join(ends)
-    return f"{low:.4g} to {high:.4g}"
-
-
 def spell_number(number: FittedNumber) -> str:
     """Return a fitted number in one line: `fill_width_v 0.25 V (90 %: 0.249 to 0.251)`."""
     name = number.name.removeprefix(CHAIN).split(".")[-1]
-    size = f"{number.value:.4g} {number.unit}".rstrip()
-    return f"{name} {size} (90 %: {format_interval(number.low, number.high)})"
+    value, interval, unit = number.spell()
+    return f"{name} {f'{value} {unit}'.rstrip()} (90 %: {interval})"
 
 
 def spell_findings(diagnosis: Diagnosis, *levels: str) -> str:
@@ -303,19 +295,21 @@ def describe_bounds(diagnosis: Diagnosis) -> str:
     return f", with {join_words(ended)} at an end of {'its range' if len(ended) == 1 else 'ranges'}"
 
 
+def spell_gap(channel: str, gap: HeldOutGap) -> list[str]:
+    """Return the channel, its unit, what three models leave, and the noise of its sensor."""
+    display = SIGNAL_DISPLAYS[channel]
+    factor, unit = display.choose_unit(max(gap[:3]))
+    return [display.short, unit, *(spell_figure(factor * rms) for rms in (*gap[:3], gap.floor))]
+
+
 def describe_gap(diagnosis: Diagnosis) -> str:
     """Say what each model leaves of each channel, in plain units, and whether that is noise."""
     parts = []
-    for channel, gap in diagnosis.gap.items():
-        display = SIGNAL_DISPLAYS[channel]
-        factor, unit = display.choose_unit(max(gap[:3]))
-        start, recalibrated, extended, noise = (
-            f"{spell_figure(factor * rms)} {unit}" for rms in (*gap[:3], gap.floor)
-        )
-        steps = [f"{start} by the start model", f"{recalibrated} recalibrated"]
+    for name, unit, start, again, extended, noise in starmap(spell_gap, diagnosis.gap.items()):
+        steps = [f"{start} {unit} by the start model", f"{again} {unit} recalibrated"]
         if diagnosis.findings:
-            steps.append(f"{extended} with what was found")
-        parts.append(f"{display.short} {', '.join(steps)} (noise of its sensor {noise})")
+            steps.append(f"{extended} {unit} with what was found")
+        parts.append(f"{name} {', '.join(steps)} (noise of its sensor {noise} {unit})")
     where = "On held-out seconds" if diagnosis.is_held_out else "On the fitted records"
     said = f"{where} the RMS that is left is: {'; '.join(parts)}."
     return f"{said} {describe_left(diagnosis)}".rstrip()

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from support.made_records import names_of
 
-from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, summary
+from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, report_diagnosis
 from pamctl.diagnose.plant_numbers import FittedNumber
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
@@ -20,7 +20,6 @@ from pamctl.diagnose.report.next_experiment import MOTIONS, runs_here, write_adv
 from pamctl.diagnose.report.verdict_words import (
     SIGNAL_DISPLAYS,
     advise_next_steps,
-    format_interval,
     sentence,
 )
 from pamctl.plant.catalogue import CATALOGUE
@@ -28,6 +27,7 @@ from pamctl.plant.drive import drive_coupled
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.terms import LOCATIONS
 from pamctl.report.html_page import write_html
+from pamctl.report.report import format_terminal
 
 pytestmark = pytest.mark.long
 
@@ -89,7 +89,12 @@ def test_no_word_of_a_mechanism_speaks_of_air(
     page = re.sub(r"<style.*?</style>", "", html.split("plant.yaml</summary>")[0], flags=re.S)
     document = build_diagnosis_document(said)
     told = "\n".join(
-        [page, summary(said), *advise_next_steps(said), json.dumps(document["next_experiment"])]
+        [
+            page,
+            format_terminal(report_diagnosis(said)),
+            *advise_next_steps(said),
+            json.dumps(document["next_experiment"]),
+        ]
     ).lower()
     assert [word for word in AIR if word in told] == []
     assert not {"valve_leak", "moving_mass"} & {spot["name"] for spot in document["blind_spots"]}
@@ -122,7 +127,7 @@ def test_an_accepted_doubt_is_in_the_document_and_on_the_page(records: list[Reco
     (entry,) = build_diagnosis_document(kept)["accepted"]
     assert (entry["rule"], entry["reason"]) == ("pressure_unit", reason)
     assert reason in write_html(build_diagnosis_page(kept, gauge))
-    assert reason in summary(kept)
+    assert reason in format_terminal(report_diagnosis(kept))
 
 
 def test_only_a_muscle_whose_records_pamctl_made_is_told_to_run(found: Diagnosis) -> None:
@@ -150,7 +155,7 @@ def test_a_chamber_of_constant_volume_is_diagnosed_without_a_position() -> None:
     (area,) = (n for n in found.numbers if n.name == "chamber_leak.area_m2")
     assert area.value == pytest.approx(5e-8, rel=0.02)
     assert found.plant.chamber_volume_m3 == 1e-3
-    told = summary(found) + " ".join(advise_next_steps(found))
+    told = format_terminal(report_diagnosis(found)) + " ".join(advise_next_steps(found))
     assert "muscle" not in told
     assert "pamctl run" not in told
     document = build_diagnosis_document(found)
@@ -175,9 +180,13 @@ def chamber_record(seed: int, truth: PlantSettings) -> Record:
 
 
 def test_an_interval_has_the_digits_that_its_ends_need_to_differ() -> None:
-    assert format_interval(0.249962, 0.250031) == "0.24996 to 0.25003"
-    assert format_interval(1.0, 2.5) == "1 to 2.5"
-    assert format_interval(0.25, 0.25) == "0.25 to 0.25"
+    shown = FittedNumber("f.width_v", 0.25, 0.249962, 0.250031, "V").spell()
+    assert shown == ["0.25000", "0.24996 to 0.25003", "V"]
+    assert FittedNumber("mass_kg", 1342.04, 1341.0, 1343.0, "kg").spell()[:2] == [
+        "1342.0",
+        "1341.0 to 1343.0",
+    ]
+    assert FittedNumber("f.n", 0.25, 0.25, 0.25, "").spell()[1] == "0.2500 to 0.2500"
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -13,11 +13,11 @@ from pydantic import ValidationError
 from pamctl.control.experiment import ForecastSettings
 from pamctl.diagnose.evidence.constants import COARSE_STEP_S
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
-from pamctl.diagnose.evidence.ladder import Finding
 from pamctl.diagnose.evidence.name_search import NameSearch
-from pamctl.diagnose.evidence.run_pieces import Runs
+from pamctl.diagnose.evidence.pool import CHAIN
+from pamctl.diagnose.evidence.run_pieces import Runs, join_waves
 from pamctl.diagnose.evidence.weigh import EvidenceVerdict
-from pamctl.diagnose.extend import assemble_plant
+from pamctl.diagnose.plant_numbers import with_values
 from pamctl.diagnose.record import Record
 from pamctl.plant.model import PlantSettings
 
@@ -49,6 +49,17 @@ class Explanation:
         return assemble_plant(self.nominal, self.model.values)
 
 
+def assemble_plant(nominal: PlantSettings, values: dict[str, float]) -> PlantSettings:
+    """Return the plant with a model's numbers; raise ValidationError if one is out of range.
+
+    What is wrong with the measuring chain stays out of it, except the pressure of the place.
+    """
+    plain, chain = join_waves(values)
+    if f"{CHAIN}atmosphere" in chain:
+        plain["atmospheric_pressure_pa"] = chain[f"{CHAIN}atmosphere"]
+    return with_values(nominal, plain)
+
+
 def name_explanation(model: WeighedModel) -> str:
     """Return what a model says is missing, in one line."""
     return " and ".join(sorted(model.names)) or "recalibration alone"
@@ -61,28 +72,16 @@ def list_explanations(found: EvidenceVerdict, nominal: PlantSettings) -> tuple[E
     """
     if not found.findings:
         return ()
-    search, weigher = NameSearch(found.weigher, found.pool), found.weigher
-    named, floor2 = {name_explanation(found.model): replace(found.model)}, weigher.like.least2
+    named = {name_explanation(found.model): replace(found.model)}
     for finding in found.findings:
         if finding.level in ("name", "rest"):  # a name's freer terms can always mimic it
             continue
-        for m in _fit_rivals(search, found.model, finding):
+        names_first = sorted(finding.judged, key=lambda j: j.hypothesis.is_term)
+        for m in [j.model for j in names_first if j.model is not None][:MOST_RIVALS]:
             named.setdefault(name_explanation(m), m)
-        floor2 = np.maximum(floor2, weigher.floor2)
-    # As the ladder weighs them: under the resolution of the model without the finding.
-    weigher.floor2 = floor2
-    return tuple(
-        Explanation(name, weigher.leave_out(m), weigher, nominal)
-        for name, m in [*named.items()][:MOST_EXPLANATIONS]
-    )
-
-
-def _fit_rivals(search: NameSearch, m: WeighedModel, finding: Finding) -> Iterator[WeighedModel]:
-    """Yield the model with a finding exchanged for each of what is not beaten, names first."""
-    for rival in sorted(finding.rivals, key=lambda r: r.is_term)[:MOST_RIVALS]:
-        fitted = exchange_name(search, m, finding.name, rival.name)
-        if fitted is not None:
-            yield fitted
+    chosen, weigher = [*named.items()][:MOST_EXPLANATIONS], found.weigher
+    weigher.set_floor(*(m for _, m in chosen))
+    return tuple(Explanation(name, weigher.leave_out(m), weigher, nominal) for name, m in chosen)
 
 
 def exchange_name(search: NameSearch, m: WeighedModel, gone: str, new: str) -> WeighedModel | None:

@@ -17,8 +17,7 @@ from pamctl.diagnose.deciding_program import choose_deciding_program
 from pamctl.diagnose.diagnosis import Diagnosis, Verdict, decide_verdict
 from pamctl.diagnose.evidence import EvidenceVerdict, weigh_evidence
 from pamctl.diagnose.evidence.run_pieces import TooLittleRecorded
-from pamctl.diagnose.explanations import judge_forecasts, list_explanations
-from pamctl.diagnose.extend import extend_plant
+from pamctl.diagnose.explanations import assemble_plant, judge_forecasts, list_explanations
 from pamctl.diagnose.mend import align_resting_pressure, mend_records
 from pamctl.diagnose.record import Record, SensorFault, describe_channels, pool_stated_noise
 from pamctl.diagnose.refuse import BadData, check_measured_runs, leave_out_unused
@@ -72,7 +71,7 @@ def diagnose(
     diagnosis = Diagnosis(
         verdict,
         plant,
-        plant if verdict is Verdict.NO_DISCREPANCY else extend_plant(plant, found),
+        plant if verdict is Verdict.NO_DISCREPANCY else assemble_plant(plant, found.model.values),
         evidence=found,
         train=tuple(train),
         holdout=tuple(holdout),

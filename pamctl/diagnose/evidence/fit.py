@@ -246,9 +246,10 @@ class Weigher:
 
     # --- weighing ---
 
-    def set_floor(self, m: WeighedModel) -> None:
-        """Take the resolution of the model that is to be beaten."""
-        self.floor2 = np.maximum(self.like.least2, NUGGET**2 * self.like.mean_squares(m.d))
+    def set_floor(self, *models: WeighedModel) -> None:
+        """Take the resolution of the model that is to be beaten: of several the poorest."""
+        left2 = np.max([self.like.mean_squares(m.d) for m in models], axis=0)
+        self.floor2 = np.maximum(self.like.least2, NUGGET**2 * left2)
 
     def leave_out(self, m: WeighedModel) -> WeighedModel:
         """Weigh a model with each block left out, to first order; then the held-out blocks."""

@@ -8,7 +8,7 @@ speaks against it only where it clearly does better.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,6 +45,10 @@ class JudgedRival:
     is_beaten: bool
     is_freer: bool
     """A law without a name of the same place, which can always mimic a name."""
+    is_better: bool
+    """Whether it surely gains so much more that it speaks against the name all the same."""
+    model: WeighedModel | None
+    """The fitted model with it; None of one that is beaten."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +103,7 @@ def _find_level(
     search: NameSearch, base: WeighedModel, m: WeighedModel, name: str, intervals: Intervals,
     whole: float,
 ) -> Finding:  # fmt: skip
-    weigher, pool, mine = search.weigher, search.pool, search.pool[name]
+    weigher, mine = search.weigher, search.pool[name]
     without, is_first = search.drop(m, name), name == m.names[0]
     own = without.left_out - m.left_out
     low, _, high = bound_gain(own)
@@ -107,72 +111,87 @@ def _find_level(
     numbers, at_range = _list_numbers(m, name, intervals), list_at_range(m, name)
     if not is_first and own.sum() < NAME_SHARE * whole:  # nobody asks for its rivals
         return Finding(mine, False, False, False, *gained, numbers, at_range, True, ())
-    asked = [n for n in pool if n != name and _may_rival(search, n, mine)]
-    scored = _choose_rivals(search, search.score(without, asked), mine)
-    promised = {s.name: s.gain for s in scored}
-    rivals = search.refit(without, scored, len(scored), float(own.sum())) if scored else []
-    weigher.meet(without, m)
-    close = m.total + RIVAL_SHARE * own.sum()
-    for rival in rivals:
-        if weigher.leave_out(rival).total < close:
-            weigher.settle(rival, 4)  # as the model was: on a ridge a fit goes on for long
-    weigher.meet(without, m)
-    says_place = says_kind = True
-    # Where a law without a name is missing too, what is a name there may be a part of it.
-    says_name = not mine.is_term and not any(
-        pool[n].laws & mine.laws for n in m.names if pool[n].is_term
-    )
-    judged = list[JudgedRival]()
-    for rival in rivals:
-        weigher.leave_out(rival)
-        its, lead = pool[rival.names[-1]], rival.left_out - m.left_out
-        least = bound_gain(lead)[0]
-        extra = len(rival.x) - len(m.x)
-        beaten = (
-            least > RIVAL_SHARE * own.sum()
-            or (least > NAME_NATS and takes_enough(weigher, rival, m))
-            or (extra > 0 and lead.sum() > -extra)  # it gains nothing for its further numbers
-        )
-        if (
-            its.place == mine.place
-            and rival.total > without.total - KEPT_PROMISE * promised[its.name]
-        ):
-            beaten &= promised[its.name] < LEFT_SHARE * own.sum()  # its fit failed: it may be true
-        is_freer = its.is_term and (its.place == mine.place or its.name in mine.akin)
-        judged.append(_judge_rival(its, lead, beaten=bool(beaten), is_freer=is_freer))
-        if is_freer:
-            if bound_gain(-lead)[0] > FREER_SHARE * own.sum():
-                says_name = False
-                says_kind &= its.kind == mine.kind
-            continue
-        if its.place != mine.place:
-            says_place &= bool(beaten)
-        if its.place != mine.place or its.kind != mine.kind:
-            says_kind &= bool(beaten)
-        says_name &= bool(beaten)
-    # Nor is a size a cause that may as well be none; beside a law of its place it is open anyway.
-    if not any(pool[n].is_term and pool[n].place == mine.place for n in m.names):
-        says_name &= not all(
-            intervals[u.name][0] <= (u.neutral or 0.0) <= intervals[u.name][1]
-            for u in m.picked[name].sizes
-        )
+    judged = _judge_rivals(search, without, m, mine, own)
+    open_ = [j.hypothesis for j in judged if not j.is_freer and not j.is_beaten]
+    freer = [j.hypothesis for j in judged if j.is_freer and j.is_better]
+    says_place = all(h.place == mine.place for h in open_)
+    says_kind = says_place and all(h.kind == mine.kind for h in (*open_, *freer))
     enough = takes_enough(weigher, without, m, LEFT_SHARE if is_first else 2.0 * LEFT_SHARE)
+    says_name = (
+        not (open_ or freer or at_range)
+        and enough
+        and _may_be_named(search, m, mine)
+        and not _may_be_none(search, m, mine, intervals)
+    )
     taken2 = weigher.find_robust2(without) - weigher.find_robust2(m)
     little = bool((taken2 < NAME_SHARE**2 * weigher.find_robust2(base)).all())
     is_rest = not is_first and ((little and not says_place) or not enough)
     return Finding(
-        mine, says_place, says_kind, says_name and not at_range and enough, *gained, numbers,
-        at_range, bool(is_rest), tuple(sorted(judged, key=lambda j: j.behind_nats)),
+        mine, says_place, says_kind, says_name, *gained, numbers, at_range, is_rest,
+        tuple(sorted(judged, key=lambda j: j.behind_nats)),
     )  # fmt: skip
 
 
-def _judge_rival(
-    hypothesis: Hypothesis, lead: Array, *, beaten: bool, is_freer: bool
-) -> JudgedRival:
-    draws = bound_gain(lead, np.linspace(SURE, 1.0 - SURE, 199))
-    loses = float((draws > 0.0).mean())
-    interval = float(draws[0]), float(draws[-1])
-    return JudgedRival(hypothesis, float(lead.sum()), interval, loses, beaten, is_freer)
+def _may_be_named(search: NameSearch, m: WeighedModel, mine: Hypothesis) -> bool:
+    """Tell whether it is a name, and no part of a law without a name that is missing too."""
+    laws = (search.pool[n].laws for n in m.names if search.pool[n].is_term)
+    return not mine.is_term and not any(its & mine.laws for its in laws)
+
+
+def _may_be_none(
+    search: NameSearch, m: WeighedModel, mine: Hypothesis, intervals: Intervals
+) -> bool:
+    """Tell whether all its sizes may be neutral; beside a law of its place they are open anyway."""
+    if any(search.pool[n].is_term and search.pool[n].place == mine.place for n in m.names):
+        return False
+    sizes = m.picked[mine.name].sizes
+    return all(intervals[u.name][0] <= (u.neutral or 0.0) <= intervals[u.name][1] for u in sizes)
+
+
+def _judge_rivals(
+    search: NameSearch, without: WeighedModel, m: WeighedModel, mine: Hypothesis, own: Array
+) -> list[JudgedRival]:
+    """Fit what may stand in a name's stead; `own` is what the name gains, by block."""
+    weigher, pool, gain = search.weigher, search.pool, float(own.sum())
+    asked = [n for n in pool if n != mine.name and _may_rival(search, n, mine)]
+    scored = _choose_rivals(search, search.score(without, asked), mine)
+    promised = {s.name: s.gain for s in scored}
+    rivals = search.refit(without, scored, len(scored), gain) if scored else []
+    weigher.meet(without, m)
+    least = m.total + RIVAL_SHARE * gain
+    for close in [r for r in rivals if weigher.leave_out(r).total < least]:
+        weigher.settle(close, 4)  # as the model was: on a ridge a fit goes on for long
+    weigher.meet(without, m)
+    judged = []
+    for rival in rivals:
+        its, lead = pool[rival.names[-1]], weigher.leave_out(rival).left_out - m.left_out
+        beaten = _is_beaten(weigher, rival, m, lead, gain)
+        failed = rival.total > without.total - KEPT_PROMISE * promised[its.name]
+        if its.place == mine.place and failed:  # its fit failed: it may be true
+            beaten &= promised[its.name] < LEFT_SHARE * gain
+        draws = bound_gain(lead, np.linspace(SURE, 1.0 - SURE, 199))
+        judged.append(
+            JudgedRival(
+                its, float(lead.sum()), (float(draws[0]), float(draws[-1])),
+                loses=float((draws > 0.0).mean()), is_beaten=beaten,
+                is_freer=its.is_term and (its.place == mine.place or its.name in mine.akin),
+                is_better=bool(bound_gain(-lead)[0] > FREER_SHARE * gain),
+                model=None if beaten else replace(rival, tangent=None),
+            )
+        )  # fmt: skip
+    return judged
+
+
+def _is_beaten(
+    weigher: Weigher, rival: WeighedModel, m: WeighedModel, lead: Array, gain: float
+) -> bool:
+    """Tell whether a rival surely explains less, or gains nothing for its further numbers."""
+    least, extra = bound_gain(lead)[0], len(rival.x) - len(m.x)
+    return bool(
+        least > RIVAL_SHARE * gain
+        or (least > NAME_NATS and takes_enough(weigher, rival, m))
+        or (extra > 0 and lead.sum() > -extra)
+    )
 
 
 def _list_numbers(m: WeighedModel, name: str, intervals: Intervals) -> tuple[FittedNumber, ...]:

@@ -140,6 +140,8 @@ def weigh_evidence(
     search = NameSearch(weigher, pool, tell)
     m = search.run(base)
     findings = tuple(climb_ladder(search, base, m)) if m.names else ()
+    weigher.set_floor(m)
+    weigher.leave_out(m)
     gap = {
         stage: _find_gap(weigher, each)
         for stage, each in (("nominal", start), ("recalibrated", base), ("extended", m))

@@ -19,6 +19,7 @@ import pamctl
 from pamctl.cli.diagnose import DiagnoseOptions, diagnose_on_rig, end_on_signals
 from pamctl.diagnose import Verdict
 from pamctl.diagnose.deciding_program import ProgramTrial
+from pamctl.diagnose.evidence.constants import COARSE_STEP_S
 from pamctl.diagnose.evidence.weigh import prepare_weigher
 from pamctl.diagnose.explanations import list_explanations
 from pamctl.diagnose.record import Record
@@ -70,7 +71,9 @@ def test_the_forecast_is_what_a_whole_refit_leaves(done: Investigation) -> None:
     new = Record("new", np.arange(len(commands)) * 1e-3, commands, shown_pa, shown_m)
     weigher, start = prepare_weigher([done.records[0], new], [], wrong.plant)
     again = weigher.settle(start)
-    off = weigher.train.shown - weigher.train.simulate({**weigher.base, **again.values}, 1e-3)
+    off = weigher.train.shown - weigher.train.simulate(
+        {**weigher.base, **again.values}, COARSE_STEP_S
+    )
     blocks = len(commands) // weigher.train.block
     left = np.sqrt(np.mean(off[weigher.train.channels.index("position_m"), -blocks:] ** 2))
     assert left / noise_m == pytest.approx(forecast.residual_over_floor, rel=0.5)

@@ -34,7 +34,15 @@ from pamctl.plant.effects.places import lag_weights
 from pamctl.plant.effects.valve import leak_area_m2
 from pamctl.plant.paper import orifice_flow, volume_m3
 from pamctl.plant.parameters import AirState, PlantParameters
-from pamctl.plant.terms import FLOW_AT, NO_MEMORY, SUPPLY_AT, VOLUME_AT, TermDrivers, push_of
+from pamctl.plant.terms import (
+    FLOW_AT,
+    LEAK_AT,
+    NO_MEMORY,
+    SUPPLY_AT,
+    VOLUME_AT,
+    TermDrivers,
+    push_of,
+)
 
 LEAST_SHARE = 0.05
 """A term takes no more of the volume than this leaves."""
@@ -68,6 +76,8 @@ class AirNow(NamedTuple):
     """Open area to the supply."""
     atmosphere_m2: float
     """Open area to the room."""
+    leak_m2: float
+    """Area of a leak from the muscle into the room, past the valve."""
     air: AirState
     """At the begin of the step."""
 
@@ -91,16 +101,18 @@ def find_air_now(
     extra = add_flow(effects, 0.0, opening_v, pressure_pa, position_m, age_s)
     tank_pa = p.paper.tank_pressure_pa + ripple_pa(effects.supply_ripple, age_s)
     tank_pa = max(tank_pa, LOWEST_SUPPLY_PA)
+    out_m2: float = effects.chamber_leak.area_m2
     if p.terms is not None:
         gauge_pa = pressure_pa - p.paper.atmospheric_pressure_pa
         now = TermDrivers(opening_v, position_m, gauge_pa, 0.0, age_s)
         extra += push_of(p.terms.air, FLOW_AT, NO_MEMORY, now)
         tank_pa = max(tank_pa + push_of(p.terms.air, SUPPLY_AT, NO_MEMORY, now), LOWEST_SUPPLY_PA)
+        out_m2 = max(out_m2 + push_of(p.terms.air, LEAK_AT, NO_MEMORY, now), 0.0)
     area = p.paper.valve_gain_m2_per_v * abs(opening_v)
     leak = leak_area_m2(effects.valve_leak, opening_v)
     if opening_v > 0.0:
-        return AirNow(extra, tank_pa, area + leak, leak, begin.air)
-    return AirNow(extra, tank_pa, leak, area + leak, begin.air)
+        return AirNow(extra, tank_pa, area + leak, leak, out_m2, begin.air)
+    return AirNow(extra, tank_pa, leak, area + leak, out_m2, begin.air)
 
 
 def port_flow(p: PlantParameters, source_pa: float, pressure_pa: float) -> float:
@@ -223,10 +235,9 @@ def flow_into(p: PlantParameters, now: AirNow, node_pa: float, step_s: float) ->
 
 def leak_flow(p: PlantParameters, now: AirNow, pressure_pa: float) -> float:
     """Return the mass flow into the muscle that bypasses the valve, kg/s; negative outwards."""
-    area: float = p.effects.air.chamber_leak.area_m2
-    if area <= 0.0:
+    if now.leak_m2 <= 0.0:
         return now.extra_kg_per_s
-    leak = area * port_flow(p, p.paper.atmospheric_pressure_pa, pressure_pa)
+    leak = now.leak_m2 * port_flow(p, p.paper.atmospheric_pressure_pa, pressure_pa)
     return leak + now.extra_kg_per_s
 
 
@@ -402,7 +413,7 @@ def stop_at_balance(
     step_s = 0.5 * begin.step_s
     if restricts(p.effects.air.line_restriction):
         return next_pa, False
-    escapes = now.atmosphere_m2 > 0.0 or p.effects.air.chamber_leak.area_m2 > 0.0
+    escapes = now.atmosphere_m2 > 0.0 or now.leak_m2 > 0.0
     escapes = escapes or now.extra_kg_per_s != 0.0
     if now.tank_m2 > 0.0 and escapes:
         comes = net_kg_per_s > 0.0
@@ -469,7 +480,9 @@ def chamber_step(
     elif p.effects.air.line_restriction.volume_m3 <= 0.0:
         # Without a volume the line's end follows the flow at the end of the step, not the middle's.
         ended = AirState(supply_pa, line_pa, branch_pa)
-        later = AirNow(now.extra_kg_per_s, now.tank_pa, now.tank_m2, now.atmosphere_m2, ended)
+        later = AirNow(
+            now.extra_kg_per_s, now.tank_pa, now.tank_m2, now.atmosphere_m2, now.leak_m2, ended
+        )
         line_pa = solve_feed(p, later, end_pa, end_pa, half_s).node_pa
     return end_pa, AirState(supply_pa, line_pa, branch_pa, warmth)
 

@@ -57,7 +57,7 @@ NEEDS_INNER = ("wave", "dead_zone", "saturation", "lag", "play", "slew", "hyster
 
 COMMAND_AT, FILLING_AT, EXHAUSTING_AT, SUPPLY_AT, FLOW_AT, VOLUME_AT = range(6)
 FORCE_AT, STIFFNESS_AT, DAMPING_AT, BRAID_AT, DRY_AT, PULL_AT, PRESSING_AT = range(6, 13)
-PRESSURE_SENSOR_AT, ENCODER_AT, OPENING_AT = range(13, 16)
+PRESSURE_SENSOR_AT, ENCODER_AT, OPENING_AT, LEAK_AT = range(13, 17)
 """Places of the locations in `LOCATIONS`."""
 
 DRIVERS = ("command", "position", "pressure", "velocity", "time")
@@ -432,6 +432,8 @@ LOCATIONS: dict[str, Location] = {
                  ("position", "time"), actuators=_MOVING),
         Location("opening", "the valve's opening", "1", 0.02, "valve", ("command", "time"), (),
                  _AIR, _BEHIND_VALVE),
+        Location("leak", "a leak into the room", "m2", 1e-8, "air",
+                 ("command", "pressure", "position", "time"), (), _AIR, _BEHIND_VALVE),
     )
 }  # fmt: skip
 """By name, in the order of the numbers `..._AT`."""

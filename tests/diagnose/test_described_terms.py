@@ -8,6 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 from hidden.excitations import multisine, null_staircase, square
+from hidden.hostile.file_of_lab import record_of
+from hidden.hostile.lab import Lab
 from hidden.hostile.situations import all_cases
 from hidden.hostile.trial import records_of as hostile_records
 from hidden.rig import hidden_rig
@@ -115,6 +117,24 @@ def test_a_valve_gain_that_drifts_within_a_record_is_said_as_a_change_over_time(
     first, *_ = of_hostile("valve_gain_within/small/random").findings
     assert first.level in ("name", "kind")
     assert first.hypothesis.kind in ("over time", "onset")
+
+
+def test_a_spring_that_softens_at_an_instant_is_said_with_the_instant() -> None:
+    rig, lab = hidden_rig({}, seed=11), Lab(at_half_factors={"stiffness": 0.95})
+    sines = [multisine(2.5 - 0.3 * k, 0.3, 30.0, 6.0, seed=k) for k in range(4)]
+    records = [record_of(rig, lab, excitation, 0.0) for excitation in sines]
+    found = diagnose(*to_records((records[:2], records[2:])), PlantSettings())
+    (term,) = build_diagnosis_document(found)["terms"]
+    assert (term["location"], term["operator"]) == ("stiffness", "onset")
+    lasts_s = records[0].t_s[-1]
+    assert term["parameters"]["inner"]["value"] == pytest.approx(0.5 * lasts_s, rel=0.05)
+    assert "begins" in term["text"]
+
+
+def test_a_leak_that_opens_at_an_instant_is_a_leak_or_what_cannot_be_told_from_it() -> None:
+    first, *_ = of_hostile("leak_from_half/large/open").findings
+    assert first.hypothesis.name == "leak~onset(time)"
+    assert {rival.kind for rival in first.rivals} <= {"onset"}
 
 
 def test_an_off_centre_encoder_is_placed_at_the_encoder() -> None:

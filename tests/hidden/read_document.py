@@ -11,10 +11,10 @@ from hidden.rungs import Said
 
 TERM_PLACES = {
     "command": "valve", "filling": "valve", "exhausting": "valve", "opening": "valve",
-    "supply": "supply", "flow": "chamber", "volume": "chamber", "damping": "friction",
-    "braid_friction": "friction", "dry_friction": "friction", "pressure_sensor": "pressure_sensor",
-    "encoder": "encoder", "position_m": "encoder", "pressure_pa": "pressure_sensor",
-    "valve_v": "valve",
+    "supply": "supply", "flow": "chamber", "leak": "chamber", "volume": "chamber",
+    "damping": "friction", "braid_friction": "friction", "dry_friction": "friction",
+    "pressure_sensor": "pressure_sensor", "pressure_pa": "pressure_sensor",
+    "encoder": "encoder", "position_m": "encoder", "valve_v": "valve",
 }  # fmt: skip
 """All others are forces. A law of a sensor or of the command is called after its column."""
 TERM_KINDS = {"lag": "lag", "slew": "lag", "play": "memory", "hysteresis": "memory"}

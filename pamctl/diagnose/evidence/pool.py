@@ -290,6 +290,7 @@ CURVES: Mapping[str, tuple[str, ...]] = {
     "opening": ("time",),
     "supply": ("time",),
     "flow": ("pressure", "position", "time"),
+    "leak": ("command",),
     "volume": ("position", "pressure"),
     "force": ("position", "pressure", "time"),
     "stiffness": ("time",),
@@ -309,8 +310,9 @@ OTHERS: Sequence[tuple[str, str, str, tuple[float, ...]]] = (
     ("command", "lag", "command", (0.002, 0.02)),
     ("force", "beyond", "position", (0.5,)),
     ("command", "onset", "time", (0.25, 0.5, 0.75)),
-    ("flow", "onset", "time", (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)),
+    ("leak", "onset", "time", (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)),
     ("force", "onset", "time", (0.25, 0.5, 0.75)),
+    ("stiffness", "onset", "time", (0.25, 0.5, 0.75)),
     ("opening", "onset", "time", (0.25, 0.5, 0.75)),
     ("braid_friction", "onset", "time", (0.25, 0.5, 0.75)),
 )

@@ -36,7 +36,12 @@ CHAMBER_LEAK = EffectDescription(
                                   "with the valve closed a valve leak ends between tank and "
                                     "atmosphere, a chamber leak at atmospheric pressure"),
     },
-    as_terms=(AsTerm("flow", "gain", "pressure"), AsTerm("flow", "curve", "pressure")),
+    as_terms=(
+        AsTerm("flow", "gain", "pressure"),
+        AsTerm("flow", "curve", "pressure"),
+        AsTerm("leak", "onset", "time"),
+        AsTerm("leak", "curve", "command"),
+    ),
 )  # fmt: skip
 
 

@@ -292,7 +292,7 @@ VALVE_LEAK = EffectDescription(
         EffectForm("everywhere", free=("area_m2",)),
         EffectForm("at null", free=("area_m2", "fade_per_v"), held={"fade_per_v": 0.5}),
     ),
-    as_terms=(AsTerm("flow", "curve", "pressure"),),
+    as_terms=(AsTerm("flow", "curve", "pressure"), AsTerm("leak", "curve", "command")),
 )  # fmt: skip
 
 

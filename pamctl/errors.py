@@ -41,6 +41,12 @@ class Problem(NamedTuple):
         """Return the problem as one line for the user."""
         return ": ".join(part for part in self[:3] if part)
 
+    @property
+    def sentence(self) -> str:
+        """What is wrong where, and what to do."""
+        said = f"{self.where}: {self.message}" if self.where else self.message
+        return f"{said}; {self.fix}" if self.fix else said
+
     def as_dict(self) -> dict[str, str]:
         """Return what a document holds."""
         return {"where": self.where, "key": self.key, "message": self.message}

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from pamctl.diagnose.record import CHANNELS, Array, Record, SensorFault, estimate_white_noise
+from pamctl.errors import Problem
 from pamctl.exit_codes import ExitCode
 from pamctl.log.importing.plausibility import is_switched
 from pamctl.log.record_problems import find_sensor_step
@@ -50,13 +51,6 @@ STILL_TIMES_NOISE = 10.0
 """A signal that varies by less than this multiple of its noise tells nothing."""
 
 
-class Doubt(NamedTuple):
-    """What a rule found."""
-
-    rule: str
-    text: str
-
-
 def list_used_channels(record: Record, plant: PlantSettings) -> tuple[str, ...]:
     """Return the measured channels that this plant's model reads."""
     used = USED_SIGNALS[plant.actuator]
@@ -80,7 +74,7 @@ def leave_out_unused(
     return kept, [*faults.values()]
 
 
-def doubt_record(record: Record, plant: PlantSettings) -> Iterator[Doubt]:
+def doubt_record(record: Record, plant: PlantSettings) -> Iterator[Problem]:
     """Yield what is doubtful about the times and units of a record."""
     yield from _doubt_length(record, plant)
     yield from _doubt_rate(record, plant)
@@ -92,26 +86,29 @@ def doubt_record(record: Record, plant: PlantSettings) -> Iterator[Doubt]:
         yield from _doubt_position(record, plant)
 
 
-def _doubt_length(record: Record, plant: PlantSettings) -> Iterator[Doubt]:
+def _doubt_length(record: Record, plant: PlantSettings) -> Iterator[Problem]:
     stretches = [s for s in record.segments if s.stop - s.start >= SHORTEST_STRETCH]
     if sum(s.stop - s.start for s in stretches) < FEWEST_SAMPLES:
         longest = int(np.argmax(record.step_s))
-        yield Doubt(
+        yield Problem(
+            record.name,
             "gap",
-            f"{record.name}: {len(record.segments) - 1} gaps, the longest of "
+            f"{len(record.segments) - 1} gaps, the longest of "
             f"{record.step_s[longest]:.3g} s after row {longest}, leave no stretch of "
             f"{SHORTEST_STRETCH} samples, or fewer than {FEWEST_SAMPLES} samples in such "
-            "stretches; record without pauses of the logger",
+            "stretches",
+            fix="record without pauses of the logger",
         )
     if plant.actuator != "direct" and record.duration_s < SHORTEST_S:
-        yield Doubt(
+        yield Problem(
+            record.name,
             "short",
-            f"{record.name}: {record.duration_s:.3g} s long, shorter than {SHORTEST_S:g} s; "
-            "record a whole excitation",
+            f"{record.duration_s:.3g} s long, shorter than {SHORTEST_S:g} s",
+            fix="record a whole excitation",
         )
 
 
-def _doubt_rate(record: Record, plant: PlantSettings) -> Iterator[Doubt]:
+def _doubt_rate(record: Record, plant: PlantSettings) -> Iterator[Problem]:
     """Doubt a rate at which a state of the plant jumps: how it came there was not seen.
 
     Single outliers do not count. A measured input, such as a force, may jump.
@@ -126,40 +123,49 @@ def _doubt_rate(record: Record, plant: PlantSettings) -> Iterator[Doubt]:
         jumps = np.where(inside, np.abs(np.diff(smooth)), 0.0)
         largest = int(np.argmax(jumps))
         if jumps[largest] > HALF_SPAN * span:
-            yield Doubt(
+            yield Problem(
+                record.name,
                 "coarse",
-                f"{record.name}: {channel} passes {100.0 * jumps[largest] / span:.0f} % of its "
+                f"{channel} passes {100.0 * jumps[largest] / span:.0f} % of its "
                 f"span between two samples (row {largest}), "
                 f"{1e3 * record.step_s[largest]:.3g} ms apart: how it came there was not "
-                "seen; sample at least ten times faster",
+                "seen",
+                fix="sample at least ten times faster",
             )
 
 
-def _doubt_command_unit(record: Record) -> Iterator[Doubt]:
+def _doubt_command_unit(record: Record) -> Iterator[Problem]:
     values = record["valve_v"]
     low, high = float(values.min()), float(values.max())
-    runs = f"{record.name}: valve_v runs from {low:.3g} to {high:.3g}"
+    runs = f"valve_v runs from {low:.3g} to {high:.3g}"
     if is_switched(values):
         middle = 0.5 * (low + high)
         falls = [level for level, there in ((low, values < middle), (high, values > middle))
                  if _falls_while(record, there)]  # fmt: skip
         if falls or high > 5.5:
             shown = "".join(f" the muscle loses its air while it is {x:.3g};" for x in falls)
-            yield Doubt(
+            yield Problem(
+                record.name,
                 "command_unit",
                 f"{runs}: a valve that switches;{shown} the model reads 5 V as filling, -5 V as "
-                "exhausting, 0 V as closed: map each level to what it does on your rig (gain and "
+                "exhausting, 0 V as closed",
+                fix="map each level to what it does on your rig (gain and "
                 "offset of the valve in the import map)",
             )
     elif high > 10.5 or low < -10.5:
-        yield Doubt(
-            "command_unit", f"{runs}: not volts of command (-5 to 5); is it in mV or per cent?"
+        yield Problem(
+            record.name,
+            "command_unit",
+            f"{runs}: not volts of command (-5 to 5)",
+            fix="is it in mV or per cent?",
         )
     elif low > -0.2 and high > 5.5:
-        yield Doubt(
+        yield Problem(
+            record.name,
             "command_unit",
             f"{runs}: the output voltage, not the command? The command is 0 V where the valve "
-            "closes, and rises as it fills: subtract the driver's offset (5 V where 0 to 10 V "
+            "closes, and rises as it fills",
+            fix="subtract the driver's offset (5 V where 0 to 10 V "
             "drive the valve), and turn the sign if more volts exhaust",
         )
 
@@ -176,57 +182,61 @@ def _falls_while(record: Record, there: Flags) -> bool:
     )
 
 
-def _doubt_pressure_unit(record: Record, plant: PlantSettings) -> Iterator[Doubt]:
+def _doubt_pressure_unit(record: Record, plant: PlantSettings) -> Iterator[Problem]:
     low, high = find_usual_ends(record["pressure_pa"])
     atmosphere, tank = plant.parameters.atmospheric_pressure_pa, plant.parameters.tank_pressure_pa
     if high < 5e3:
-        yield Doubt(
+        yield Problem(
+            record.name,
             "pressure_unit",
-            f"{record.name}: pressure_pa runs from {low:.3g} to {high:.3g}: not absolute "
-            "pascals; is it in kPa or bar?",
+            f"pressure_pa runs from {low:.3g} to {high:.3g}: not absolute pascals",
+            fix="is it in kPa or bar?",
         )
     elif low < 0.5 * atmosphere:
-        yield Doubt(
+        yield Problem(
+            record.name,
             "pressure_unit",
-            f"{record.name}: pressure_pa falls to {low:.4g} Pa, below the atmosphere: "
-            "is it gauge pressure? It must be absolute",
+            f"pressure_pa falls to {low:.4g} Pa, below the atmosphere",
+            fix="is it gauge pressure? It must be absolute",
         )
     elif high > 2.0 * tank and plant.actuator != "direct":
-        yield Doubt(
+        yield Problem(
+            record.name,
             "pressure_unit",
-            f"{record.name}: pressure_pa rises to {high:.4g} Pa, the tank has {tank:.4g} Pa: "
-            "wrong unit, or the wrong tank_pressure_pa in the plant file",
+            f"pressure_pa rises to {high:.4g} Pa, the tank has {tank:.4g} Pa",
+            fix="wrong unit, or the wrong tank_pressure_pa in the plant file?",
         )
 
 
-def _doubt_position(record: Record, plant: PlantSettings) -> Iterator[Doubt]:
+def _doubt_position(record: Record, plant: PlantSettings) -> Iterator[Problem]:
     low, high = float(record["position_m"].min()), float(record["position_m"].max())
     length_m = plant.parameters.rest_length_m
     if max(abs(low), abs(high)) > 0.45 * length_m:
-        yield Doubt(
+        yield Problem(
+            record.name,
             "position_unit",
-            f"{record.name}: position_m runs from {low:.3g} to {high:.3g}, and the plant file's "
-            f"muscle is {length_m:.3g} m long (rest_length_m): is the column in mm or counts, or "
-            "the plant file that of another actuator?",
+            f"position_m runs from {low:.3g} to {high:.3g}, and the plant file's "
+            f"muscle is {length_m:.3g} m long (rest_length_m)",
+            fix="is the column in mm or counts, or the plant file that of another actuator?",
         )
     elif record.pressure_pa is not None and low < -0.02 * length_m:
-        yield Doubt(
+        yield Problem(
+            record.name,
             "position_sign",
-            f"{record.name}: position_m falls to {low:.3g} m: contraction must count "
-            "positive, from zero at the vented muscle",
+            f"position_m falls to {low:.3g} m",
+            fix="contraction must count positive, from zero at the vented muscle",
         )
 
 
-def doubt_sensors(record: Record, plant: PlantSettings) -> Iterator[Doubt]:
+def doubt_sensors(record: Record, plant: PlantSettings) -> Iterator[Problem]:
     """Yield doubts about clipped channels, which their noise reveals, and shifted ones."""
     for channel in list_used_channels(record, plant):
         if channel != "valve_v":  # the command has no sensor
             yield from _doubt_extremes(record, plant, channel)
-    for text in check_time_shifts(record):
-        yield Doubt("shifted", text)
+    yield from check_time_shifts(record)
 
 
-def _doubt_extremes(record: Record, plant: PlantSettings, channel: str) -> Iterator[Doubt]:
+def _doubt_extremes(record: Record, plant: PlantSettings, channel: str) -> Iterator[Problem]:
     """Find a channel that stands still at its extreme value, where its noise should show."""
     values = record[channel]
     noisy = estimate_white_noise(values) > max(2.0 * find_sensor_step(values), 1e-12)
@@ -238,11 +248,12 @@ def _doubt_extremes(record: Record, plant: PlantSettings, channel: str) -> Itera
         # A muscle that its pressure pushes cannot rest; another mechanism may be at its stop.
         muscle = plant.actuator == "muscle" and channel == "position_m"
         if noisy or (muscle and _is_still_pushed(record, at_end)):
-            yield Doubt(
+            yield Problem(
+                record.name,
                 "clipped",
-                f"{record.name}: {channel} stays at its {end} value {extreme:.6g} for "
-                f"{100.0 * share:.0f} % of the time: the sensor is clipped; widen its range, "
-                "or drive less far",
+                f"{channel} stays at its {end} value {extreme:.6g} for "
+                f"{100.0 * share:.0f} % of the time: the sensor is clipped",
+                fix="widen its range, or drive less far",
             )
 
 
@@ -260,7 +271,7 @@ def _longest_run(flags: Flags) -> int:
     return int((edges[1::2] - edges[::2]).max()) if len(edges) else 0
 
 
-def doubt_excitation(records: Sequence[Record], plant: PlantSettings) -> Iterator[Doubt]:
+def doubt_excitation(records: Sequence[Record], plant: PlantSettings) -> Iterator[Problem]:
     """Find a channel that hardly varies in any record: it tells nothing."""
     for channel in CHANNELS:
         # A regulator may hold the pressure on a piston: then the motion is the excitation.
@@ -269,10 +280,12 @@ def doubt_excitation(records: Sequence[Record], plant: PlantSettings) -> Iterato
         asked = [r for r in records if channel in list_used_channels(r, plant)]
         spans = [(float(np.subtract(*find_usual_ends(r[channel])[::-1])), r) for r in asked]
         if spans and all(span < _least_span(r, plant, channel) for span, r in spans):
-            yield Doubt(
+            yield Problem(
+                "",
                 "still",
                 f"{channel} varies by only {max(span for span, _ in spans):.3g} "
                 f"{CHANNELS[channel]} over all records: it is not excited",
+                fix="record a motion that drives it",
             )
 
 
@@ -317,8 +330,8 @@ LATE_RISES = 0.5
 CAUSE = {"pressure_pa": "valve_v", "position_m": "pressure_pa"}
 
 
-def check_time_shifts(record: Record) -> Iterator[str]:
-    """Yield the reason where a column is shifted: an answer before its cause, or long after it.
+def check_time_shifts(record: Record) -> Iterator[Problem]:
+    """Yield what is wrong where a column is shifted: an answer before its cause, or long after it.
 
     Pressure and position answer steps of the command out of a rest in an order and within times
     that no effect of the catalogue can change. A larger chamber answers more slowly, and may also
@@ -346,10 +359,13 @@ def check_time_shifts(record: Record) -> Iterator[str]:
         late_s = float(np.median([late for late, _ in pairs]))
         if max(late for late, _ in pairs) < -early_s or all(late > most for late, most in pairs):
             order = "before" if late_s < 0.0 else "after"
-            yield (
-                f"{record.name}: {channel} answers {abs(late_s) * 1e3:.0f} ms {order} "
+            yield Problem(
+                record.name,
+                "shifted",
+                f"{channel} answers {abs(late_s) * 1e3:.0f} ms {order} "
                 f"{CAUSE[channel]}, which no valve, tube or sensor does: the columns are shifted "
-                "in time against each other; log them with one clock, or shift them back"
+                "in time against each other",
+                fix="log them with one clock, or shift them back",
             )
 
 
@@ -453,58 +469,59 @@ def check_measured_runs(
     faults = [fault for record in records for fault in _find_faults(record)]
     faults += _find_different_channels(records)
     if faults:
-        raise BadData("\n".join(dict.fromkeys(faults)))
+        raise BadData("\n".join(dict.fromkeys(fault.sentence for fault in faults)))
     known = accepted or {}
     doubts = [doubt for record in records for doubt in doubt_record(record, plant)]
-    if all(doubt.rule in known for doubt in doubts):
+    if all(doubt.key in known for doubt in doubts):
         doubts += doubt_excitation(records, plant)
-    if all(doubt.rule in known for doubt in doubts):
+    if all(doubt.key in known for doubt in doubts):
         doubts += [doubt for record in records for doubt in doubt_sensors(record, plant)]
     return _judge_doubts(doubts, known)
 
 
 def _judge_doubts(
-    doubts: Sequence[Doubt], accepted: Mapping[str, str]
+    doubts: Sequence[Problem], accepted: Mapping[str, str]
 ) -> tuple[AcceptedDoubt, ...]:
-    refused = [d for d in doubts if d.rule not in accepted]
+    refused = [d for d in doubts if d.key not in accepted]
     if refused:
         reasons = (
-            f"{doubt.text} (if it is right as it is: --accept {doubt.rule}=REASON)"
+            f"{doubt.sentence} (if it is right as it is: --accept {doubt.key}=REASON)"
             for doubt in refused
         )
         raise BadData("\n".join(dict.fromkeys(reasons)))
     found: dict[str, list[str]] = {}
     for doubt in doubts:
-        found.setdefault(doubt.rule, []).append(doubt.text)
+        found.setdefault(doubt.key, []).append(doubt.sentence)
     return tuple(
         AcceptedDoubt(rule, accepted[rule], tuple(dict.fromkeys(texts)))
         for rule, texts in found.items()
     )
 
 
-def _find_faults(record: Record) -> Iterator[str]:
+def _find_faults(record: Record) -> Iterator[Problem]:
     """Find what no reason can mend: nothing could be computed."""
     if len(record) < FEWEST_SAMPLES:
-        yield (
-            f"{record.name}: {len(record)} samples, fewer than {FEWEST_SAMPLES}; "
-            "record a whole excitation"
-        )
+        few = f"{len(record)} samples, fewer than {FEWEST_SAMPLES}"
+        yield Problem(record.name, "few", few, fix="record a whole excitation")
         return
     for channel in record.channels:
         wrong = ~np.isfinite(record[channel])
         if wrong.any():
-            yield (
-                f"{record.name}: {channel} is NaN or infinite in {int(wrong.sum())} rows, "
-                f"the first is row {int(np.argmax(wrong))}; remove or repair them"
+            text = (
+                f"{channel} is NaN or infinite in {int(wrong.sum())} rows, "
+                f"the first is row {int(np.argmax(wrong))}"
             )
+            yield Problem(record.name, "not_finite", text, fix="remove or repair them")
             return
     if not np.isfinite(record.t_s).all() or np.any(record.step_s <= 0.0):
         row = int(np.argmax(~(record.step_s > 0.0))) + 1
-        yield f"{record.name}: t_s does not increase at row {row}; sort or repair the time column"
+        text, fix = f"t_s does not increase at row {row}", "sort or repair the time column"
+        yield Problem(record.name, "time", text, fix=fix)
 
 
-def _find_different_channels(records: Sequence[Record]) -> Iterator[str]:
+def _find_different_channels(records: Sequence[Record]) -> Iterator[Problem]:
     channels = {record.channels for record in records}
     if len(channels) > 1:
         listed = "; ".join(sorted({f"{r.name} has {', '.join(r.channels)}" for r in records}))
-        yield f"the records do not hold the same channels: {listed}"
+        text = f"the records do not hold the same channels: {listed}"
+        yield Problem("", "channels", text, fix="give records with the same columns")

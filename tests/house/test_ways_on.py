@@ -52,3 +52,13 @@ def test_each_fault_that_the_doctor_finds_has_a_fix() -> None:
         if fix is None or (isinstance(fix, ast.Constant) and not fix.value):
             without.append(where)
     assert without == []
+
+
+def test_each_doubt_about_the_data_of_a_diagnosis_has_a_way_on() -> None:
+    doubts = [
+        (where, call)
+        for where, name, call in list_calls("pamctl/diagnose")
+        if name == "Problem" and "refuse" in where
+    ]
+    assert len(doubts) > 15
+    assert [where for where, call in doubts if "fix" not in {k.arg for k in call.keywords}] == []

@@ -123,9 +123,9 @@ def test_a_mechanism_without_a_muscle_is_not_measured_by_the_muscle() -> None:
     held = replace(axis, pressure_pa=np.full(len(axis), 8e5))
     assert check_measured_runs([held], DIRECT) == ()
     gauge = replace(axis, pressure_pa=np.linspace(1e4, 7e5, len(axis)))
-    assert [d.rule for d in doubt_record(gauge, DIRECT)] == ["pressure_unit"]
+    assert [d.key for d in doubt_record(gauge, DIRECT)] == ["pressure_unit"]
     flat = replace(axis, force_n=np.random.default_rng(1).normal(size=len(axis)))
-    assert [d.rule for d in doubt_excitation([flat], DIRECT)] == ["still"]
+    assert [d.key for d in doubt_excitation([flat], DIRECT)] == ["still"]
 
 
 def test_a_muscle_twice_as_large_is_judged_by_its_own_length() -> None:
@@ -138,7 +138,7 @@ def test_a_muscle_twice_as_large_is_judged_by_its_own_length() -> None:
     )
     good = measured("fit", 1)
     large = replace(good, position_m=good["position_m"] * 4.5)
-    assert [d.rule for d in doubt_record(large, PAPER)] == ["position_unit"]
+    assert [d.key for d in doubt_record(large, PAPER)] == ["position_unit"]
     assert [*doubt_record(large, twice)] == []
 
 
@@ -147,25 +147,25 @@ def test_a_rate_at_which_the_pressure_jumps_is_doubted_but_a_spike_is_not() -> N
     assert [*doubt_record(good, PAPER)] == []
     every = slice(0, None, 100)
     coarse = Record("coarse", good.t_s[every], good["valve_v"][every], good["pressure_pa"][every])
-    assert "coarse" in [d.rule for d in doubt_record(coarse, PAPER)]
+    assert "coarse" in [d.key for d in doubt_record(coarse, PAPER)]
     spiky = good["pressure_pa"].copy()
     spiky[1234] += 1e6
-    assert "coarse" not in [d.rule for d in doubt_record(replace(good, pressure_pa=spiky), PAPER)]
+    assert "coarse" not in [d.key for d in doubt_record(replace(good, pressure_pa=spiky), PAPER)]
 
 
 def test_the_levels_of_a_valve_that_switches_are_to_be_mapped() -> None:
     good = measured("squares", 1)
     fills = (good["valve_v"] > 0.0).astype(float)
-    assert [d.rule for d in doubt_record(replace(good, valve_v=10.0 * fills - 5.0), PAPER)] == []
+    assert [d.key for d in doubt_record(replace(good, valve_v=10.0 * fills - 5.0), PAPER)] == []
     noise = 0.02 * np.random.default_rng(1).standard_normal(len(good))
     for volts in (3.3, 5.0, 10.0, 24.0):
         for on_off, empties in ((fills, 0.0), (1.0 - fills, volts)):  # in both polarities
             for measured_v in (volts * on_off, volts * on_off + noise):
                 (doubt,) = doubt_record(replace(good, valve_v=measured_v), PAPER)
-                assert doubt.rule == "command_unit"
-                told = float(doubt.text.split("loses its air while it is ")[1].split(";")[0])
+                assert doubt.key == "command_unit"
+                told = float(doubt.sentence.split("loses its air while it is ")[1].split(";")[0])
                 assert told == pytest.approx(empties, abs=0.15)
-                assert "offset -5" not in doubt.text
+                assert "offset -5" not in doubt.sentence
 
 
 def test_a_slow_chamber_may_answer_later_than_a_fast_one() -> None:

@@ -68,6 +68,8 @@ def _faults_of(noise: Mapping[str, Any]) -> Iterator[str]:
 
 def _call(finding: Mapping[str, Any]) -> str:
     kind = finding["kind"]
+    if kind == "added":  # the atmosphere was added to what was no gauge pressure
+        return f"gauge.{finding['number']}"
     of_command = kind in ("null_offset", "decimated_command")
     return f"{kind}.{'command' if of_command else finding['number']}"
 
@@ -82,6 +84,8 @@ def _label(words: str) -> str:
     """Return the word for a member of a set: an effect, a fault, or a law at its place."""
     if law := re.fullmatch(r"(\w+) of (\w+) over (\w+)", words):
         operator, location, driver = law.groups()
+        if operator == "onset" and location == "leak":
+            return "change_at_instant.chamber_leak"
         place, kind = _where_of_term(location, operator, driver)
         found = {"lag": "skew", "time": "drift"}.get(kind, "curve")
         return f"{found}.{NUMBERS[place]}"

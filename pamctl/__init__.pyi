@@ -37,7 +37,7 @@ class ExcitationProgram(ExperimentForm):
     """Parts of an excitation, one after the other, in open loop."""
     seed: int = ...
     """seed of the multisines' phases"""
-    parts: Sequence[Mapping[str, Any]]
+    parts: Sequence[ExperimentForm]
     forecast: Mapping[str, Any] | None = ...
     """written by `pamctl diagnose`; it moves nothing"""
 
@@ -149,6 +149,7 @@ class Square(ExperimentForm):
     """Square wave of the valve command (Sec. VI-A), open loop; it fills first."""
     frequency_hz: float
     amplitude_v: float = ...
+    """V"""
     cycles: int = ...
 
 class Staircase(ExperimentForm):

@@ -10,7 +10,7 @@ import math
 import pickle
 import struct
 from array import array
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import isnan, nan
 from typing import Any, NamedTuple
 
@@ -259,10 +259,10 @@ def pack_handed_course(course: Course, text: bytes) -> bytes:
 
 
 class _Items(Sequence[Any]):
-    """Some of the items; the one that was asked for last is kept."""
+    """Some of the items, of which the first may be another; the last one asked for is kept."""
 
-    def __init__(self, read: Read, begin: int, end: int) -> None:
-        self._read, self._begin, self._end = read, begin, end
+    def __init__(self, read: Read, begin: int, end: int, first: Any = None) -> None:
+        self._read, self._begin, self._end, self._first = read, begin, end, first
         self._at, self._item = -1, None
 
     def __len__(self) -> int:
@@ -270,26 +270,12 @@ class _Items(Sequence[Any]):
 
     def __getitem__(self, index: Any) -> Any:
         at = range(self._begin, self._end)[index]
+        if at == self._begin and self._first is not None:
+            return self._first
         if at != self._at:
             place = self._read(_COUNT.size + at * _PLACE.size, _PLACE.size)
             self._at, self._item = at, pickle.loads(self._read(*_PLACE.unpack(place)))
         return self._item
-
-
-class _StartingAt(Sequence[Segment]):
-    """Segments, of which the first one is another."""
-
-    def __init__(self, first: Segment, segments: Sequence[Segment]) -> None:
-        self._first, self._segments = first, segments
-
-    def __len__(self) -> int:
-        return len(self._segments)
-
-    def __getitem__(self, index: Any) -> Any:
-        return self._segments[index] if index else self._first
-
-    def __iter__(self) -> Iterator[Segment]:
-        return (self[index] for index in range(len(self)))
 
 
 def take_up_course(read: Read, start_m: float) -> tuple[Course, bytes]:
@@ -304,7 +290,7 @@ def take_up_course(read: Read, start_m: float) -> tuple[Course, bytes]:
     _, duration_s, end_reason, table = head
     (first,) = start_at_position((segments[0],), start_m)
     if first != segments[0]:
-        segments = _StartingAt(first, segments)
+        segments = _Items(read, _BEFORE_SEGMENTS, cues_at, first)
         table = table and pack_course((first,)) + table[SEGMENT_WORDS:]
     cues = _Items(read, cues_at, count)
     return Course.restore(segments, duration_s, end_reason, table, cues), text

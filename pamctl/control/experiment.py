@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, Annotated, Literal, Union
 
 from pydantic import Field, model_validator
@@ -16,6 +16,7 @@ from hal.calibration import Configured
 from pamctl.control.course import Plan
 from pamctl.control.forms import FORMS, Count, Drawn, Form, Hertz, Seconds, require_rising
 from pamctl.control.sketch import Sketch
+from pamctl.control.waves import Sweep, Tone, Tones
 from pamctl.signals import Phase
 
 Duration = Annotated[float, Field(gt=0, le=86_400)]
@@ -84,18 +85,29 @@ class HoldSettings(Drawn):
         sketch.hold(self.hold_s or math.inf)
 
 
-class SquareSettings(Drawn):
-    """Square wave of the valve command (Sec. VI-A), open loop; it fills first."""
+class _Square(Drawn):
+    """A square wave of the valve command; it fills first."""
 
-    IS_VALVE = True
-    kind: Literal["square"]
     frequency_hz: Annotated[float, Field(gt=0, le=250)]
-    amplitude_v: Annotated[float, Field(gt=0, le=5)] = 5.0
+    amplitude_v: Amplitude = 5.0
     cycles: Annotated[int, Field(ge=1, le=1_000_000)] = 3
 
     def draw(self, sketch: Sketch) -> None:
         """Fill, and exhaust for equally long."""
-        _draw_square(sketch, self.amplitude_v, self.frequency_hz, self.cycles)
+        half_s = 0.5 / self.frequency_hz
+
+        def draw_cycle() -> None:
+            sketch.hold_valve(self.amplitude_v, half_s)
+            sketch.hold_valve(-self.amplitude_v, half_s)
+
+        sketch.repeat(self.cycles, draw_cycle)
+
+
+class SquareSettings(_Square):
+    """Square wave of the valve command (Sec. VI-A), open loop; it fills first."""
+
+    IS_VALVE = True
+    kind: Literal["square"]
 
 
 class Step(Configured):
@@ -123,78 +135,55 @@ class StepsSettings(Drawn):
         sketch.repeat(self.repeat, draw_steps)
 
 
-def _draw_square(sketch: Sketch, amplitude_v: float, frequency_hz: float, cycles: int) -> None:
-    half_s = 0.5 / frequency_hz
-
-    def draw_cycle() -> None:
-        sketch.hold_valve(amplitude_v, half_s)
-        sketch.hold_valve(-amplitude_v, half_s)
-
-    sketch.repeat(cycles, draw_cycle)
-
-
 # --- programs: valve commands that reveal effects that a model lacks -----------------------
 
 
-class ProgramPart(Configured):
-    """One wave of a program. Each shows something that the others do not."""
-
-    def draw(self, sketch: Sketch, drawn: random.Random) -> None:
-        """Add the commands; `drawn` gives the phases of tones."""
-        raise NotImplementedError
-
-
-class HeldPart(ProgramPart):
+class HeldPart(Drawn):
     """One command, held: a long one shows creep, and a fill before it leaks."""
 
     wave: Literal["hold"]
     valve_v: ValveVolts
     duration_s: Seconds
 
-    def draw(self, sketch: Sketch, drawn: random.Random) -> None:
+    def draw(self, sketch: Sketch) -> None:
         """Hold it."""
         sketch.hold_valve(self.valve_v, self.duration_s)
 
 
-class SquarePart(ProgramPart):
+class SquarePart(_Square):
     """Full strokes, which show the flow and the spool; the first one fills."""
 
     wave: Literal["square"]
-    frequency_hz: Hertz
-    amplitude_v: Amplitude = 5.0
-    cycles: Count = 3
-
-    def draw(self, sketch: Sketch, drawn: random.Random) -> None:
-        """Fill, and exhaust for equally long."""
-        _draw_square(sketch, self.amplitude_v, self.frequency_hz, self.cycles)
 
 
-class StaircasePart(ProgramPart):
+class StaircasePart(Drawn):
     """Small pulses to both sides of null show a dead band; the valve is closed after each."""
 
     wave: Literal["staircase"]
     levels_v: Annotated[tuple[Amplitude, ...], Field(min_length=1)]
     hold_s: Seconds = 0.15
 
-    def draw(self, sketch: Sketch, drawn: random.Random) -> None:
+    def draw(self, sketch: Sketch) -> None:
         """Go to both sides of null by each level."""
         for level_v in self.levels_v:
             for valve_v in (level_v, 0.0, -level_v, 0.0):
                 sketch.hold_valve(valve_v, self.hold_s)
 
 
-class _Band(ProgramPart):
+class _Band(Drawn):
     low_hz: Hertz
     high_hz: Hertz
+    amplitude_v: Annotated[float, Field(gt=0, le=5, description="V, highest peak")]
+    duration_s: Seconds
 
     @model_validator(mode="after")
     def _check_frequencies(self) -> _Band:
         require_rising(self.low_hz, self.high_hz)
         return self
 
-    def _draw_samples(self, sketch: Sketch, values_v: Iterable[float]) -> None:
-        for value_v in values_v:
-            sketch.hold_valve(min(max(value_v, -5.0), 5.0), SAMPLE_S)
+    def _sample(self, value_at: Callable[[float], float]) -> list[float]:
+        count = max(round(self.duration_s / SAMPLE_S), 1)
+        return [value_at(i * SAMPLE_S) for i in range(count)]
 
 
 class MultisinePart(_Band):
@@ -204,47 +193,34 @@ class MultisinePart(_Band):
     """
 
     wave: Literal["multisine"]
-    amplitude_v: Annotated[float, Field(gt=0, le=5, description="highest peak")]
-    duration_s: Seconds
     tones: Annotated[int, Field(ge=1, le=200)] = 30
     bias_v: ValveVolts = 0.0
 
-    def draw(self, sketch: Sketch, drawn: random.Random) -> None:
-        """Sample the tones, scaled to their peak."""
+    def draw(self, sketch: Sketch) -> None:
+        """Hold samples of the tones, scaled to their peak."""
         ratio = (self.high_hz / self.low_hz) ** (1.0 / max(self.tones - 1, 1))
-        tones = [
-            (math.tau * self.low_hz * ratio**i, drawn.uniform(0.0, math.tau))
-            for i in range(self.tones)
-        ]
-        wave = [
-            sum(math.sin(w * t_s + phase) for w, phase in tones)
-            for t_s in _sample_times(self.duration_s)
-        ]
-        peak = max(map(abs, wave)) or 1.0
-        self._draw_samples(
-            sketch, (self.bias_v + self.amplitude_v * value / peak for value in wave)
+        tones = Tones(
+            tuple(
+                Tone(1.0, math.tau * self.low_hz * ratio**i, sketch.chance.uniform(0.0, math.tau))
+                for i in range(self.tones)
+            )
         )
+        values = self._sample(tones.value_at)
+        peak = max(map(abs, values)) or 1.0
+        sketch.hold_each((self.bias_v + self.amplitude_v * v / peak for v in values), SAMPLE_S)
 
 
 class ChirpPart(_Band):
     """One tone that rises evenly over the octaves: it distinguishes a delay from a lag."""
 
     wave: Literal["chirp"]
-    amplitude_v: Amplitude
-    duration_s: Seconds
 
-    def draw(self, sketch: Sketch, drawn: random.Random) -> None:
-        """Sample the tone."""
-        growth = math.log(self.high_hz / self.low_hz) / self.duration_s
-        phases = (
-            math.tau * self.low_hz * math.expm1(growth * t_s) / growth
-            for t_s in _sample_times(self.duration_s)
+    def draw(self, sketch: Sketch) -> None:
+        """Hold samples of the tone."""
+        wave = Sweep(
+            self.amplitude_v, self.low_hz, self.high_hz, self.duration_s, is_logarithmic=True
         )
-        self._draw_samples(sketch, (self.amplitude_v * math.sin(phase) for phase in phases))
-
-
-def _sample_times(duration_s: float) -> Iterator[float]:
-    return (i * SAMPLE_S for i in range(max(round(duration_s / SAMPLE_S), 1)))
+        sketch.hold_each(self._sample(lambda t_s: wave.at(t_s).position_m), SAMPLE_S)
 
 
 class PairForecast(Configured):
@@ -289,7 +265,8 @@ class ProgramSettings(Drawn):
     def draw(self, sketch: Sketch) -> None:
         """Add the parts, each with tones of its own."""
         for index, part in enumerate(self.parts):
-            part.draw(sketch, random.Random(f"{self.seed} {index}"))
+            sketch.chance = random.Random(f"{self.seed} {index}")
+            part.draw(sketch)
 
 
 # --- sequences ------------------------------------------------------------------------------

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import random
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from pamctl.control.course import Cue, Plan, Segment
@@ -31,6 +32,8 @@ class Sketch:
         self._now_s = 0.0
         self._segments: list[Segment] = []
         self._cues: list[Cue] = []
+        self.chance = random.Random(0)
+        """What the part that is drawn takes its random numbers from."""
 
     def finish(self) -> Plan:
         """Return the course. The marks of a trigger are numbered in their order, from 1."""
@@ -73,6 +76,11 @@ class Sketch:
         """Hold a valve command."""
         self._here = valve_v
         self.hold(duration_s)
+
+    def hold_each(self, commands_v: Iterable[float], duration_s: float) -> None:
+        """Hold samples of a wave, each for equally long, within the range of a command."""
+        for command_v in commands_v:
+            self.hold_valve(min(max(command_v, -5.0), 5.0), duration_s)
 
     def draw(self, shape: Shape, duration_s: float, end: float, phase: Phase = Phase.TRACK) -> None:
         """Follow a shape that begins here and ends at `end`."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -157,6 +157,10 @@ class Tones:
             j -= w * w * c
         return Motion(x, v, a, j)
 
+    def value_at(self, t_s: float) -> float:
+        """Return the sum alone."""
+        return sum(amplitude * math.sin(w * t_s + phase) for amplitude, w, phase in self.tones)
+
 
 @dataclass(frozen=True, slots=True)
 class Sweep:
@@ -203,13 +207,10 @@ def scale_to_peak(tones: Sequence[Tone], peak: float, duration_s: float) -> Tone
     fastest_hz = max(tone.rad_per_s for tone in tones) / math.tau
     samples = min(math.ceil(_SAMPLES_PER_PERIOD * fastest_hz * duration_s) + 1, _MOST_SAMPLES)
     step_s = duration_s / samples
-    highest = max(abs(_sum_at(tones, i * step_s)) for i in range(samples))
+    whole = Tones(tuple(tones))
+    highest = max(abs(whole.value_at(i * step_s)) for i in range(samples))
     scale = peak / highest if highest else 1.0
     return Tones(tuple(tone._replace(amplitude=scale * tone.amplitude) for tone in tones))
-
-
-def _sum_at(tones: Iterable[Tone], t_s: float) -> float:
-    return sum(amplitude * math.sin(w * t_s + phase) for amplitude, w, phase in tones)
 
 
 class Sampled:

@@ -10,7 +10,7 @@ import json
 import os
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from functools import partial, wraps
 from pathlib import Path
@@ -53,11 +53,10 @@ class Verbs(TyperGroup):
     def __init__(self, *arguments: Any, **options: Any) -> None:
         """Take the verbs; the help shows no type beside a flag, which takes no value."""
         super().__init__(*arguments, **options)
-        _hide_flag_types(self)
-        _escape_brackets(self)
-        _add_epilogs(self, ())
-        _print_plainly(self)
-        _read_without_pydantic(self)
+        for words, command in list(_walk(self)):
+            _word_help(command, " ".join(words))
+            _print_plainly(command)
+            command.get_params = partial(_list_readers, command.get_params)
 
     def main(self, args: Sequence[str] | None = None, *rest: Any, **extra: Any) -> Any:
         """Run the verb that the arguments name; report its failure."""
@@ -112,36 +111,28 @@ def _word_wrong_usage(error: Exception) -> Failed | None:
     return Failed(error.exit_code, f"{reason}{verb}")
 
 
-def _hide_flag_types(command: Any) -> None:
-    for parameter in command.params:
-        if getattr(parameter, "is_flag", False):
-            parameter.metavar = ""
-    for inner in getattr(command, "commands", {}).values():
-        _hide_flag_types(inner)
-
-
-def _escape_brackets(command: Any) -> None:
-    """Keep `[mm]` in the help: rich takes it for markup."""
-    for told in (command, *command.params):
-        if getattr(told, "help", None):
-            told.help = re.sub(r"(?<!\\)\[", r"\\[", told.help)
-    for inner in getattr(command, "commands", {}).values():
-        _escape_brackets(inner)
-
-
-def _add_epilogs(command: Any, words: tuple[str, ...]) -> None:
+def _walk(command: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Yield a command with its words, and all commands in it."""
+    yield words, command
     for name, inner in getattr(command, "commands", {}).items():
-        _add_epilogs(inner, (*words, name))
-    if " ".join(words) in EXAMPLES:
-        command.epilog = write_epilog(" ".join(words))
+        yield from _walk(inner, (*words, name))
+
+
+def _word_help(command: Any, words: str) -> None:
+    """Complete the help of a verb by examples, and keep it plain."""
+    for told in (command, *command.params):
+        if getattr(told, "help", None):  # rich takes `[mm]` for markup
+            told.help = re.sub(r"(?<!\\)\[", r"\\[", told.help)
+        if getattr(told, "is_flag", False):
+            told.metavar = ""
+    if words in EXAMPLES:
+        command.epilog = write_epilog(words)
 
 
 def _print_plainly(command: Any) -> None:
     """Let no verb print control characters: what it shows may be somebody else's log."""
-    inner = getattr(command, "commands", {}).values()
-    for one in inner:
-        _print_plainly(one)
-    if command.callback is not None and (not inner or command.invoke_without_command):
+    is_group = getattr(command, "commands", {}) and not command.invoke_without_command
+    if command.callback is not None and not is_group:
         command.callback = _with_plain_streams(command.callback)
 
 
@@ -186,13 +177,6 @@ def _print_document(exit_code: object, reason: str, **details: object) -> None:
 
 
 # --- values of options that need no check: typer would load pydantic to read any value ---------
-
-
-def _read_without_pydantic(command: Any) -> None:
-    """Let all parameters of a verb, and of the verbs in it, read plain values themselves."""
-    command.get_params = partial(_list_readers, command.get_params)
-    for inner in getattr(command, "commands", {}).values():
-        _read_without_pydantic(inner)
 
 
 def _list_readers(list_parameters: Callable[[Any], list[Any]], ctx: Any) -> list[Any]:

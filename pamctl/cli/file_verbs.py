@@ -11,7 +11,7 @@ import typer
 
 from pamctl.cli.failure import Failed
 from pamctl.cli.options import MAP, Options, argument, flag, option, verb
-from pamctl.cli.output import print_result, read_records
+from pamctl.cli.output import print_result, print_run_settings, read_records
 from pamctl.cli.settings_from_options import SettingsOptions, find_argument_file
 from pamctl.errors import ConfigError, Problem
 from pamctl.exit_codes import ExitCode
@@ -23,8 +23,6 @@ from pamctl.settings.resolve import (
     build_config_schema,
     check_config_file,
     read_section_file,
-    settings_to_json,
-    settings_to_yaml,
     shorten_path,
 )
 from pamctl.settings.table_file import read_tables
@@ -86,7 +84,7 @@ def _check_file(path: Path) -> tuple[str, tuple[Problem, ...]]:
 def show(asked: SettingsOptions) -> None:
     """Print the configuration a run with the same options would use, defaults included."""
     settings, _ = asked.resolve()
-    typer.echo(settings_to_json(settings) if asked.as_json else settings_to_yaml(settings).rstrip())
+    print_run_settings(settings, as_json=asked.as_json)
 
 
 @config_app.command("schema")

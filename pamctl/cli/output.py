@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pamctl.diagnose.record import Record
     from pamctl.log.importing.column_map import ImportMap
     from pamctl.report.report import Report
+    from pamctl.settings.resolve import RunSettings
 
 PAGE_BEGIN = "<"
 """An older page is replaced; a file that begins otherwise is something else."""
@@ -26,6 +27,13 @@ PAGE_BEGIN = "<"
 def print_json(document: object) -> None:
     """Print one JSON document; floats that are not finite are "nan", "inf" and "-inf"."""
     typer.echo(json.dumps(json.loads(to_json(document)), indent=2))
+
+
+def print_run_settings(settings: RunSettings, *, as_json: bool) -> None:
+    """Print resolved settings, for people as a file."""
+    from pamctl.settings.resolve import settings_to_json, settings_to_yaml
+
+    typer.echo(settings_to_json(settings) if as_json else settings_to_yaml(settings).rstrip())
 
 
 def tell(line: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypedDict, Unpack, cast
+from typing import Any, NamedTuple
 
 import typer
 
@@ -32,18 +32,11 @@ class ResolvedOptions(NamedTuple):
     """Names of the files, by section; and what was changed in the controller's gains."""
 
 
-class VerbOptions(TypedDict, total=False):
-    """Options of a verb beside its rig; a verb leaves out those that it does not have."""
-
-    controller: str | None
-    controller_from: str | None
-    experiment: str | None
-    plant: str | None
-    seed: int | None
-    duration_s: float | None
-    fast: bool | None
-    readonly: bool | None
-    rt: str | None
+_OF_RUN = (
+    "controller", "controller_from", "experiment", "plant", "seed", "duration_s", "fast",
+    "readonly", "rt",
+)  # fmt: skip
+"""Options beside the rig, as `resolve` calls them; a verb leaves out those that it lacks."""
 
 
 class RigOptions(Options):
@@ -88,11 +81,9 @@ class LoopOptions(RigOptions):
         given = vars(self)
         # A flag that was not given leaves what the files say.
         options = {
-            name: given[name]
-            for name in VerbOptions.__annotations__
-            if name in given and given[name] is not False
+            name: given[name] for name in _OF_RUN if name in given and given[name] is not False
         }
-        return resolve_options(self.backend, self.rig, overrides, **cast(VerbOptions, options))
+        return resolve_options(self.backend, self.rig, overrides, **options)
 
 
 class SettingsOptions(LoopOptions):
@@ -111,12 +102,9 @@ class SettingsOptions(LoopOptions):
 
 
 def resolve_options(
-    backend: str | None,
-    rig: str | None,
-    overrides: Sequence[str] | None,
-    **options: Unpack[VerbOptions],
+    backend: str | None, rig: str | None, overrides: Sequence[str] | None, **options: Any
 ) -> ResolvedOptions:
-    """Resolve the options together; raise `ConfigError` where they contradict each other.
+    """Resolve the options together, those of `resolve`; raise `ConfigError` if they contradict.
 
     So it does where the experiment leaves the envelope of rig and model.
     """

@@ -14,6 +14,7 @@ from pamctl.report.figure import MUTED, Plot, PlotAxis, plot_apart
 from pamctl.report.report import Figure, Report, ReportTable, Section, Text
 from pamctl.report.reported_run import Floats, ReportedRun
 from pamctl.report.run_motion import make_time_axis, mark_moments
+from pamctl.report.signal_display import SIGNAL_DISPLAYS
 
 _UM, _KPA = 1e6, 1e-3
 _Models = Mapping[str, Comparison]
@@ -30,7 +31,7 @@ def report_comparison(path: Path, found: _Models, log: Log | None = None) -> Rep
         subtitle=", ".join(found),
         document=_make_document(path, found),
     )
-    report.add(Section("The gaps"), ReportTable(*_drop_empty(*list_gaps(found))))
+    report.add(Section("The gaps"), ReportTable(*list_gaps(found)).drop_empty())
     if coupled:
         caption = "The simulation with the logged command, and its gap."
         report.add(
@@ -45,7 +46,7 @@ def report_comparison(path: Path, found: _Models, log: Log | None = None) -> Rep
                 "the pressure block by the command and the measured position.",
             )
         )
-    report.add(ReportTable(*_drop_empty(*list_regimes(found)), "By regime, RMS."))
+    report.add(ReportTable(*list_regimes(found), "By regime, RMS.").drop_empty())
     for again_s in {c.again_s for c in comparisons} - {None}:
         report.add(
             Text(
@@ -59,12 +60,6 @@ def report_comparison(path: Path, found: _Models, log: Log | None = None) -> Rep
     if frozen is not None:
         report.add(Text(f"A sensor is frozen at {int(frozen.sum())} ticks: they count in no gap."))
     return report.add(Text(f"next: `{_suggest_next(path, found)}`"))
-
-
-def _drop_empty(header: list[str], rows: list[list[str]]) -> tuple[list[str], list[list[str]]]:
-    """Leave out columns of signals that no model has."""
-    kept = [k for k in range(len(header)) if any(row[k] != "-" for row in rows) or not rows]
-    return [header[k] for k in kept], [[row[k] for k in kept] for row in rows]
 
 
 def list_gaps(found: _Models) -> tuple[list[str], list[list[str]]]:
@@ -149,21 +144,6 @@ def _gap_fields(gap: ComparisonGap) -> dict[str, float | None]:
     return {name: None if value != value else value for name, value in gap._asdict().items()}
 
 
-class _Signal(NamedTuple):
-    """A signal that models are held to: how it and its gap are shown."""
-
-    name: str
-    title: str
-    unit: str
-    scale: float
-    gap_unit: str
-    gap_scale: float
-
-
-_SIGNALS = (
-    _Signal("position_m", "Displacement", "mm", 1e3, "µm", 1e6),
-    _Signal("pressure_pa", "Pressure", "kPa", 1e-3, "kPa", 1e-3),
-)
 _ALONE = {"position_m": "Mechanics alone", "pressure_pa": "Pressure block alone"}
 
 
@@ -188,13 +168,13 @@ def _draw_plots(log: Log, found: _Models) -> tuple[list[Plot], list[Plot]]:
     )
     coupled = [
         plot
-        for signal in _SIGNALS
+        for signal in _ALONE
         for draw in (_plot_signal, _plot_coupled_gap)
         for plot in (_plot_models(found, partial(draw, view, signal)) if has_coupled else ())
     ]
     alone = [
         plot
-        for signal in _SIGNALS
+        for signal in _ALONE
         for plot in _plot_models(found, partial(_plot_gap_alone, view, signal))
     ]
     if coupled and measured.valve_v is not None:
@@ -209,46 +189,45 @@ def _plot_models(found: _Models, draw: Callable[[_Models], Plot]) -> list[Plot]:
     return [plot for plot in plots if plot.marks]
 
 
-def _plot_signal(view: _View, signal: _Signal, found: _Models) -> Plot:
-    plot = Plot(signal.title, view.time, PlotAxis(signal.title.lower(), signal.unit))
-    measured = getattr(next(iter(found.values())).measured, signal.name)
+def _plot_signal(view: _View, signal: str, found: _Models) -> Plot:
+    shown = SIGNAL_DISPLAYS[signal]
+    plot = Plot(shown.title, view.time, PlotAxis(shown.short, shown.unit))
+    measured = getattr(next(iter(found.values())).measured, signal)
     if measured is not None:
-        plot.line(view.t_s, signal.scale * measured, "measured", colour=MUTED, thick=True)
+        plot.line(view.t_s, shown.factor * measured, "measured", colour=MUTED, thick=True)
     for name, comparison in found.items():
-        model = getattr(comparison.coupled, signal.name)
+        model = getattr(comparison.coupled, signal)
         if model is not None:
-            plot.line(view.t_s, signal.scale * model, name, colour=view.colours[name])
+            plot.line(view.t_s, shown.factor * model, name, colour=view.colours[name])
     return plot
 
 
-def _plot_coupled_gap(view: _View, signal: _Signal, found: _Models) -> Plot:
-    models = {name: getattr(one.coupled, signal.name) for name, one in found.items()}
-    return _plot_gap(
-        f"{signal.title}, model \N{MINUS SIGN} measurement", view, signal, found, models
-    )
+def _plot_coupled_gap(view: _View, signal: str, found: _Models) -> Plot:
+    models = {name: getattr(one.coupled, signal) for name, one in found.items()}
+    title = f"{SIGNAL_DISPLAYS[signal].title}, model \N{MINUS SIGN} measurement"
+    return _plot_gap(title, view, signal, found, models)
 
 
-def _plot_gap_alone(view: _View, signal: _Signal, found: _Models) -> Plot:
+def _plot_gap_alone(view: _View, signal: str, found: _Models) -> Plot:
     models = {
-        name: one.mechanics.position_m
-        if signal.name == "position_m"
-        else one.pressure_block.pressure_pa
+        name: one.mechanics.position_m if signal == "position_m" else one.pressure_block.pressure_pa
         for name, one in found.items()
     }
-    return _plot_gap(_ALONE[signal.name], view, signal, found, models)
+    return _plot_gap(_ALONE[signal], view, signal, found, models)
 
 
 def _plot_gap(
     title: str,
     view: _View,
-    signal: _Signal,
+    signal: str,
     found: _Models,
     models: Mapping[str, Floats | None],
 ) -> Plot:
-    plot = Plot(title, view.time, PlotAxis("gap", signal.gap_unit), height_px=130)
+    shown = SIGNAL_DISPLAYS[signal]
+    plot = Plot(title, view.time, PlotAxis("gap", shown.gap_unit), height_px=130)
     for name, model in models.items():
-        measured = getattr(found[name].measured, signal.name)
+        measured = getattr(found[name].measured, signal)
         if model is not None and measured is not None:
-            gap = signal.gap_scale * (model - measured)
+            gap = shown.gap_factor * (model - measured)
             plot.line(view.t_s, gap, name, colour=view.colours[name])
     return plot

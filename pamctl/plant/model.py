@@ -160,18 +160,22 @@ class PlantSettings(Configured):
     ] = "muscle"
     chamber_volume_m3: Annotated[
         float | None,
-        Field(ge=1e-12, le=1e6, description="of `actuator: chamber`, its tubes included"),
+        Field(ge=1e-12, le=1e6, description="volume of a chamber, tubes included"),
     ] = None
     cylinder_area_m2: Annotated[
-        float | None, Field(ge=1e-9, le=1e3, description="of a cylinder's piston")
+        float | None, Field(ge=1e-9, le=1e3, description="area of the piston of a cylinder")
     ] = None
     cylinder_volume_m3: Annotated[
         float | None,
-        Field(ge=1e-12, le=1e6, description="behind a cylinder's piston at 0, tubes included"),
+        Field(
+            ge=1e-12,
+            le=1e6,
+            description="volume behind the piston at position 0; a guess will do",
+        ),
     ] = None
     stroke_m: Annotated[
         float | None,
-        Field(ge=1e-6, le=1e3, description="of a cylinder; its piston moves from 0 to here"),
+        Field(ge=1e-6, le=1e3, description="stroke of a cylinder: the piston moves from 0 to here"),
     ] = None
     parameters: MuscleParameters = MuscleParameters()
     effects: EffectSettings = EffectSettings()

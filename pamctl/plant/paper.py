@@ -28,29 +28,62 @@ class MuscleParameters(Configured):
     A direct mechanism has mass, damping, stiffness (0: no spring) and the atmosphere of them.
     """
 
-    mass_kg: Annotated[float, Field(ge=1e-9, le=1e9, description="M, moving mass")] = 0.05
-    damping_n_s_per_m: Annotated[float, Field(ge=0, le=1e12, description="c of Eq. 5")] = 570.0
-    stiffness_n_per_m: Annotated[float, Field(ge=0, le=1e12, description="k of Eq. 4")] = 9680.0
-    rest_length_m: Annotated[float, Field(ge=1e-4, le=LONGEST_M, description="L_0")] = 0.200
-    braid_length_m: Annotated[float, Field(ge=1e-4, le=LONGEST_M, description="b")] = 0.232
-    braid_turns: Annotated[float, Field(ge=1e-3, le=1e6, description="n")] = 1.94
-    kinetic_friction_per_m: Annotated[float, Field(ge=0, le=1e12, description="mu_k")] = 55.3
-    braid_count: Annotated[float, Field(ge=0, le=1e6, description="N")] = 100.0
-    braid_contact_area_m2: Annotated[float, Field(ge=0, le=1, description="A_b")] = 0.233e-6
-    tank_pressure_pa: Annotated[float, Field(ge=1, le=HIGHEST_TANK_PA, description="absolute")] = (
-        441.3e3
+    mass_kg: Annotated[float, Field(ge=1e-9, le=1e9, description="moving mass, M")] = 0.05
+    damping_n_s_per_m: Annotated[
+        float,
+        Field(ge=0, le=1e12, description="damping, force per speed, c; a guess will do"),
+    ] = 570.0
+    stiffness_n_per_m: Annotated[
+        float,
+        Field(ge=0, le=1e12, description="stiffness of the spring, k; a guess will do"),
+    ] = 9680.0
+    rest_length_m: Annotated[
+        float,
+        Field(
+            ge=1e-4, le=LONGEST_M, description="length of the vented muscle between its ends, L_0"
+        ),
+    ] = 0.200
+    braid_length_m: Annotated[
+        float, Field(ge=1e-4, le=LONGEST_M, description="length of one braid thread, b")
+    ] = 0.232
+    braid_turns: Annotated[
+        float,
+        Field(ge=1e-3, le=1e6, description="turns of one braid thread around the muscle, n"),
+    ] = 1.94
+    kinetic_friction_per_m: Annotated[
+        float, Field(ge=0, le=1e12, description="friction of the braid, mu_k; a guess will do")
+    ] = 55.3
+    braid_count: Annotated[float, Field(ge=0, le=1e6, description="number of braid threads, N")] = (
+        100.0
     )
+    braid_contact_area_m2: Annotated[
+        float, Field(ge=0, le=1, description="contact area of two braid threads, A_b")
+    ] = 0.233e-6
+    tank_pressure_pa: Annotated[
+        float, Field(ge=1, le=HIGHEST_TANK_PA, description="pressure of the supply, absolute")
+    ] = 441.3e3
     atmospheric_pressure_pa: Annotated[
-        float, Field(ge=1, le=HIGHEST_ATMOSPHERE_PA, description="absolute")
+        float,
+        Field(
+            ge=1,
+            le=HIGHEST_ATMOSPHERE_PA,
+            description="pressure of the air in the laboratory, absolute",
+        ),
     ] = 101.3e3
-    gas_constant_j_per_kg_k: Annotated[float, Field(ge=1, le=1e6)] = 287.1
+    gas_constant_j_per_kg_k: Annotated[
+        float, Field(ge=1, le=1e6, description="gas constant of the air")
+    ] = 287.1
     temperature_k: Annotated[
         float,
-        Field(ge=1, le=HOTTEST_K, description="of the air; of `actuator: chamber` 293 by default"),
+        Field(
+            ge=1,
+            le=HOTTEST_K,
+            description="temperature of the air; of `actuator: chamber` 293 by default",
+        ),
     ] = 273.0
     heat_capacity_ratio: Annotated[float, Field(gt=1, le=2, description="gamma of Psi")] = 1.4
     valve_gain_m2_per_v: Annotated[
-        float, Field(ge=1e-15, le=1, description="K_Av, including C_d")
+        float, Field(ge=1e-15, le=1, description="opening of the valve per volt of command, K_Av")
     ] = 1.03e-6
 
     @model_validator(mode="after")

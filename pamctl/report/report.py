@@ -65,6 +65,15 @@ class ReportTable(NamedTuple):
     rows: Sequence[Sequence[str]]
     caption: str = ""
 
+    def drop_empty(self) -> ReportTable:
+        """Leave out the columns in which no row says anything."""
+        said = [
+            any(cell not in ("", "-") for cell in cells) for cells in zip(*self.rows, strict=True)
+        ]
+        kept = [k for k in range(len(self.header)) if not said or said[k]]
+        rows = [[row[k] for k in kept] for row in self.rows]
+        return ReportTable([self.header[k] for k in kept], rows, self.caption)
+
 
 class Figure(NamedTuple):
     """Plots in a column with one x axis; as a grid in a row, each with its own."""

@@ -205,28 +205,6 @@ _EFFECTS = {"direct": ("piston",), "cylinder": ("external_load",)}
 """Effects that are part of an actuator, where the catalogue has them."""
 _FIRST = ("atmospheric_pressure_pa",)
 """A gauge pressure needs it."""
-_PLAIN_WORDS = {
-    "atmospheric_pressure_pa": "pressure of the air in the laboratory",
-    "mass_kg": "moving mass",
-    "damping_n_s_per_m": "damping, force per speed; a guess will do",
-    "stiffness_n_per_m": "stiffness of the spring, force per displacement; a guess will do",
-    "rest_length_m": "length of the vented muscle between its ends, L_0",
-    "braid_length_m": "length of one braid thread, b",
-    "braid_turns": "turns of one braid thread around the muscle, n",
-    "kinetic_friction_per_m": "friction of the braid, mu_k; a guess will do",
-    "tank_pressure_pa": "pressure of the supply",
-    "temperature_k": "temperature of the air",
-    "gas_constant_j_per_kg_k": "gas constant of the air",
-    "braid_count": "number of braid threads, N",
-    "braid_contact_area_m2": "contact area of two braid threads, A_b",
-    "valve_gain_m2_per_v": "opening of the valve per volt of command, K_Av",
-    "chamber_volume_m3": "volume behind the valve, tubes included",
-    "cylinder_area_m2": "area of the piston",
-    "cylinder_volume_m3": "volume behind the piston at position 0, tubes included; half or twice "
-    "will do, it is fitted",
-    "stroke_m": "stroke: the piston moves from 0 to here",
-}
-"""What the settings describe by the paper's symbols."""
 
 
 @dataclass(frozen=True)
@@ -282,7 +260,7 @@ def _make_question(actuator: str, name: str, field: FieldInfo) -> PlantQuestion:
     needed = name in _NO_DEFAULT.get(actuator, set())
     return PlantQuestion(
         name,
-        _PLAIN_WORDS.get(name, field.description or name),
+        field.description or name,
         list_units(name),
         None if needed else _DEFAULTS.get(name, field.default),
         field=field,

@@ -202,10 +202,8 @@ def _write_table(page: Report, rows: Sequence[RunRow], keys: Sequence[str]) -> N
         "note": [row.note for row in shown],
         "log": [row.path for row in shown],
     }
-    said = {
-        head: cells for head, cells in columns.items() if any(c not in ("", "-") for c in cells)
-    }
-    page.add(ReportTable(list(said), list(zip(*said.values(), strict=True))))
+    table = ReportTable(list(columns), list(zip(*columns.values(), strict=True)))
+    page.add(table.drop_empty())
     if len(shown) < len(rows):
         page.add(Text(f"{len(rows) - len(shown)} older runs are in the figures, not in the table."))
 

@@ -115,7 +115,7 @@ def test_the_file_says_what_each_number_means_and_how_it_was_given(tmp_path: Pat
         },
     )
     text = out.read_text()
-    assert "# pressure of the supply; given as 6 bar gauge" in text
+    assert "# pressure of the supply, absolute; given as 6 bar gauge" in text
     assert "# opening of the valve per volt of command, K_Av\n" in text
 
 

@@ -9,10 +9,9 @@ import typer
 
 from pamctl.cli.failure import print_error
 from pamctl.cli.options import AnnotationOptions, flag, option, require_linux, verb
-from pamctl.cli.output import print_result
+from pamctl.cli.output import print_result, print_run_settings
 from pamctl.cli.settings_from_options import SettingsOptions
 from pamctl.exit_codes import ExitCode
-from pamctl.settings.resolve import settings_to_json, settings_to_yaml
 
 
 class RunOptions(SettingsOptions, AnnotationOptions):
@@ -32,9 +31,7 @@ def run(asked: RunOptions) -> None:
     said = asked.make_annotation()
     settings, names = asked.resolve()
     if asked.dry_run:
-        typer.echo(
-            settings_to_json(settings) if asked.as_json else settings_to_yaml(settings).rstrip()
-        )
+        print_run_settings(settings, as_json=asked.as_json)
         return
     if not settings.fast:
         require_linux()

@@ -39,7 +39,6 @@ from pamctl.diagnose.report.next_experiment import (
 )
 from pamctl.diagnose.report.traces_part import ModelStage, list_stages, write_traces
 from pamctl.diagnose.report.verdict_words import (
-    SIGNAL_DISPLAYS,
     advise_next_steps,
     choose_words,
     describe_noise,
@@ -52,6 +51,7 @@ from pamctl.report.figure import MUTED, Levels, Plot, PlotAxis
 from pamctl.report.html_page import write_html
 from pamctl.report.report import Facts, Figure, Fold, Points, Report, ReportTable, Section, Text
 from pamctl.report.run_motion import mark_moments
+from pamctl.report.signal_display import SIGNAL_DISPLAYS
 from pamctl.settings.yaml12 import dump_yaml
 
 

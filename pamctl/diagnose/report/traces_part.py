@@ -11,11 +11,11 @@ import numpy as np
 from pamctl.diagnose.diagnosis import Diagnosis, Verdict
 from pamctl.diagnose.evidence.fit import WeighedModel
 from pamctl.diagnose.record import Array
-from pamctl.diagnose.report.verdict_words import SIGNAL_DISPLAYS
 from pamctl.log.run_meta import Moment
 from pamctl.report.figure import MUTED, Plot, PlotAxis, plot_apart
 from pamctl.report.report import Figure, Report, Section
 from pamctl.report.run_motion import mark_moments
+from pamctl.report.signal_display import SIGNAL_DISPLAYS
 
 STRETCH_S = 3.0
 MOST_NOISE = 1e4

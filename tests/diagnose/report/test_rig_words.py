@@ -18,7 +18,6 @@ from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
 from pamctl.diagnose.report.finding_words import FreeTerm
 from pamctl.diagnose.report.next_experiment import MOTIONS, runs_here, write_advice
 from pamctl.diagnose.report.verdict_words import (
-    SIGNAL_DISPLAYS,
     advise_next_steps,
     sentence,
 )
@@ -28,6 +27,7 @@ from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.terms import LOCATIONS
 from pamctl.report.html_page import write_html
 from pamctl.report.report import format_terminal
+from pamctl.report.signal_display import SIGNAL_DISPLAYS
 
 pytestmark = pytest.mark.long
 

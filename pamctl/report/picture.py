@@ -27,6 +27,7 @@ from pamctl.report.figure import (
     place_down,
     thin_cloud,
 )
+from pamctl.report.signal_display import spell_figure
 
 _SWATCHES = {"b": "M1 1h20v8h-20z", "l": "M1 5h20", "p": "M11 5h0"}
 """What the legend shows of bands and bars, lines, and points."""
@@ -199,7 +200,7 @@ def draw_levels(levels: Levels) -> str:
 
     rows = []
     for label, value, colour, ends in levels.bars:
-        text = f"{value:.4g} {levels.unit}"
+        text = f"{spell_figure(value)} {levels.unit}"
         begin, end = sorted((at(0.0), at(value)))
         end = max(end, begin + 3)  # a bar of zero length stays visible
         path = f'<path class="b solid {css_of(colour)}" d="M{begin} 0H{end}V10H{begin}z"/>'

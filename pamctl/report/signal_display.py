@@ -38,3 +38,8 @@ SIGNAL_DISPLAYS: Mapping[str, SignalDisplay] = {
     "pressure_pa": SignalDisplay("Pressure, absolute", "kPa", 1e-3, "kPa", 1e-3),
     "force_n": SignalDisplay("Force", "N", 1.0, "N", 1.0),
 }
+
+
+def spell_figure(value: float) -> str:
+    """Return a figure with three digits, and a large one without a power of ten."""
+    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"

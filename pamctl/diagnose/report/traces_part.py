@@ -15,7 +15,7 @@ from pamctl.log.run_meta import Moment
 from pamctl.report.figure import MUTED, Plot, PlotAxis, plot_apart
 from pamctl.report.report import Figure, Report, Section
 from pamctl.report.run_motion import mark_moments
-from pamctl.report.signal_display import SIGNAL_DISPLAYS
+from pamctl.report.signal_display import SIGNAL_DISPLAYS, spell_figure
 
 STRETCH_S = 3.0
 MOST_NOISE = 1e4
@@ -214,16 +214,21 @@ def _draw_same_scale(run: ShownRun, stage: ModelStage) -> Iterator[Plot]:
     """Draw signal and residual of the whole record on one axis, with their RMS as labels."""
     for c, channel in enumerate(run.channels):
         display = SIGNAL_DISPLAYS[channel]
-        moved = display.factor * (run.measured[c] - np.mean(run.measured[c]))
-        left = display.factor * run.residuals[stage.key][c] * run.counted[c]
+        moved = run.measured[c] - np.mean(run.measured[c])
+        left = run.residuals[stage.key][c] * run.counted[c]
         plot = Plot(
             f"{display.title.split(',')[0]}, signal and residual", _TIME,
             PlotAxis(display.short, display.unit),
         )  # fmt: skip
-        for label, values, colour in (("signal", moved, MUTED), ("residual", left, stage.colour)):
+        of_signal, of_residual = (display.factor, display.unit), run.units[c]
+        for label, values, colour, (factor, unit) in (
+            ("signal", moved, MUTED, of_signal),
+            ("residual", left, stage.colour, of_residual),
+        ):
             kept = values[np.isfinite(values)]
-            rms = float(np.sqrt(np.mean(kept**2))) if len(kept) else 0.0
-            plot.line(run.t_s, values, f"{label}, RMS {rms:.3g} {display.unit}", colour=colour)
+            rms = factor * float(np.sqrt(np.mean(kept**2))) if len(kept) else 0.0
+            name = f"{label}, RMS {spell_figure(rms)} {unit}"
+            plot.line(run.t_s, display.factor * values, name, colour=colour)
         yield plot
 
 

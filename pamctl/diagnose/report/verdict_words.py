@@ -24,7 +24,7 @@ from pamctl.diagnose.report.next_experiment import (
     runs_here,
     words_of_rig,
 )
-from pamctl.report.signal_display import SIGNAL_DISPLAYS
+from pamctl.report.signal_display import SIGNAL_DISPLAYS, spell_figure
 
 _ON_RIG = (
     "`pamctl diagnose --on-rig --out decided` runs such programs, one after the other, on the rig "
@@ -213,11 +213,6 @@ def _advise_after_naming(diagnosis: Diagnosis) -> tuple[str, ...]:
 
 LEAST_SHIFT = 2e-3
 """A number that is off by a smaller share is not mentioned in a sentence."""
-
-
-def spell_figure(value: float) -> str:
-    """Return a figure with three digits, and a large one without a power of ten."""
-    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
 
 
 def join_words(parts: list[str]) -> str:

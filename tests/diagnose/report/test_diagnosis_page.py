@@ -33,6 +33,7 @@ from pamctl.diagnose.report.verdict_words import advise_next_steps
 from pamctl.plant.model import PlantSettings
 from pamctl.report.html_page import write_html
 from pamctl.report.report import format_terminal
+from pamctl.report.signal_display import spell_figure
 
 HOSTILE = "<script>alert('x')</script>"
 DEAD_BAND = {"valve_deadband__fill_width_v": 0.25, "valve_deadband__exhaust_width_v": 0.2}
@@ -239,7 +240,7 @@ def test_the_first_screen_has_verdict_gap_and_next_step_before_any_section(named
 def test_the_bars_are_the_gap_of_the_diagnosis(named):
     shown = re.findall(r'aria-label="([^"]*): ([\d.e+-]+) (µm|kPa)"', page(named))
     gaps = [named.gap["position_m"], named.gap["pressure_pa"]]
-    told = [f"{g * f:.4g}" for gap, f in zip(gaps, (1e6, 1e-3), strict=True) for g in gap[:3]]
+    told = [spell_figure(g * f) for gap, f in zip(gaps, (1e6, 1e-3), strict=True) for g in gap[:3]]
     assert [value for _, value, _ in shown] == told
     assert [label for label, *_ in shown[:3]] == [
         "start model", "recalibrated", "with what was found",
@@ -253,8 +254,8 @@ def test_a_named_effect_has_its_equation_and_intervals_and_rivals_in_nats(named)
         assert number.spell()[1] in html
     (finding,) = named.findings
     rival = finding.judged[0]
-    assert f"{finding.gain_nats:.4g} nats" in html
-    assert f"{rival.behind_nats:.4g} nats" in html
+    assert f"{finding.gain_nats:.0f} nats" in html
+    assert f"{rival.behind_nats:.0f} nats" in html
     assert "valve curve" in html
 
 

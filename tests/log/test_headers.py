@@ -31,6 +31,8 @@ UNDERSTOOD = {
     "AO0 (V)": ("valve_v", "V", None),
     "Zeit in ms": ("t_s", "ms", None),
     "zeit": ("t_s", "", None),
+    "Joint angle [deg]": ("position_m", "", None),
+    "Gelenkwinkel [\N{DEGREE SIGN}]": ("position_m", "", None),
 }
 DOUBTFUL = ["F_z [N]", "Chamber A pressure [bar]", "pressure_cap_bar", "nActPos [mm]"]
 NOT_MEASURED = [
@@ -98,3 +100,31 @@ def test_raw_and_filtered_or_a_supply_that_rests_stay_a_question(
 ) -> None:
     with pytest.raises(LogError, match="--map FILE, such as"):
         import_log(write_table(tmp_path / "two.csv", head, rests), tmp_path / "two.mcap")
+
+
+def test_an_angle_is_a_position_once_the_radius_is_said(tmp_path: Path) -> None:
+    table = write_table(tmp_path / "joint.csv", "t_s,Joint angle [deg],Pressure [kPa abs]")
+    with pytest.raises(LogError) as refused:
+        import_log(table, tmp_path / "joint.mcap")
+    asked = str(refused.value)
+    assert "in m times 0.0174533" in asked
+    assert "# position: {column: 'Joint angle [deg]', unit: m}" in asked
+
+
+def test_what_is_left_out_says_why(tmp_path: Path) -> None:
+    table = tmp_path / "axis.csv"
+    write_table(table, "t_s,position [mm],Reference [mm]")
+    done = import_log(table, tmp_path / "axis.mcap")
+    assert "'reference' in its name" in done.columns[2].left_out
+
+
+def test_a_mechanism_with_force_and_position_misses_nothing(tmp_path: Path) -> None:
+    done = import_log(write_table(tmp_path / "axis.csv", "t_s,position_mm,force_n"), tmp_path / "a")
+    assert not [f for f in done.findings if f.key == "columns"]
+
+
+def test_a_column_that_nothing_names_is_listed_and_not_called_a_pressure(tmp_path: Path) -> None:
+    with pytest.raises(LogError) as refused:
+        import_log(write_table(tmp_path / "a.csv", "t_s,S1,Temperature [degC]"), tmp_path / "a")
+    line = next(text for text in str(refused.value).splitlines() if "other columns" in text)
+    assert "'S1', 'Temperature [degC]'; such as pressure: {column: NAME" in line

@@ -61,7 +61,7 @@ _NAMES: Mapping[str, frozenset[str]] = {
     "pressure_pa": frozenset({"pressure", "p", "pm", "druck", "ueberdruck", "pression", "presion"}),
     "position_m": frozenset(
         {"position", "pos", "displacement", "disp", "contraction", "stroke", "x", "weg", "hub",
-         "lage", "encoder", "enc", "kontraktion", "auslenkung", "deplacement"}
+         "lage", "encoder", "enc", "kontraktion", "auslenkung", "deplacement", "angle", "winkel"}
     ),
     "force_n": frozenset({"force", "f", "fm", "kraft", "thrust"}),
 }  # fmt: skip
@@ -72,6 +72,7 @@ _BESIDE = frozenset({
     "elapsed", "relative", "rel", "absolute", "abs", "absolut", "gauge", "internal", "inner",
     "voltage", "spannung", "since", "start", "cell", "load", "axial", "linear", "number", "no",
     "chamber", "vessel", "cylinder", "piston", "rod", "carriage", "slide", "axis", "drive", "motor",
+    "joint", "gelenk",
     "kammer", "behaelter", "zylinder", "kolben", "stange", "schlitten", "achse", "antrieb", "mess",
     "proportional", "prop", "laser", "lvdt", "transducer", "aufnehmer", "zelle", "last",
 })  # fmt: skip
@@ -96,6 +97,9 @@ _FORMS = [
         for label in (r"(.*?)", r"(.*)")
     ),
 ]
+_ANGLES = {"deg": 0.0174533, "degree": 0.0174533, "degrees": 0.0174533,
+           "\N{DEGREE SIGN}": 0.0174533, "rad": 1.0, "radian": 1.0, "radians": 1.0}  # fmt: skip
+"""Radians in a unit of an angle: times the lever's length they make a position."""
 _SPELLINGS = {
     "sec": "s", "secs": "s", "second": "s", "seconds": "s", "sekunden": "s", "msec": "ms",
     "milliseconds": "ms", "microseconds": "us", "minutes": "min", "volt": "V", "volts": "V",
@@ -146,9 +150,7 @@ def understand_header(name: str, unit: str = "") -> HeaderMeaning | None:
     None if the words name none of our quantities, or another thing.
     """
     label, said, found = _split_unit(name, unit)
-    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", label).lower().translate(_LETTERS)
-    # Numbers count for nothing.
-    words = {part for word in re.findall(r"[^\W\d_]+", spaced) for part in _split_compound(word)}
+    words = _split_words(label)
     named = [quantity for quantity, its in _NAMES.items() if its & words]
     if found is not None and found.quantity in named:
         named = [found.quantity]
@@ -167,6 +169,19 @@ def understand_header(name: str, unit: str = "") -> HeaderMeaning | None:
     if found is not None and found.quantity == quantity:
         return HeaderMeaning(quantity, found.unit, is_gauge, is_sure, said)
     return HeaderMeaning(quantity, "", is_gauge, is_sure, said) if is_sure else None
+
+
+def _say_why_unread(column: TableColumn) -> str:
+    label, _, _ = _split_unit(column.called or column.name, column.unit)
+    if others := _split_words(label) & _OTHER:
+        return f"{min(others)!r} in its name is not what a sensor of the rig measures"
+    return "its name says no quantity with its unit that pamctl reads"
+
+
+def _split_words(label: str) -> set[str]:
+    """Return the words of a name; numbers count for nothing."""
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", label).lower().translate(_LETTERS)
+    return {part for word in re.findall(r"[^\W\d_]+", spaced) for part in _split_compound(word)}
 
 
 def _split_compound(word: str) -> tuple[str, ...]:
@@ -256,7 +271,7 @@ def choose_by_header(table: MeasuredTable) -> ChosenColumns:
         elif column.is_text:
             left_out[number] = column.says or "words, no numbers"
         else:
-            left_out[number] = "its name says no quantity with its unit that pamctl reads"
+            left_out[number] = _say_why_unread(column)
     _require_one_of_each(candidates)
     keys: dict[str, dict[str, Any]] = {}
     columns: dict[str, TableColumn] = {}
@@ -378,6 +393,11 @@ def _ask(one: _Candidate) -> str:
         return f"{name} may be {quantity}, or something else"
     if not said:
         return f"{name} states no unit for {quantity}"
+    if quantity == "position_m" and (radians := _ANGLES.get(said.lower())):
+        return (
+            f"{name} is an angle: as a position it counts along the arc on which the muscle or rod "
+            f"pulls, so the map's gain is the radius of the pulley or lever in m times {radians:g}"
+        )
     units = ", ".join(UNITS[quantity])
     return (
         f"{name} is in {said!r}, which is no unit of {quantity} ({units}): `gain` and `offset` in "
@@ -386,6 +406,8 @@ def _ask(one: _Candidate) -> str:
 
 
 # The map that a refusal shows.
+
+_EXAMPLE = "pressure: {column: NAME, unit: kPa, gauge: true}"
 
 
 def _refuse(
@@ -421,8 +443,7 @@ def _refuse(
     rest = [c for c in table.columns if id(c) not in known and not c.is_text]
     others = [c.name for c in rest if not lines[0].startswith(f"time: {{column: {quote(c.name)},")]
     if others:
-        example = write_key("pressure", {"column": others[-1], "unit": "kPa", "gauge": True})
-        lines.append(f"# other columns: {', '.join(map(quote, others[:20]))}; such as {example}")
+        lines.append(f"# other columns: {', '.join(map(quote, others[:20]))}; such as {_EXAMPLE}")
     lines += [write_key(key, value) for key, value in table.mend.items()]
     return show_map("; ".join(doubts) + "; say which with --map FILE, such as:", lines)
 

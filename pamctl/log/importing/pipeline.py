@@ -49,6 +49,8 @@ from pamctl.plain_text import escape_name
 MOST_TICKS = 50_000_000
 """Half a day at 1 kHz: protects against a mistyped rate."""
 _MISSED = {"valve_v", "pressure_pa", "position_m"}
+_OF_A_MECHANISM = {"position_m", "force_n"}
+"""A mechanism of one axis misses nothing beside these."""
 
 
 @dataclass(frozen=True)
@@ -224,9 +226,9 @@ def _note_atmosphere(import_map: ImportMap, findings: LogFindings) -> None:
 def _judge_whole(quantities: Mapping[str, Floats], findings: LogFindings) -> None:
     if not {"pressure_pa", "position_m"} & quantities.keys():
         findings.error("columns", "there is neither pressure nor position: nothing was measured")
-    elif missing := _MISSED - quantities.keys():
-        detail = f"no {', '.join(sorted(missing))}: only analyses that do not need it are possible"
-        findings.warning("columns", detail)
+    elif not quantities.keys() >= _OF_A_MECHANISM and (missing := _MISSED - quantities.keys()):
+        listed = ", ".join(sorted(missing))
+        findings.warning("columns", f"no {listed}: no analysis that needs them is possible")
 
 
 def _describe_columns(table: MeasuredTable, chosen: ChosenColumns) -> tuple[ImportedColumn, ...]:

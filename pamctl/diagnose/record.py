@@ -357,7 +357,7 @@ def _import_beside(path: Path, imported: Path, column_map: ImportMap | None) -> 
 
 
 def _make_record(path: Path, log: Log, notes: tuple[str, ...]) -> Record:
-    doubts = judge_ticks(log)
+    doubts = [] if notes else judge_ticks(log)  # a measured file's were told as it was imported
     measured = pamctl.log.signals(log)
     usable = (measured.phase != Phase.HOMING) & (measured.phase != Phase.STOPPING)
     if measured.valve_v is not None:

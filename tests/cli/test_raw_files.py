@@ -74,3 +74,23 @@ def test_with_a_map_they_make_a_plant_file_and_a_diagnosis(table: Path) -> None:
     assert found["verdict"] in ("no_discrepancy", "miscalibrated")
     mass = found["recalibrated"]["mass_kg"]
     assert mass["value"] == pytest.approx(MASS_KG, rel=0.005)
+
+
+def test_compare_says_how_a_measured_file_becomes_a_log(table: Path) -> None:
+    refused = run_pamctl("compare", table)
+    assert refused.returncode == 65
+    assert "`pamctl log import`" in refused.stderr
+
+
+def test_a_frozen_sensor_of_a_measured_file_is_told_once(tmp_path: Path) -> None:
+    t_s = np.arange(3000) / 250.0
+    pressure_kpa = 200.0 + 50.0 * np.sin(t_s) + np.random.default_rng(1).normal(0.0, 0.2, len(t_s))
+    pressure_kpa[1000:1600] = pressure_kpa[1000]
+    rows = zip(t_s, np.cos(t_s), pressure_kpa, strict=True)
+    table = tmp_path / "chamber.csv"
+    lines = [",".join(f"{cell:.4f}" for cell in row) for row in rows]
+    table.write_text("\n".join(["t_s,valve_V,pressure_gauge_kPa", *lines]) + "\n")
+    value = ["--value", "chamber_volume_m3=1 l"]
+    said = run_pamctl("plant", "new", "--from", table, *value, "--out", tmp_path / "rig.yaml")
+    assert said.returncode == 0, said.stderr
+    assert said.stderr.count("it is frozen") == 1

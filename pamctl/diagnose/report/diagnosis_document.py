@@ -163,7 +163,8 @@ def report_diagnosis(diagnosis: Diagnosis) -> Report:
         report.add(*_report_finding(diagnosis, finding))
     report.add(*_report_numbers(diagnosis), *_report_gap(diagnosis))
     masked = [
-        f"{channel}: {100.0 * share:.2g} % of the samples do not count"
+        f"{channel}: {100.0 * share:.2g} % of the samples do not count: gaps, spikes, a frozen "
+        "sensor, the first moments of a stretch, or a drive's rests and reversals"
         for channel, share in find_masked_shares(diagnosis).items()
         if share > 0.0
     ]
@@ -186,8 +187,7 @@ def _report_finding(diagnosis: Diagnosis, finding: Finding) -> Iterator[Part]:
     yield Text(f"{spell_finding(diagnosis, finding)}: {sure}; {gain}")
     yield Points(
         [
-            f"{spell_names(label_hypothesis(rival.hypothesis))}: {rival.behind_nats:.0f} nats "
-            f"behind{describe_standing(rival)}"
+            f"{spell_names(label_hypothesis(rival.hypothesis))}: {describe_standing(rival)}"
             for rival in finding.judged[:MOST_RIVALS]
         ]
     )

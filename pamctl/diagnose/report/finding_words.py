@@ -139,12 +139,13 @@ def spell_set(labels: Sequence[str]) -> str:
 
 
 def describe_standing(rival: JudgedRival) -> str:
-    """Say of a rival that is not beaten what that means; empty where it is beaten."""
+    """Say how far a rival is behind or ahead, and what it means if it is not beaten."""
+    nats = f"{abs(rival.behind_nats):.0f} nats {'behind' if rival.behind_nats >= 0.0 else 'ahead'}"
     if rival.is_beaten:
-        return ""
+        return nats
     if rival.is_freer:
-        return ", a freer law of its place, which can always mimic it"
-    return ", which does not rule it out"
+        return f"{nats}, a freer law of its place, which can always mimic it"
+    return f"{nats}, which does not rule it out" if rival.behind_nats >= 0.0 else nats
 
 
 def is_in_catalogue(finding: Finding) -> bool:

@@ -13,6 +13,7 @@ import secrets
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from io import BufferedWriter
+from itertools import count
 from pathlib import Path
 from stat import S_IFIFO, S_IFMT, S_IFSOCK, S_ISDIR, S_ISREG
 from typing import NamedTuple
@@ -173,12 +174,18 @@ def _require_place(path: Path, replaces: str | None) -> None:
     if path.is_dir():
         raise NewFileError(path, "it is a directory", "give another name")
     if replaces is None:
-        raise NewFileError(path, "it exists and is never overwritten", "give another name")
+        free = next(name for k in count(2) if not os.path.lexists(name := _number(path, k)))
+        fix = f"give another name, such as {free}"
+        raise NewFileError(path, "it exists and is never overwritten", fix)
     with suppress(FileNotFoundError):  # a link to a file that is not there yet
         if S_ISREG(path.stat().st_mode) and path.stat().st_size:
             with path.open("rb") as file:
                 if file.read(len(replaces.encode())) != replaces.encode():
                     raise NewFileError(path, "it exists and is something else", "give another name")
+
+
+def _number(path: Path, k: int) -> Path:
+    return path.with_name(f"{path.stem}-{k}{path.suffix}")
 
 
 def _is_device(path: Path) -> bool:

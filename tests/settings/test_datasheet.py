@@ -175,6 +175,8 @@ def test_numbers_without_a_default_must_be_given(tmp_path: Path) -> None:
     ]  # fmt: skip
     again = make("--out", out, "--actuator", "muscle")
     assert "never overwritten" in again.stderr
+    assert "such as " in again.stderr
+    assert "-2.yaml" in again.stderr
 
 
 def test_numbers_that_do_not_fit_together_or_are_not_there_write_nothing(tmp_path: Path) -> None:

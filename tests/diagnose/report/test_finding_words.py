@@ -21,5 +21,7 @@ def test_a_rival_is_behind_or_ahead_and_never_a_negative_number_behind(
     behind_nats: float, is_beaten: bool, words: str
 ) -> None:
     ends = (behind_nats - 5.0, behind_nats + 5.0)
-    rival = JudgedRival(LATE, behind_nats, ends, 0.9, is_beaten, is_freer=False)
+    rival = JudgedRival(
+        LATE, behind_nats, ends, 0.9, is_beaten, is_freer=False, is_better=False, model=None
+    )
     assert describe_standing(rival) == words

@@ -76,8 +76,9 @@ def diagnose(asked: DiagnoseOptions) -> None:
     """Find what the model lacks to explain the logs, say what is sure of it, and add it.
 
     DIR gets diagnosis.json, report.html and plant.yaml, and next-experiment.yaml where a program
-    would decide between explanations. plant.yaml is for --plant of run, tune, compare and a next
-    diagnose. The exit code is 0 for every verdict, and 65 if the data cannot be used.
+    would decide between explanations. plant.yaml is for --plant of compare and a next diagnose;
+    of a muscle or a cylinder, of run and tune, too. The exit code is 0 for every verdict, and 65
+    if the data cannot be used.
     """
     out = asked.out
     _require_one_kind(asked)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 _NOT_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
@@ -59,3 +59,12 @@ def _restore(value: Any) -> Any:
     if isinstance(value, list):
         return [_restore(part) for part in value]
     return value
+
+
+def flatten_keys(settings: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the values of nested mappings by dotted key; an empty mapping is a value."""
+    for name, value in settings.items():
+        if isinstance(value, Mapping) and value:
+            yield from flatten_keys(value, f"{above}{name}.")
+        else:
+            yield f"{above}{name}", value

@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 
 from pamctl.exit_codes import ExitCode
-from pamctl.json_text import to_json
+from pamctl.json_text import flatten_keys, to_json
 from pamctl.log import Log
 from pamctl.log.annotation import ANNOTATION, Annotation
 from pamctl.log.measured_signals import judge_ticks
@@ -28,12 +28,18 @@ from pamctl.simulate.merit import compute_merit, summarise_durations
 def write_summary(page: Report, runs: Sequence[ReportedRun]) -> None:
     """Write the ending, the facts and the figures of merit of every run."""
     page.add(Section("Summary"))
-    for run in runs:
-        if len(runs) > 1:
-            page.add(Section(run.name, is_part=True))
+    for run in _name_each(page, runs):
         _write_ending(page, run)
         page.add(Facts(_collect_facts(run)))
     _write_merits(page, runs)
+
+
+def _name_each(page: Report, runs: Sequence[ReportedRun]) -> Iterator[ReportedRun]:
+    """Yield the runs, each below its name where there are several."""
+    for run in runs:
+        if len(runs) > 1:
+            page.add(Section(run.name, is_part=True))
+        yield run
 
 
 def _write_ending(page: Report, run: ReportedRun) -> None:
@@ -150,9 +156,7 @@ _WHERE = ("event", "tick", "t_ns", "row")
 def write_safety(page: Report, runs: Sequence[ReportedRun]) -> None:
     """Write every clip and trip with its reason and time."""
     page.add(Section("Safety"))
-    for run in runs:
-        if len(runs) > 1:
-            page.add(Section(run.name, is_part=True))
+    for run in _name_each(page, runs):
         verdicts = run.log.columns.get("verdicts")
         if verdicts is None:
             page.add(Text("The log was made without these safety rules: clips are unknown."))
@@ -175,9 +179,7 @@ def _show_span(run: ReportedRun, at: np.ndarray) -> tuple[str, str]:
 def write_events(page: Report, runs: Sequence[ReportedRun]) -> None:
     """Write the events in order."""
     page.add(Section("Events"))
-    for run in runs:
-        if len(runs) > 1:
-            page.add(Section(run.name, is_part=True))
+    for run in _name_each(page, runs):
         events = run.log.events
         if not events:
             page.add(Text("The log has no events."))
@@ -225,7 +227,7 @@ def _show_short(value: object) -> str:
 def write_differences(page: Report, runs: Sequence[ReportedRun]) -> None:
     """Write a table of the settings that differ between the runs."""
     page.add(Section("What differs"))
-    settings = [dict(_flatten_settings(run.log.config)) for run in runs]
+    settings = [dict(flatten_keys(run.log.config)) for run in runs]
     keys = dict.fromkeys(key for setting in settings for key in setting)
     rows = [
         [key, *(_show_short(setting.get(key, "-")) for setting in settings)]
@@ -236,14 +238,6 @@ def write_differences(page: Report, runs: Sequence[ReportedRun]) -> None:
         page.add(ReportTable(["setting", *(run.name for run in runs)], rows))
     else:
         page.add(Text("The runs have the same settings."))
-
-
-def _flatten_settings(settings: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in settings.items():
-        if isinstance(value, Mapping) and value:
-            yield from _flatten_settings(value, f"{above}{name}.")
-        else:
-            yield f"{above}{name}", value
 
 
 def write_settings(page: Report, runs: Sequence[ReportedRun]) -> None:
@@ -283,9 +277,7 @@ _DURATIONS = (
 def write_timing(page: Report, runs: Sequence[ReportedRun]) -> None:
     """Write the durations of a tick's parts, and which ticks were late or missed."""
     page.add(Section("Timing"))
-    for run in runs:
-        if len(runs) > 1:
-            page.add(Section(run.name, is_part=True))
+    for run in _name_each(page, runs):
         if run.fast:
             page.add(Text("Simulated without a clock: there is no timing to show."))
             continue

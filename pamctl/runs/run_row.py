@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from pamctl.exit_codes import EMERGENCY_STOP, ExitCode
+from pamctl.json_text import flatten_keys
 from pamctl.log.annotation import ANNOTATION, SWEEP, Annotation
 from pamctl.log.framing import LogError
 from pamctl.log.reader import Scan
@@ -210,15 +211,11 @@ def _read_sweep(values: Mapping[str, str]) -> dict[str, Any]:
 
 def _collect_gains(config: Mapping[str, Any]) -> dict[str, Any]:
     kept = {name: config[name] for name in ("controller", "experiment", "seed") if name in config}
-    return dict(_flatten(kept))
-
-
-def _flatten(settings: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in settings.items():
-        if isinstance(value, Mapping):
-            yield from _flatten(value, f"{above}{name}.")
-        elif isinstance(value, str | int) or (isinstance(value, float) and math.isfinite(value)):
-            yield f"{above}{name}", clean_text(value) if isinstance(value, str) else value
+    return {
+        key: clean_text(value) if isinstance(value, str) else value
+        for key, value in flatten_keys(kept)
+        if isinstance(value, str | int) or (isinstance(value, float) and math.isfinite(value))
+    }
 
 
 SettingValue = str | int | float | bool | None

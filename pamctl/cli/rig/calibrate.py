@@ -54,10 +54,7 @@ class PressureOptions(CalibrateOptions):
 def pressure(asked: PressureOptions) -> None:
     """Find the pressure sensor's zero at the atmosphere, and its gain against a reference gauge."""
     require_linux()
-    from pamctl.commissioning.calibrations import (
-        PRESSURE_POINTS_KPA,
-        calibrate_pressure,
-    )
+    from pamctl.commissioning.calibrations import PRESSURE_POINTS_KPA, calibrate_pressure
     from pamctl.commissioning.guided import CalibrationTask, check_answers
 
     settings, names = asked.resolve()
@@ -111,13 +108,10 @@ def encoder(asked: EncoderOptions) -> None:
     if asked.by not in {"hand", "muscle"}:
         raise ConfigError([Problem(f"--by {asked.by}", "", "must be 'hand' or 'muscle'")])
     settings, names = asked.resolve()
-    held: tuple[float, ...] = ()
+    held = points if asked.by == "muscle" else ()
     answers = None
-    if asked.by == "muscle":
-        held, answers = (
-            points,
-            check_answers("--displacement-mm", asked.displacements_mm or None, points),
-        )
+    if held:
+        answers = check_answers("--displacement-mm", asked.displacements_mm or None, held)
     task = CalibrationTask("encoder", settings, names["rig"], asked.out, held, work)
     _calibrate(task, answers, asked)
 

@@ -176,7 +176,7 @@ def report_diagnosis(diagnosis: Diagnosis) -> Report:
         report.add(Section("about the data"), Points(notes))
     experiment = choose_next_experiment(diagnosis)
     if experiment:
-        report.add(Section(f"next: {experiment['do']}  # {experiment['why']}"), Text(""))
+        report.add(Text(f"next: {experiment['do']}  # {experiment['why']}"))
     return report
 
 

@@ -26,13 +26,24 @@ EXPERIMENTS = {"experiment": ("tracking-2", "sine", "diagnosis", "multisine", "r
 
 
 def numbers_in(data: Any, at: str) -> Iterator[str]:
-    """Name every number of a resolved section."""
-    parts = data.items() if isinstance(data, dict) else enumerate(data)
+    """Name every number of a resolved section; of list items of one form, the first's."""
+    parts = data.items() if isinstance(data, dict) else first_of_each_form(data)
     for name, value in parts:
         if isinstance(value, dict | list):
             yield from numbers_in(value, f"{at}.{name}")
         elif isinstance(value, int | float) and not isinstance(value, bool):
             yield f"{at}.{name}"
+
+
+def first_of_each_form(parts: list[Any]) -> list[tuple[int, Any]]:
+    """Return the place and the part that come first of each form: its fields have one model."""
+    firsts: dict[Any, tuple[int, Any]] = {}
+    for place, part in enumerate(parts):
+        form: Any = type(part)
+        if isinstance(part, dict):
+            form = (part.get("kind"), part.get("wave"), *sorted(part))
+        firsts.setdefault(form, (place, part))
+    return list(firsts.values())
 
 
 @pytest.mark.long

@@ -69,3 +69,12 @@ def test_steep_stribeck_friction_is_named_with_its_numbers() -> None:
     truth, values = rig_of(case).truth, numbers_of(found)
     assert values["stribeck.rise"] == pytest.approx(truth.stribeck, rel=0.02)
     assert values["stribeck.speed_m_per_s"] == pytest.approx(truth.stribeck_m_per_s, rel=0.05)
+
+
+def test_a_quick_valve_behind_a_dead_band_is_no_delay() -> None:
+    case = Case("pair/deadband+spool", "pair", {"valve_deadband": 5.0, "valve_spool": 3.0},
+                program="short", repeat=96)  # fmt: skip
+    found = diagnose(*to_records(records_of(case)), start_plant(case))
+    assert set(names_of(found)) == {"valve_deadband", "valve_spool"}
+    true_s = 1.0 / rig_of(case).truth.spool_rad_per_s
+    assert numbers_of(found)["valve_spool.time_constant_s"] == pytest.approx(true_s, rel=0.02)

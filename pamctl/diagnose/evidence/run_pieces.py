@@ -22,6 +22,7 @@ from pamctl.diagnose.evidence.constants import (
     COARSE_STEP_S,
     FINE_STEP_S,
     LEAST_LEVELS,
+    LEAST_STEPS,
     LEVELS,
 )
 from pamctl.diagnose.evidence.measured_motion import (
@@ -180,7 +181,7 @@ class Runs:
             held_v = getattr(record, "held_v", None) if begin == 0 else None
             grids = {
                 step: build_grid(
-                    np.diff(t_s[cut]), end - begin, max(1, round(self.period_s / step)),
+                    np.diff(t_s[cut]), end - begin, max(LEAST_STEPS, round(self.period_s / step)),
                     None if acts_after is None else acts_after[cut], held_v,
                 )
                 for step in self.steps_s

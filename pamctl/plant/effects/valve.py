@@ -409,7 +409,7 @@ VALVE_SPOOL = EffectDescription(
     kind=ValveSpool, block="pressure",
     equation="s'' = w^2 (u - s) - 2 zeta w s',  A_v = K_Av s",
     parameters=(
-        size("time_constant_s", "s", 8e-3, smallest=2e-4, start=1e-3,
+        size("time_constant_s", "s", 0.1, smallest=2e-4, start=1e-3,
              meaning="1 / natural angular frequency"),
         shape("damping_ratio", "1", 0.2, 2.0, usual=0.7, smallest=0.1,
               meaning="damping of the spool"),

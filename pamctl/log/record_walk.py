@@ -289,7 +289,9 @@ def walk_records(file: memoryview) -> Iterator[FileRecord]:
 def find_records(file: memoryview) -> Iterator[FileRecord | Hole]:
     """Yield records and holes in order, to the footer or the end of the file."""
     if file[: len(MAGIC)] != MAGIC:
-        foreign = "it does not begin as an MCAP file does; `pamctl log import` reads others"
+        foreign = (
+            "it does not begin as an MCAP file does; `pamctl log import FILE LOG` reads others"
+        )
         yield Hole(Damage(0, foreign), 0, at_end=False)
     at = last = len(MAGIC)
     held_at, in_data = 0, True

@@ -131,6 +131,11 @@ def test_a_spring_that_softens_at_an_instant_is_said_with_the_instant() -> None:
     assert "begins" in term["text"]
 
 
+def test_a_leak_that_begins_half_way_is_a_change_over_time_of_the_air() -> None:
+    first, *_ = of_hostile("leak_from_half/small/random").findings
+    assert (first.level, first.hypothesis.place) == ("kind", "air")
+
+
 def test_a_leak_that_opens_at_an_instant_is_a_leak_or_what_cannot_be_told_from_it() -> None:
     first, *_ = of_hostile("leak_from_half/large/open").findings
     assert first.hypothesis.name == "leak~onset(time)"

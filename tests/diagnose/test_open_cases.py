@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnose.test_described_terms import of_hostile
 from diagnose.test_play_in_windows import MASS_KG, diagnose_belt
 from diagnose.test_setup import diagnose_spoiled
 from diagnose.test_tank import CRITICAL, diagnose_tank
@@ -118,9 +117,3 @@ def test_full_scale_squares_cannot_show_a_dead_band() -> None:
     audit = audit_run(measured("squares"), PAPER)
     assert "valve_deadband" in {spot.name for spot in audit.blind_spots}
     assert "valve_deadband" in audit_run(measured("fit"), PAPER).sees
-
-
-@wrong("a set of changes over time at two places")
-def test_a_leak_that_begins_half_way_is_a_change_over_time_of_the_air() -> None:
-    first, *_ = of_hostile("leak_from_half/small/random").findings
-    assert (first.level, first.hypothesis.place) == ("kind", "air")

@@ -79,7 +79,7 @@ def test_with_a_map_they_make_a_plant_file_and_a_diagnosis(table: Path) -> None:
 def test_compare_says_how_a_measured_file_becomes_a_log(table: Path) -> None:
     refused = run_pamctl("compare", table)
     assert refused.returncode == 65
-    assert "`pamctl log import`" in refused.stderr
+    assert "`pamctl log import FILE LOG`" in refused.stderr
 
 
 def test_a_frozen_sensor_of_a_measured_file_is_told_once(tmp_path: Path) -> None:

@@ -82,7 +82,7 @@ that differs between records is called a gap."""
 EXCHANGE_SHARE = 0.3
 """Only names whose removal costs less than this share of the whole gain are exchanged."""
 
-COARSE_STEP_S = 2e-3
+COARSE_STEP_S = 1e-3
 """Steps of the simulations that a fit compares; their error is taken from FINE steps."""
 
 LEAST_STEPS = 2

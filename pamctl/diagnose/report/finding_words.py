@@ -419,10 +419,8 @@ def _say_fault(
                 f"plant.yaml has the corrected {number}; {_MEND_NUMBER.get(number, 'measure it')}",
             )
         case "skew":
-            (word, way), ms = (
-                (("late", "earlier") if value > 0.0 else ("early", "later")),
-                f"{1e3 * abs(value):.2f} ms",
-            )
+            word, way = ("late", "earlier") if value > 0.0 else ("early", "later")
+            ms = f"{1e3 * abs(value):.2f} ms"
             return (
                 f"{column} is logged {ms} too {word} against the others",
                 f"{one_clock}; this record is mended by moving {number} {ms} {way}",
@@ -444,9 +442,8 @@ def _say_fault(
                 f"{column} is {1e-3 * value:.4g} kPa too high: the atmosphere was added twice",
                 f"{number} is absolute already: take the atmosphere out of the import map",
             )
-    text = f"{label_fault(kind, number)} is {value:.5g} {unit}".rstrip()
-    return (
-        f"{column} has the wrong sign" if kind == "sign" else text,
+    return (  # a sign
+        f"{column} has the wrong sign",
         f"change the sign of {number} in the import map or in the calibration",
     )
 

@@ -67,26 +67,6 @@ class Helm(Protocol):
         """Take note that a tick is done; changes hold from the next tick on."""
 
 
-class FixedHelm:
-    """The helm of a single run: nothing changes."""
-
-    def __init__(self, setup: TickSetup) -> None:
-        """Use `setup` in every tick."""
-        self._setup = setup
-
-    def setup(self, t_s: float) -> TickSetup:
-        """Return the one set-up."""
-        return self._setup
-
-    @property
-    def settled_setup(self) -> TickSetup | None:
-        """Return the one set-up."""
-        return self._setup
-
-    def finish_tick(self, done: TickRunner) -> None:
-        """Do nothing."""
-
-
 class ReferenceSource(Protocol):
     """Gives the reference of each tick: `Program`, or a program that takes orders."""
 
@@ -143,8 +123,7 @@ class ControlLoop:
     supervisor: Supervisor
     truth: Callable[[], Truth]
     """What a simulated plant knows."""
-    helm: Helm | None = None
-    """Without one the set-up stays as it is."""
+    helm: Helm
     opened: Callable[[], Sequence[Mapping[str, object]]] = tuple
     """Called once, right after the rig is open; returns events for the log."""
     tick: TickRunner = None  # type: ignore[assignment]
@@ -156,7 +135,6 @@ class ControlLoop:
     ending: Ending = field(default=_ENDED, init=False)
 
     def __post_init__(self) -> None:
-        self._helm = self.helm or FixedHelm(self.setup)
         self.tick = self.tick or TickRunner(self.setup)
 
     def run(self) -> Ending:
@@ -224,10 +202,10 @@ class ControlLoop:
         # tick and an abort in the next one, and the run never ends without its reason.
         abort = self.supervisor.wants_abort()
         self._obey_supervisor(at, raw, decision)
-        self._helm.finish_tick(tick)
+        self.helm.finish_tick(tick)
         if abort:
             return self.ending
-        tick.expect(self._helm.settled_setup, self.program.running)
+        tick.expect(self.helm.settled_setup, self.program.running)
         return None
 
     def _run_many(self) -> bool:
@@ -245,7 +223,7 @@ class ControlLoop:
     def _ask_and_run(self, wake: Wake, raw: RawSample) -> bool:
         """Ask program and helm, and run the tick; return False at the end of the program."""
         timing = self.tick.time(wake, raw)
-        setup = self._helm.setup(timing.t_s)
+        setup = self.helm.setup(timing.t_s)
         tick = self.tick
         reference, zero = self._ask(timing, raw)
         if zero is not None:

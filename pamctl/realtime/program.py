@@ -17,7 +17,7 @@ from pamctl.control.law_registry import read_controller
 from pamctl.realtime.gain_ramp import SHORTEST_RAMP_S, GainRamp
 from pamctl.realtime.tick import TickSetup
 from pamctl.realtime.tick_runner import TickRunner
-from pamctl.signals import Phase, Reference, Timing
+from pamctl.signals import Phase, Reference
 
 
 class Program:
@@ -133,13 +133,16 @@ class OrderSlot(Protocol):
 
 
 class CuedHelm:
-    """The helm of a single run: it does what the course has due, in the slack after a tick."""
+    """The helm of a run: it does what the course has due, in the slack after a tick.
+
+    Gains of the course hold until the end of its run.
+    """
 
     def __init__(
         self,
         setup: TickSetup,
         controller: Mapping[str, Any],
-        program: Program,
+        program: Program | None,
         journal: CueJournal,
         orders: OrderSlot | None = None,
     ) -> None:
@@ -147,10 +150,11 @@ class CuedHelm:
 
         Marks from outside come from `orders`.
         """
+        self._run = program
         self._orders = orders
         self._tuning = GainRamp(setup, read_controller(controller))
-        self._controller = controller
-        self._program = program
+        self._ordered = self._controller = controller
+        self._gains_said: list[Mapping[str, Any]] = [controller]
         self._journal = journal
 
     def setup(self, t_s: float) -> TickSetup:
@@ -163,27 +167,48 @@ class CuedHelm:
         return self._tuning.settled_setup
 
     def finish_tick(self, done: TickRunner) -> None:
-        """Put the marks that are due, and change the gains from the next tick on."""
-        timing = done.timing
+        """Do what is due, and take an order if there is one."""
+        self._obey_cues(done)
+        self._take_order(done)
+
+    def _take_order(self, done: TickRunner) -> None:
         order = self._orders.take() if self._orders is not None else None
         if order is not None:
-            put_mark(self._journal, timing, done.raw, order["text"])
-        while (cue := self._program.take_cue(timing.t_s)) is not None:
-            raw = done.raw
+            self._obey(order, done)
+
+    def _obey(self, order: Mapping[str, Any], done: TickRunner) -> None:
+        if order["do"] == "mark":
+            self._put_mark(order["text"], done)
+
+    def _obey_cues(self, done: TickRunner) -> None:
+        """Put the marks that are due, and change the gains from the next tick on."""
+        t_s = done.timing.t_s
+        while self._run is not None and (cue := self._run.take_cue(t_s)) is not None:
             if cue.gains is None:
-                put_mark(self._journal, timing, raw, cue.mark)
-                continue
-            self._controller = {**self._controller, **cue.gains}
-            said = say_gain_change(self._controller, timing.t_s, cue.ramp_s)
-            self._tuning.change(read_controller(self._controller), timing.t_s, said["ramp_s"])
-            self._journal.put_gains(timing.tick, raw.encoder_t_ns, said)
+                self._put_mark(cue.mark, done)
+            else:
+                self._ramp_gains({**self._controller, **cue.gains}, cue.ramp_s, done)
 
+    def _put_mark(self, text: str, done: TickRunner) -> None:
+        event = {"event": "mark", "text": text}
+        self._journal.put_event(done.timing.tick, done.raw.encoder_t_ns, event)
 
-def put_mark(journal: CueJournal, timing: Timing, raw: RawSample, text: str) -> None:
-    """Put a remark into the log."""
-    journal.put_event(timing.tick, raw.encoder_t_ns, {"event": "mark", "text": text})
+    def _ramp_gains(self, controller: Mapping[str, Any], ramp_s: float, done: TickRunner) -> None:
+        """Change the gains on a ramp, and put into the log all that a replay of it needs."""
+        timing, ramp_s = done.timing, max(ramp_s, SHORTEST_RAMP_S)
+        said = {**controller, "from_t_s": timing.t_s, "ramp_s": ramp_s}
+        self._gains_said = [*self._current_gains(), said]
+        self._controller = controller
+        self._tuning.change(read_controller(controller), timing.t_s, ramp_s)
+        self._journal.put_gains(timing.tick, done.raw.encoder_t_ns, said)
 
+    def _replace_gains(self, controller: Mapping[str, Any]) -> None:
+        """Take other gains at once: while no law moves the muscle."""
+        self._tuning.replace(read_controller(controller))
+        self._ordered = self._controller = controller
 
-def say_gain_change(controller: Mapping[str, Any], t_s: float, ramp_s: float) -> dict[str, Any]:
-    """Return gains as the log holds them: all that a replay of their ramp needs."""
-    return {**controller, "from_t_s": t_s, "ramp_s": max(ramp_s, SHORTEST_RAMP_S)}
+    def _current_gains(self) -> list[Mapping[str, Any]]:
+        """Return the last settled gains, and every change whose ramp is not over."""
+        if self._tuning.is_settled:
+            self._gains_said = [self._controller]
+        return self._gains_said

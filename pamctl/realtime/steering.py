@@ -14,18 +14,15 @@ from typing import Any, NamedTuple
 from hal.calibration import Zero
 from hal.rig import RawSample
 from pamctl.control.course import make_valve_reference, take_up_course
-from pamctl.control.law import LawSettings
-from pamctl.control.law_registry import read_controller
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.json_text import to_json
 from pamctl.log.run_meta import RunMeta
-from pamctl.realtime.gain_ramp import GainRamp
-from pamctl.realtime.program import OrderSlot, Program, put_mark, say_gain_change
+from pamctl.realtime.program import CuedHelm, OrderSlot, Program
 from pamctl.realtime.tick import TickSetup, freeze_state
 from pamctl.realtime.tick_runner import RunningCourse, TickRunner
 from pamctl.recording.journal import SessionJournal
 from pamctl.recording.ring import Ring
-from pamctl.signals import Phase, Reference, Timing
+from pamctl.signals import Phase, Reference
 
 
 class _ComingRun(NamedTuple):
@@ -39,8 +36,11 @@ class _ComingRun(NamedTuple):
 _ALL_THERE = object()
 
 
-class SteeredProgram:
-    """Program and gains of a loop that outlives its runs."""
+class SteeredProgram(CuedHelm):
+    """Program and helm of a loop that outlives its runs."""
+
+    _orders: OrderSlot
+    _journal: SessionJournal
 
     def __init__(
         self,
@@ -56,17 +56,11 @@ class SteeredProgram:
         `controller` holds the gains of `setup` as a file has them; `program_of` makes the
         program of an order. Within `defer_page_faults` new memory is mapped and not touched.
         """
-        self._orders = orders
-        self._journal = journal
-        self._tuning = GainRamp(setup, read_controller(controller))
-        self._gains_said: list[Mapping[str, object]] = [controller]
-        self._ordered: Mapping[str, Any] = controller
-        self._cued: Mapping[str, Any] | None = None
+        super().__init__(setup, controller, None, journal, orders)
         self._program_of = program_of
         self._defer_page_faults = defer_page_faults
         self._coming: _ComingRun | None = None
         self._safe_valve_v = setup.limits.safe_valve_v
-        self._run: Program | None = None
         self._run_ending = Ending(ExitCode.OK, "the program ended")
         self._is_over = False
         self._is_homed = False
@@ -74,10 +68,6 @@ class SteeredProgram:
         self._is_leaving = False
 
     # --- what the loop asks in each tick ----------------------------------------------
-
-    def setup(self, t_s: float) -> TickSetup:
-        """Return the set-up with the gains of the moment."""
-        return self._tuning.at(t_s)
 
     def next_reference(self, t_s: float, sample: RawSample) -> tuple[Reference | None, Zero | None]:
         """Return what is asked of the muscle at `t_s`; None when the loop is to end.
@@ -98,11 +88,6 @@ class SteeredProgram:
     def next_cue_s(self) -> float:
         """When the next cue of the present run is due, s."""
         return math.inf if self._run is None else self._run.next_cue_s
-
-    @property
-    def settled_setup(self) -> TickSetup | None:
-        """The set-up of the next tick, whenever it is; None while gains are on a ramp."""
-        return self._tuning.settled_setup
 
     def rehearse_reference(self, t_s: float) -> Reference | None:
         """Return the reference that the present run would give, and change nothing."""
@@ -147,29 +132,24 @@ class SteeredProgram:
     # --- what the loop lets happen after each tick -----------------------------------------
 
     def finish_tick(self, done: TickRunner) -> None:
-        """Close a run that is over, and take an order if there is one.
-
-        While a ring is attached no order is taken: orders hold in their sequence.
-        """
+        """Close a run that is over, do what is due, and take an order if there is one."""
         self._valve_v = done.decision.valve_v
-        timing, raw = done.timing, done.raw
         self._journal.close_a_little()
         if self._is_over:
-            self._end_run(timing, raw)
-        elif self._run is not None:
-            self._obey_cues(self._run, timing, raw)
+            self._end_run(done)
+        super().finish_tick(done)
+
+    def _take_order(self, done: TickRunner) -> None:
+        """Take none while a ring is attached: orders hold in their sequence."""
         coming = self._coming
         if coming is not None and not self._is_leaving:
             if next(coming.pages, _ALL_THERE) is _ALL_THERE:
                 self._coming = None
                 self._begin_run(coming.order, coming.ring, done)
-            return
-        order = self._orders.take()
-        if order is not None:
-            self._obey(order, done)
+        else:
+            super()._take_order(done)
 
     def _obey(self, order: Mapping[str, Any], done: TickRunner) -> None:
-        timing, raw = done.timing, done.raw
         match order["do"]:
             case "run":
                 if order["ring"] is not None:
@@ -177,11 +157,11 @@ class SteeredProgram:
                 elif self._run is not None:  # it may just have ended: without it there is no log
                     self._begin_run(order, None, done)
             case "gains":
-                self._change_gains(order, timing, raw)
+                self._change_gains(order, done)
             case "stop":
-                self._stop_run(order["reason"], timing, raw)
-            case "mark":
-                put_mark(self._journal, timing, raw, order["text"])
+                self._stop_run(order["reason"], done)
+            case _:
+                super()._obey(order, done)
 
     def _attach(self, order: Mapping[str, Any]) -> _ComingRun:
         """Map the ring of an order; a few of its pages are touched after each of the next ticks.
@@ -198,11 +178,10 @@ class SteeredProgram:
 
         The course may come with the ring, worked out: to do that here could take seconds.
         """
-        timing, raw, state = done.timing, done.raw, done.state
-        now = (timing.tick, raw.encoder_t_ns)
+        now = (done.timing.tick, done.raw.encoder_t_ns)
         if ring is not None:
-            self._end_run(timing, raw)  # ends the holding of a position
-            self._journal.begin_run(ring, *now, self._current_gains(), freeze_state(state))
+            self._end_run(done)  # ends the holding of a position
+            self._journal.begin_run(ring, *now, self._current_gains(), freeze_state(done.state))
         # All that the program depends on is recorded: a replay runs the program again.
         start = {"start_m": self._position_m(done), "homes": not self._is_homed}
         if ring is not None and ring.cargo_bytes:
@@ -217,59 +196,26 @@ class SteeredProgram:
         self._run_ending = Ending(ExitCode.OK, self._run.end_reason)
         self._is_homed = True  # if homing fails, the loop ends
 
-    def _change_gains(self, order: Mapping[str, Any], timing: Timing, raw: RawSample) -> None:
-        settings = read_controller(order["controller"])
-        self._ordered, self._cued = order["controller"], None
+    def _change_gains(self, order: Mapping[str, Any], done: TickRunner) -> None:
         if self._run is None:
-            self._tuning.replace(settings)
-            self._gains_said = [order["controller"]]
-            return
-        self._ramp_gains(settings, order["controller"], order["ramp_s"], timing, raw)
+            self._replace_gains(order["controller"])
+        else:
+            self._ramp_gains(order["controller"], order["ramp_s"], done)
+            self._ordered = order["controller"]
 
-    def _ramp_gains(
-        self,
-        settings: LawSettings,
-        controller: Mapping[str, Any],
-        ramp_s: float,
-        timing: Timing,
-        raw: RawSample,
-    ) -> None:
-        said = say_gain_change(controller, timing.t_s, ramp_s)
-        self._gains_said = [*self._current_gains(), said]
-        self._tuning.change(settings, timing.t_s, said["ramp_s"])
-        self._journal.put_gains(timing.tick, raw.encoder_t_ns, said)
-
-    def _obey_cues(self, run: Program, timing: Timing, raw: RawSample) -> None:
-        """Do what the course has due: marks, and gains that hold until the end of the run."""
-        while (cue := run.take_cue(timing.t_s)) is not None:
-            if cue.gains is None:
-                put_mark(self._journal, timing, raw, cue.mark)
-                continue
-            self._cued = {**(self._cued or self._ordered), **cue.gains}
-            settings = read_controller(self._cued)
-            self._ramp_gains(settings, self._cued, cue.ramp_s, timing, raw)
-
-    def _current_gains(self) -> list[Mapping[str, object]]:
-        """Return the last settled gains, and every change whose ramp is not over."""
-        if self._tuning.is_settled:
-            last = dict(self._gains_said[-1])
-            self._gains_said = [{k: v for k, v in last.items() if k not in ("from_t_s", "ramp_s")}]
-        return self._gains_said
-
-    def _stop_run(self, reason: str, timing: Timing, raw: RawSample) -> None:
+    def _stop_run(self, reason: str, done: TickRunner) -> None:
         if self._run is None or self._run.is_stopping:
             return
         self._run_ending = Ending(ExitCode.OK, reason)
-        self._run.begin_stop(timing.t_s, self._valve_v)
+        self._run.begin_stop(done.timing.t_s, self._valve_v)
         event = {"event": "stopping", "reason": reason}
-        self._journal.put_event(timing.tick, raw.encoder_t_ns, event)
+        self._journal.put_event(done.timing.tick, done.raw.encoder_t_ns, event)
 
-    def _end_run(self, timing: Timing, raw: RawSample) -> None:
-        self._journal.end_run(timing.tick, raw.encoder_t_ns, self._run_ending)
+    def _end_run(self, done: TickRunner) -> None:
+        self._journal.end_run(done.timing.tick, done.raw.encoder_t_ns, self._run_ending)
         self._run, self._is_over = None, False
-        if self._cued is not None:  # a run's own gains end with it
-            self._tuning.replace(read_controller(self._ordered))
-            self._gains_said, self._cued = [self._ordered], None
+        if self._controller is not self._ordered:  # a run's own gains end with it
+            self._replace_gains(self._ordered)
 
     def _position_m(self, done: TickRunner) -> float:
         """Return where a motion begins: at the reference, or else at the muscle's position."""

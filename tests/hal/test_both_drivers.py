@@ -30,6 +30,7 @@ from support.runs import (
     ScriptedSupervisor,
     run,
     run_settings,
+    steered,
 )
 
 from hal.comedi.comedi_backend import ComediSettings
@@ -40,7 +41,6 @@ from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.guardian import drive_safe
 from pamctl.realtime.clock import Clock
 from pamctl.realtime.loop import ControlLoop
-from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import ConfigError, resolve
 from pamctl.signals import Truth
 
@@ -486,10 +486,7 @@ def test_card_and_simulation_give_the_same_ticks(
     ending = ControlLoop(
         rig=rig,
         clock=clock,
-        setup=build_tick_setup(settings),
-        nominal_zero=nominal_zero_of(settings),
-        program=build_program(settings),
-        journal=journal,
+        **steered(settings, journal),
         supervisor=ScriptedSupervisor(),
         truth=lambda: Truth(math.nan, math.nan),
     ).run()

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import pytest
 from standin.standin import PERMIT, Card, here
 from support.card_rigs import READ_COUNT, READ_VOLTS, WRITE, hardware_timed, on_demand
-from support.runs import AO_STEP_V, MemoryJournal, ScriptedSupervisor, parts, run_settings
+from support.runs import AO_STEP_V, MemoryJournal, ScriptedSupervisor, parts, run_settings, steered
 
 from hal.faulty import FaultSettings, FaultyRig
 from hal.rig import RawSample, Rig
@@ -33,7 +33,6 @@ from pamctl.safety import (
     STROKE_LIMIT,
     TRACKING_ERROR,
 )
-from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings
 from pamctl.signals import Truth
 
@@ -209,10 +208,7 @@ def ran(
         ending = ControlLoop(
             rig=Spoiled(made.rig, lambda: made.spoil(fault)),  # type: ignore[arg-type]
             clock=made.clock,
-            setup=build_tick_setup(settings),
-            nominal_zero=nominal_zero_of(settings),
-            program=build_program(settings),
-            journal=journal,
+            **steered(settings, journal),
             supervisor=supervisor or ScriptedSupervisor(),
             truth=made.truth,
         ).run()
@@ -284,16 +280,13 @@ def test_an_exception_in_the_law_leaves_the_output_safe(
     monkeypatch.setitem(CARD, "none", lambda card: None)
     settings = run_settings(*MOVING)
     made, journal = BENCHES[bench](settings, "none"), MemoryJournal()
-    setup = build_tick_setup(settings)
+    steering = steered(settings, journal)
     with pytest.raises(ZeroDivisionError, match="in the law"):
         ControlLoop(
             rig=made.rig,
             clock=made.clock,
-            setup=setup,
-            tick=TickRunner(setup, PlainCall),
-            nominal_zero=nominal_zero_of(settings),
-            program=build_program(settings),
-            journal=journal,
+            tick=TickRunner(steering["setup"], PlainCall),
+            **steering,
             supervisor=ScriptedSupervisor(),
             truth=made.truth,
         ).run()

@@ -16,6 +16,7 @@ from support.runs import (
     parts,
     run,
     run_settings,
+    steered,
 )
 
 from hal.faulty import FaultSettings
@@ -34,7 +35,7 @@ from pamctl.safety import (
     TRACKING_ERROR,
     explain_verdicts,
 )
-from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
+from pamctl.settings.build import build_tick_setup
 from pamctl.signals import Phase
 
 SHORT = (
@@ -253,10 +254,7 @@ def test_the_ending_is_told_once_the_valve_is_safe_and_before_the_device_is_rele
     ending = loop.ControlLoop(
         rig=made.whole,
         clock=made.clock,
-        setup=build_tick_setup(settings),
-        nominal_zero=nominal_zero_of(settings),
-        program=build_program(settings),
-        journal=MemoryJournal(),
+        **steered(settings, MemoryJournal()),
         supervisor=ScriptedSupervisor(),
         truth=lambda: loop.Truth(0.0, 0.0),
         ended=lambda ending: told.append((ending, made.rig.output_v, made.rig._is_open)),
@@ -292,10 +290,7 @@ def test_the_ending_is_told_where_a_device_does_not_open() -> None:
     ending = loop.ControlLoop(
         rig=Shut(made.whole),  # type: ignore[arg-type]
         clock=made.clock,
-        setup=build_tick_setup(settings),
-        nominal_zero=nominal_zero_of(settings),
-        program=build_program(settings),
-        journal=MemoryJournal(),
+        **steered(settings, MemoryJournal()),
         supervisor=ScriptedSupervisor(),
         truth=lambda: loop.Truth(0.0, 0.0),
         ended=told.append,
@@ -567,10 +562,7 @@ def test_a_record_says_how_late_the_tick_was_and_how_long_its_parts_took() -> No
     ending = loop.ControlLoop(
         rig=made.whole,
         clock=clock,
-        setup=build_tick_setup(settings),
-        nominal_zero=nominal_zero_of(settings),
-        program=build_program(settings),
-        journal=journal,
+        **steered(settings, journal),
         supervisor=ScriptedSupervisor(),
         truth=lambda: loop.Truth(0.0, 0.0),
     ).run()

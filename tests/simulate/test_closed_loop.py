@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from support.runs import MemoryJournal, ScriptedSupervisor
+from support.runs import MemoryJournal, ScriptedSupervisor, steered
 
 from hal.sim import sensor_chain
 from pamctl.control.experiment import plan_experiment
@@ -24,7 +24,7 @@ from pamctl.exit_codes import Ending, ExitCode
 from pamctl.plant.model import plant_parameters
 from pamctl.processes.backends import build_clock, build_rig
 from pamctl.realtime.loop import ControlLoop
-from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
+from pamctl.settings.build import build_tick_setup
 from pamctl.settings.resolve import RunSettings, resolve
 from pamctl.signals import Phase, Reference, TickRecord
 from pamctl.simulate.closed_loop import (
@@ -93,10 +93,7 @@ def real_loop(settings: RunSettings) -> Run:
     ending = ControlLoop(
         rig=parts.rig,
         clock=clock,
-        setup=build_tick_setup(settings),
-        nominal_zero=nominal_zero_of(settings),
-        program=build_program(settings),
-        journal=journal,
+        **steered(settings, journal),
         supervisor=ScriptedSupervisor(),
         truth=parts.truth,
     ).run()

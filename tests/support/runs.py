@@ -17,6 +17,7 @@ from pamctl.plant.model import plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.realtime.clock import VirtualClock
 from pamctl.realtime.loop import ControlLoop
+from pamctl.realtime.program import CuedHelm
 from pamctl.realtime.tick_runner import TickRunner
 from pamctl.recording.rows import (
     COMPENSATED_TICK,
@@ -164,6 +165,19 @@ def parts(
     return Faulted(rig, FaultyRig(rig, faults), plant, clock)
 
 
+def steered(settings: RunSettings, journal: MemoryJournal) -> dict[str, Any]:
+    """Return the parts of a loop that steer it, and the journal that they write into."""
+    setup, program = build_tick_setup(settings), build_program(settings)
+    gains = settings.controller.model_dump(mode="json")
+    return {
+        "setup": setup,
+        "nominal_zero": nominal_zero_of(settings),
+        "program": program,
+        "helm": CuedHelm(setup, gains, program, journal),
+        "journal": journal,
+    }
+
+
 def run(
     settings: RunSettings,
     *faults: FaultSettings,
@@ -177,15 +191,12 @@ def run(
     """Run the loop to its end, on the settings' plant or another one; `plain` in Python."""
     made = parts(settings, faults, missed, plant)
     journal = journal or MemoryJournal()
-    setup = build_tick_setup(settings)
+    steering = steered(settings, journal)
     ending = ControlLoop(
         rig=wrap(made.whole),
         clock=made.clock,
-        setup=setup,
-        tick=TickRunner(setup, PlainCall) if plain else None,
-        nominal_zero=nominal_zero_of(settings),
-        program=build_program(settings),
-        journal=journal,
+        tick=TickRunner(steering["setup"], PlainCall) if plain else None,
+        **steering,
         supervisor=supervisor or ScriptedSupervisor(),
         truth=lambda: Truth(made.plant.position_m, made.plant.pressure_pa),
     ).run()

@@ -16,7 +16,6 @@ from pamctl.realtime.steering import SteeredProgram
 from pamctl.realtime.tick import TickSetup
 from pamctl.realtime.tick_runner import TickCost, TickRunner, rehearse_tick_s
 from pamctl.recording.journal import RingJournal, SessionJournal
-from pamctl.recording.log_journal import LogJournal
 from pamctl.settings.build import (
     build_ordered_program,
     build_program,
@@ -31,7 +30,7 @@ _UNPREPARED = Preparation("off", (), ExitStack())
 
 def compose_loop(
     settings: RunSettings,
-    journal: RingJournal | LogJournal,
+    journal: RingJournal,
     supervisor: Supervisor,
     orders: OrderSlot | None = None,
     preparation: Preparation = _UNPREPARED,

@@ -1,35 +1,42 @@
 """A run without a clock in this one process, for systems without rings in shared memory.
 
-It is the same loop on the same simulated rig, and gives the same rows as `loop_main` with its
-recorder. No valve depends on it: if this process dies, the log ends with the last whole chunk.
+It is the same loop on the same simulated rig, with ring and recorder as everywhere, and gives the
+same rows. No valve depends on it: if this process dies, the log ends with the last whole chunk.
 """
 
 from __future__ import annotations
 
-import os
 import signal
+import time
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from types import FrameType
 
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log.run_meta import RunMeta
-from pamctl.log.writer import LogWriter
 from pamctl.processes.backends import require_backend
 from pamctl.processes.compose_loop import compose_loop
-from pamctl.recording.drain import RowLogger
-from pamctl.recording.journal import make_outcome_event
-from pamctl.recording.log_journal import LogJournal
+from pamctl.recording.journal import (
+    RingJournal,
+    make_outcome_event,
+    put_event_for_dead_loop,
+    wait_for_recorder,
+)
+from pamctl.recording.recorder_thread import RecordedRun
+from pamctl.recording.ring import Ring
 from pamctl.settings.resolve import RunSettings
 
+_TELL_EVERY_S = 0.05
 
-class _Interrupt:
-    """Ends the run smoothly at the first Ctrl-C, and at once at the second."""
 
-    def __init__(self) -> None:
+class _Watch:
+    """Tells the progress; ends the run smoothly at the first Ctrl-C, at once at the second."""
+
+    def __init__(self, ring: Ring, tell: Callable[[Mapping[str, float]], None]) -> None:
+        self._ring, self._tell = ring, tell
+        self._told_s = 0.0
         self._count = 0
 
-    def __enter__(self) -> _Interrupt:
+    def __enter__(self) -> _Watch:
         self._before = signal.signal(signal.SIGINT, self._note)
         return self
 
@@ -40,6 +47,10 @@ class _Interrupt:
         self._count += 1
 
     def find_stop(self, tick: int) -> Ending | None:
+        now_s = time.monotonic()
+        if now_s - self._told_s >= _TELL_EVERY_S and (newest := self._ring.latest_tick()):
+            self._told_s = now_s
+            self._tell(newest)
         return Ending(ExitCode.SIGINT, "stopped by SIGINT") if self._count else None
 
     def wants_abort(self) -> bool:
@@ -53,21 +64,19 @@ def run_here(
 ) -> Ending:
     """Run a simulation to its end, with its log at `meta.log_path`; return how it ended.
 
-    Raise OSError if the log cannot be written.
+    `tell` is called with the newest tick's columns from time to time. Raise `LogError` or OSError
+    if the log cannot be written.
     """
     require_backend(settings)
-    with Path(meta.log_path).open("xb") as file:
-        writer = LogWriter(file)
-        journal = LogJournal(RowLogger(writer, meta), meta, tell)
-        try:
-            with _Interrupt() as interrupt:
-                ending = compose_loop(settings, journal, interrupt).run()
-        # The log keeps every tick until then.
-        except Exception as error:
-            ending = Ending(ExitCode.UNEXPECTED, f"{type(error).__name__}: {error}")
-        journal.put_last_event(make_outcome_event(ending))
-        journal.write_chunk()
-        writer.finish()
-        file.flush()
-        os.fsync(file.fileno())
+    ring = Ring.in_memory(meta, settings.rig.loop.ring_rows)
+    wait_for_recorder(ring)
+    run = RecordedRun("run", ring)
+    try:
+        with _Watch(ring, tell) as watch:
+            ending = compose_loop(settings, RingJournal(ring), watch).run()
+    # The log keeps every tick until then.
+    except Exception as error:
+        ending = Ending(ExitCode.UNEXPECTED, f"{type(error).__name__}: {error}")
+    put_event_for_dead_loop(ring, make_outcome_event(ending))
+    run.finish()
     return ending

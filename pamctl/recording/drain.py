@@ -46,6 +46,8 @@ SYNC_S = 1.0
 STALLED_S = 1.0
 """A loop without a sign of life for this time, whose owner is gone, counts as dead."""
 
+_sync_data = getattr(os, "fdatasync", os.fsync)  # other systems know only the whole
+
 _MESSAGE_BYTES = 31 + 16
 """Bytes of a message beside its payload: frame and index entry."""
 
@@ -206,7 +208,7 @@ class _Recording:
         self._full = False
         # A slow disk may take seconds. Meanwhile the ring must be emptied and beats must go on.
         self._syncing = ThreadPoolExecutor(1)
-        self._sync = self._syncing.submit(os.fdatasync, file.fileno())
+        self._sync = self._syncing.submit(_sync_data, file.fileno())
         self._chunk_at = self._synced_at = monotonic()
         # A small ring must be emptied before it holds the preferred number of rows.
         self._least = min(CHUNK_ROWS, ring.rows // 8)
@@ -227,7 +229,7 @@ class _Recording:
             self._chunk_at = now
         if now - self._synced_at >= SYNC_S and self._sync.done():
             self._sync.result()
-            self._sync = self._syncing.submit(os.fdatasync, self._file.fileno())
+            self._sync = self._syncing.submit(_sync_data, self._file.fileno())
             self._synced_at = now
 
     def finish(self) -> None:
@@ -306,7 +308,9 @@ class Reserve:
         os.ftruncate(self._fd, position)
 
     def _allocate(self, start: int, end: int) -> None:
-        import resource  # other systems have none, and reserve nothing
+        if sys.platform != "linux":  # nothing can be reserved there, and no valve depends on it
+            return
+        import resource
 
         limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
         if limit != resource.RLIM_INFINITY and end > limit:

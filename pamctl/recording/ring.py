@@ -13,6 +13,8 @@ reorder stores and reads: there the side that reads asks the kernel for a full b
 on which a process with a ring runs (`membarrier`), so that the loop pays nothing, or the ring is
 refused. Header words are eight aligned bytes: no processor of 64 bits tears them.
 
+A ring without a file is for two threads of one process.
+
 Rows and header are little-endian; times are nanoseconds of the monotonic clock.
 """
 
@@ -117,6 +119,32 @@ def _give_name(fd: int, path: Path) -> None:
         os.close(directory)
 
 
+def _lay_out(meta: RunMeta, rows: int, cargo: bytes) -> tuple[bytes, int]:
+    """Return what stands before the rows of a new ring, and the bytes of the whole ring."""
+    text = replace(meta, log_path=os.path.abspath(meta.log_path)).to_text()
+    before_rows = len(text) + len(cargo)
+    rows_at = HEADER_BYTES + -(-before_rows // mmap.PAGESIZE) * mmap.PAGESIZE
+    words = (_VERSION, ROW_BYTES, rows, len(text), rows_at, len(cargo))
+    header = struct.pack("<8s6Q", _MAGIC, *words).ljust(HEADER_BYTES, b"\0")
+    return header + text + cargo, rows_at + rows * ROW_BYTES
+
+
+def _map_file(fd: int, *, populate: bool) -> mmap.mmap:
+    mapped = mmap.mmap(fd, 0, flags=mmap.MAP_SHARED | (mmap.MAP_POPULATE if populate else 0))
+    if populate:
+        for _ in _populate(mapped, len(mapped)):
+            pass
+    return mapped
+
+
+def _populate(mapped: mmap.mmap, step_bytes: int) -> Iterator[None]:
+    for start in range(0, len(mapped), step_bytes):
+        with contextlib.suppress(OSError):
+            length = min(step_bytes, len(mapped) - start)
+            mapped.madvise(_MADV_POPULATE_WRITE, start, length)
+        yield
+
+
 class _Word:
     """A 64-bit word of the header, at `index`. Only one process writes each word."""
 
@@ -172,28 +200,16 @@ class Ring:
     """Not zero once the guardian is dead or frozen. Written by the front."""
 
     def __init__(
-        self,
-        path: Path,
-        fd: int,
-        *,
-        populate: bool = True,
-        writable: bool = True,
-        meta: RunMeta | None = None,
+        self, path: Path, fd: int, mapped: mmap.mmap, *, meta: RunMeta | None = None
     ) -> None:
-        """Map the ring behind `fd`, which this object owns from now on.
+        """Use the ring in `mapped`, whose file `fd` this object owns from now on; -1 for none.
 
-        Without `populate` the caller goes through `populate_in_steps` before it puts rows. With
-        `meta` that of the ring, which may be long, is not read.
+        With `meta` that of the ring, which may be long, is not read.
         """
         self.path = path
         self._fd = fd
-        self._barrier = barrier_of_this_machine()
-        self._map = mmap.mmap(
-            fd,
-            0,
-            flags=mmap.MAP_SHARED | (mmap.MAP_POPULATE if populate else 0),
-            prot=mmap.PROT_READ | (mmap.PROT_WRITE if writable else 0),
-        )
+        self._barrier = barrier_of_this_machine() if fd >= 0 else _do_nothing
+        self._map = mapped
         self._buffer = memoryview(self._map)
         self._check_header()
         self._words = self._buffer[:HEADER_BYTES].cast("Q")
@@ -208,9 +224,6 @@ class Ring:
         """Called in a full ring with the test for room; it returns when there is room, or none to
         be expected. None: nobody waits, as a clock goes on meanwhile."""
         self._prepare_packing()
-        if populate:
-            for _ in self.populate_in_steps(len(self._map)):
-                pass
 
     @classmethod
     def create(cls, path: str | Path, meta: RunMeta, rows: int = 16384, cargo: bytes = b"") -> Ring:
@@ -220,33 +233,42 @@ class Ring:
         allocated now, not later when shared memory may be full.
         """
         path = Path(path)
-        text = replace(meta, log_path=os.path.abspath(meta.log_path)).to_text()
-        before_rows = len(text) + len(cargo)
-        rows_at = HEADER_BYTES + -(-before_rows // mmap.PAGESIZE) * mmap.PAGESIZE
-        words = (_VERSION, ROW_BYTES, rows, len(text), rows_at, len(cargo))
-        header = struct.pack("<8s6Q", _MAGIC, *words)
+        front, size = _lay_out(meta, rows, cargo)
         with _explain_errors(f"cannot make the ring {path}"):
             fd = os.open(path.parent, os.O_TMPFILE | os.O_RDWR | os.O_CLOEXEC, 0o600)
             with _close_on_error(fd):
-                os.posix_fallocate(fd, 0, rows_at + rows * ROW_BYTES)
-                os.pwrite(fd, header, 0)
-                os.pwrite(fd, text, HEADER_BYTES)
-                os.pwrite(fd, cargo, HEADER_BYTES + len(text))
-                ring = cls(path, fd)
+                os.posix_fallocate(fd, 0, size)
+                os.pwrite(fd, front, 0)
+                ring = cls(path, fd, _map_file(fd, populate=True))
                 ring.loop_beat_ns = monotonic_ns()
                 ring.hold()
                 _give_name(fd, path)
         return ring
 
     @classmethod
+    def in_memory(cls, meta: RunMeta, rows: int = 16384) -> Ring:
+        """Make a ring for two threads of this process, on any system; it is gone with the process.
+
+        The interpreter's lock keeps their accesses in order, so it needs no barrier.
+        """
+        front, size = _lay_out(meta, rows, b"")
+        mapped = mmap.mmap(-1, size)
+        mapped[: len(front)] = front
+        return cls(Path(), -1, mapped)
+
+    @classmethod
     def attach(
         cls, path: str | Path, *, populate: bool = True, meta: RunMeta | None = None
     ) -> Ring:
-        """Map an existing ring; raise RingError if it is not a ring of this version."""
+        """Map an existing ring; raise RingError if it is not a ring of this version.
+
+        Without `populate` the caller goes through `populate_in_steps` before it puts rows. With
+        `meta` that of the ring, which may be long, is not read.
+        """
         with _explain_errors(f"cannot attach to the ring {path}"):
             fd = open_regular(Path(path), os.O_RDWR, "me")
             with _close_on_error(fd):
-                return cls(Path(path), fd, populate=populate, meta=meta)
+                return cls(Path(path), fd, _map_file(fd, populate=populate), meta=meta)
 
     @classmethod
     def watch(cls, path: str | Path) -> Ring:
@@ -254,7 +276,7 @@ class Ring:
         with _explain_errors(f"cannot look into the ring {path}"):
             fd = open_regular(Path(path), os.O_RDONLY, "any")
             with _close_on_error(fd):
-                return cls(Path(path), fd, populate=False, writable=False)
+                return cls(Path(path), fd, mmap.mmap(fd, 0, prot=mmap.PROT_READ))
 
     def read_cargo(self, start: int, size: int) -> bytes:
         """Return so many bytes of the cargo from a place on."""
@@ -266,13 +288,9 @@ class Ring:
         os.fchown(self._fd, -1, group)
         os.fchmod(self._fd, 0o640)
 
-    def populate_in_steps(self, step_bytes: int = _POPULATE_BYTES) -> Iterator[None]:
+    def populate_in_steps(self) -> Iterator[None]:
         """Touch every page: the first write to a mapped page would fault within a tick."""
-        for start in range(0, len(self._map), step_bytes):
-            with contextlib.suppress(OSError):
-                length = min(step_bytes, len(self._map) - start)
-                self._map.madvise(_MADV_POPULATE_WRITE, start, length)
-            yield
+        return _populate(self._map, _POPULATE_BYTES)
 
     def _check_header(self) -> None:
         if len(self._buffer) < HEADER_BYTES or self._buffer[: len(_MAGIC)] != _MAGIC:
@@ -507,14 +525,16 @@ class Ring:
 
     def unlink(self) -> None:
         """Remove the file if it exists; processes that mapped it keep their memory."""
-        self.path.unlink(missing_ok=True)
+        if self._fd >= 0:
+            self.path.unlink(missing_ok=True)
 
     def close(self) -> None:
         """Unmap, and release the lock."""
         self._words.release()
         self._buffer.release()
         self._map.close()
-        os.close(self._fd)
+        if self._fd >= 0:
+            os.close(self._fd)
 
     def close_in_steps(self, step_bytes: int = _POPULATE_BYTES) -> Iterator[None]:
         """Give back some pages in each step, and close in the last; the ring keeps its content.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
@@ -21,14 +21,14 @@ from pamctl.log.run_meta import RunMeta
 from pamctl.processes.backends import require_backend
 from pamctl.processes.compose_loop import compose_loop
 from pamctl.processes.run_once import make_run_meta, new_ring_path
-from pamctl.recording.drain import record_run
 from pamctl.recording.journal import (
     SessionJournal,
     make_outcome_event,
     put_event_for_dead_loop,
     wait_for_recorder,
 )
-from pamctl.recording.ring import RecorderFlag, Ring, RingError, RingFull
+from pamctl.recording.recorder_thread import RecordedRun
+from pamctl.recording.ring import Ring, RingError, RingFull
 from pamctl.session.pamctl_error import hold_back_ctrl_c
 from pamctl.settings.resolve import RunSettings
 from pamctl.signals import Phase
@@ -60,7 +60,7 @@ class InProcessLoop:
         """Begin parked and not homed."""
         require_backend(settings)
         self._settings = settings
-        self.run: _Run | None = None
+        self.run: RecordedRun | None = None
         self.runs_begun = 0
         self.pids: dict[str, int] = {}
         self._ending: Ending | None = None
@@ -73,8 +73,7 @@ class InProcessLoop:
         self._goal: Callable[[], bool] | None = None
         self._wants_turn = self._wants_abort = self._is_leaving = False
         meta = make_run_meta(settings, names, Path("/nonexistent"))
-        self._ring = Ring.create(new_ring_path().with_suffix(".session"), meta, _SESSION_ROWS)
-        self._ring.unlink()
+        self._ring = Ring.in_memory(meta, _SESSION_ROWS)
         self._journal = _TickedJournal(self._ring, self)
         self._thread = threading.Thread(target=self._work, name="simulated loop", daemon=True)
         self._thread.start()
@@ -159,9 +158,8 @@ class InProcessLoop:
     def begin(self, name: str, meta: RunMeta, rows: int, course: bytes) -> None:
         """Begin a run with its own log."""
         ring = Ring.create(new_ring_path(), meta, rows, course)
-        run = _Run(name, Path(meta.log_path), ring)
         try:
-            run.start_recorder()
+            run = RecordedRun(name, ring)
         except (LogError, OSError) as error:
             raise RequestRefusedError(str(error)) from error
         before, self.run = self.run, run
@@ -258,49 +256,3 @@ class _TickedJournal(SessionJournal):
     def put_row(self, row: bytearray, late_s: float, missed: int) -> None:
         self._loop.note_tick(row)
         super().put_row(row, late_s, missed)
-
-
-@dataclass
-class _Run:
-    """A run, whose log is written in a thread; as the owner of the recording it never leaves."""
-
-    name: str
-    log: Path
-    ring: Ring
-    gone = False
-    _failure: Exception | None = None
-    _is_over: threading.Event = field(default_factory=threading.Event)
-
-    @property
-    def is_over(self) -> bool:
-        return self._is_over.is_set() or bool(self.ring.loop_done)
-
-    def start_recorder(self) -> None:
-        """Open the log; raise `LogError` where it cannot be written."""
-        self._thread = threading.Thread(target=self._record, name="recorder", daemon=True)
-        self._thread.start()
-        while not (self.ring.recorder_flags & RecorderFlag.READY or self._failure):
-            self._is_over.wait(1e-3)
-        if self._failure is not None:
-            self.finish()
-
-    def wait(self, seconds: float) -> None:
-        """Sleep between two looks into the ring, or until the run is over."""
-        self._is_over.wait(seconds)
-
-    def finish(self) -> None:
-        """Return when the log is whole; raise what kept it from being written."""
-        self.ring.loop_done = 1
-        self._is_over.set()
-        self._thread.join()
-        self.ring.unlink()
-        self.ring.close()
-        if self._failure is not None:
-            raise self._failure
-
-    def _record(self) -> None:
-        try:
-            record_run(self.ring, self)
-        except Exception as error:
-            self._failure = error
-            self.ring.raise_flag(RecorderFlag.FAILED)

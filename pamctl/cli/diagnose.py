@@ -77,7 +77,7 @@ def diagnose(asked: DiagnoseOptions) -> None:
 
     DIR gets diagnosis.json, report.html and plant.yaml, and next-experiment.yaml where a program
     would decide between explanations. plant.yaml is for --plant of compare and a next diagnose;
-    of a muscle or a cylinder, of run and tune, too. The exit code is 0 for every verdict, and 65
+    of what a law can move, of run and tune, too. The exit code is 0 for every verdict, and 65
     if the data cannot be used.
     """
     out = asked.out

@@ -32,7 +32,7 @@ class TuneOptions(Options):
     """`pamctl tune`."""
 
     law: str | None = option(
-        "--law NAME", "Control law to tune", shown="with --check: that of the gains"
+        "--law NAME", "Control law to tune", shown="pid; with --check: that of the gains"
     )
     controller_from: str | None = CONTROLLER_FROM
     plants: list[str] = option(
@@ -71,7 +71,7 @@ class TuneOptions(Options):
     )
     seed: int = option("--seed N", "Seed of drawn plants and search", 0, low=0)
     out: Path | None = option(
-        "--out GAINS.yaml", "New file for the gains", shown="required, except with --check"
+        "--out GAINS.yaml", "New file for the gains", shown="gains.yaml; with --check none"
     )
     generations: int = option(
         "--generations N", "Number of search generations", 40, low=1, high=100_000
@@ -104,6 +104,9 @@ def tune(asked: TuneOptions) -> None:
     if asked.controller_from is not None:
         file_law = use_law_file(asked.controller_from)
         wanted = file_law if asked.law is None and asked.check is None else asked.law
+    if asked.check is None:
+        wanted = wanted or "pid"
+        asked.out = asked.out or Path("gains.yaml")
     base = None
     if asked.experiment or asked.rig or asked.overrides:
         first = asked.plants[0] if asked.plants else None

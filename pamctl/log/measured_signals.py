@@ -105,9 +105,11 @@ def signals(log: Log) -> Signals:
 
     In a log of pamctl the valve command is the output that the converter really applied, at the
     tick at which it applied it: one tick later if a sample clock paces the card. The calibration in
-    the log turns it back into a command; raise LogError if there is none.
+    the log turns it back into a command; raise LogError if there is none. Of an axis whose plant
+    file states its drive, the force at a sample is the mean of those before and after it.
     """
     count, held_v = len(log), None
+    force_n = log.columns.get("force_n")
     if log.is_imported:
         valve = log.columns.get("valve_v")
         stated_s = float(log.metadata.get("import", {}).get("acts_after_s", 0.0))
@@ -117,6 +119,9 @@ def signals(log: Log) -> Signals:
         valve, acts_after_s = _compute_valve_v(log, output.output_v), output.acts_after_s
         if output.held_v is not None:
             held_v = float(_compute_valve_v(log, np.array(output.held_v)))
+        if drive_n_per_v := log.config.get("plant", {}).get("drive_n_per_v"):
+            before_v = np.concatenate(([valve[0] if held_v is None else held_v], valve[:-1]))
+            force_n = 0.5 * drive_n_per_v * (before_v + valve)
     t_s = find_sample_times(log)
     return Signals(
         t_s=t_s,
@@ -124,7 +129,7 @@ def signals(log: Log) -> Signals:
         valve_v=valve,
         pressure_pa=log.columns.get("pressure_pa"),
         position_m=log.columns.get("position_m"),
-        force_n=log.columns.get("force_n"),
+        force_n=force_n,
         missed=log["missed"],
         phase=np.full(count, NO_PHASE) if log.is_imported else log["phase"],
         acts_after_s=acts_after_s,

@@ -25,6 +25,7 @@ from pamctl.plant.effects.description import (
 from pamctl.plant.paper import ROOM_K, MuscleParameters
 from pamctl.plant.parameters import (
     ACTUATOR,
+    DRIVE,
     GEOMETRY,
     NEUTRAL,
     PAPER,
@@ -177,6 +178,15 @@ class PlantSettings(Configured):
         float | None,
         Field(ge=1e-6, le=1e3, description="stroke of a cylinder: the piston moves from 0 to here"),
     ] = None
+    drive_n_per_v: Annotated[
+        float | None,
+        Field(
+            ge=1e-9,
+            le=1e9,
+            description="force of an axis's drive per volt of command, with `actuator: direct`; "
+            "`run` and `tune` need it, `diagnose` does not fit it",
+        ),
+    ] = None
     parameters: MuscleParameters = MuscleParameters()
     effects: EffectSettings = EffectSettings()
     terms: Annotated[
@@ -214,6 +224,8 @@ class PlantSettings(Configured):
             if (name in needed) != (getattr(self, name) is not None):
                 owner = next(kind for kind, names in GEOMETRY_OF.items() if name in names)
                 raise ValueError(f"`actuator: {owner}` needs {name}, and no other does")
+        if self.drive_n_per_v is not None and self.actuator != "direct":
+            raise ValueError(f"{DRIVE} is a number of `actuator: direct` alone")
         if needed and "temperature_k" not in self.parameters.model_fields_set:
             at_room = self.parameters.model_copy(update={"temperature_k": ROOM_K})
             object.__setattr__(self, "parameters", at_room)  # the model is frozen
@@ -234,7 +246,7 @@ class PlantSettings(Configured):
         data: dict[str, Any] = write(self)
         if not self.known:
             data.pop("known", None)
-        for name in GEOMETRY_OF["cylinder"]:
+        for name in (*GEOMETRY_OF["cylinder"], DRIVE):
             if data.get(name) is None:
                 data.pop(name, None)
         if not any(data.get("terms", {}).values()):
@@ -282,6 +294,8 @@ def values_of(settings: PlantSettings) -> dict[str, float]:
         values[ACTUATOR] = float(ACTUATORS.index(settings.actuator))
     for name in GEOMETRY_OF.get(settings.actuator, ()):
         values[name] = getattr(settings, name)
+    if settings.drive_n_per_v is not None:
+        values[DRIVE] = settings.drive_n_per_v
     for name, effect in settings.acting.items():
         for parameter in WITH_TERMS[name].parameters:
             value = effect[parameter.name]
@@ -294,12 +308,12 @@ def settings_of(values: Mapping[str, float]) -> PlantSettings:
     """Return the plant file of a flat mapping, validated; effects at neutral are left out."""
     parameters: dict[str, float] = {}
     effects: dict[str, dict[str, float]] = {}
-    plain: dict[str, Any] = {name: values[name] for name in GEOMETRY if values.get(name)}
+    plain: dict[str, Any] = {name: values[name] for name in (*GEOMETRY, DRIVE) if values.get(name)}
     for name, value in values.items():
         effect, dot, parameter = name.partition(".")
         if dot:
             effects.setdefault(effect, {})[parameter] = value
-        elif name not in (ACTUATOR, *GEOMETRY):
+        elif name not in (ACTUATOR, *GEOMETRY, DRIVE):
             parameters[name] = value
     acting = {
         name: _name_choices(name, numbers)

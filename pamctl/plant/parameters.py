@@ -59,6 +59,8 @@ class PlantParameters(NamedTuple):
     """A measured force, and a piston if there is one, drive the mechanics instead of the muscle."""
     stroke_m: float = 0.0
     """A cylinder's piston moves from 0 to here; 0: nothing stops what moves."""
+    drive_n_per_v: float = 0.0
+    """Force of an axis's drive per volt of command; 0 where a log brings the force."""
     terms: Terms | None = None
     """None: a plant without terms does not compile them."""
 
@@ -165,6 +167,8 @@ ACTUATOR = "actuator"
 """Place of the actuator in `ACTUATORS`."""
 GEOMETRY = ("chamber_volume_m3", "cylinder_area_m2", "cylinder_volume_m3", "stroke_m")
 """Numbers of what has no braid; 0 where they mean nothing."""
+DRIVE = "drive_n_per_v"
+"""Number of an axis that a run can drive; 0 elsewhere."""
 _RIGID = {"damping_n_s_per_m": 1e12, "stiffness_n_per_m": 1e12}
 """The walls of a chamber: they move by less than a picometre per newton."""
 _ENDLESS_M = 1e9
@@ -196,7 +200,7 @@ _SIZES = {
     )
     for part in ("valve", "air", "mechanics", "sensors")
 }
-_DEFAULTS = {ACTUATOR: 0.0, **dict.fromkeys(GEOMETRY, 0.0), **PAPER, **NEUTRAL}
+_DEFAULTS = {ACTUATOR: 0.0, **dict.fromkeys((*GEOMETRY, DRIVE), 0.0), **PAPER, **NEUTRAL}
 
 
 def parameters_of(values: Mapping[str, float]) -> PlantParameters:
@@ -213,7 +217,7 @@ def parameters_of(values: Mapping[str, float]) -> PlantParameters:
         for group, layout in _LAYOUTS
     )
     actuator = ACTUATORS[round(v[ACTUATOR])]
-    has_braid = actuator in ("muscle", "direct")
+    has_braid = actuator == "muscle" or (actuator == "direct" and v[DRIVE] == 0.0)
     if not has_braid:
         v |= _leave_out_braid(v, actuator)
     paper = PaperParameters(
@@ -252,6 +256,7 @@ def parameters_of(values: Mapping[str, float]) -> PlantParameters:
         sensors_act=acting["sensors"],
         direct=actuator == "direct",
         stroke_m=v["stroke_m"],
+        drive_n_per_v=v[DRIVE],
         terms=terms,
     )
 
@@ -259,7 +264,8 @@ def parameters_of(values: Mapping[str, float]) -> PlantParameters:
 def _leave_out_braid(v: Mapping[str, float], actuator: Actuator) -> dict[str, float]:
     """Return the numbers of a plant without a braid; a chamber's walls do not move either.
 
-    The braid's angle stays defined at any position: L_0 is longer than all strokes.
+    The braid's angle stays defined at any position: L_0 is longer than all strokes. Behind an
+    axis's drive there is no valve: its pressure stays that of the atmosphere.
     """
     numbers = {
         "rest_length_m": _ENDLESS_M,
@@ -269,6 +275,8 @@ def _leave_out_braid(v: Mapping[str, float], actuator: Actuator) -> dict[str, fl
     if actuator == "chamber":
         volume = {"cylinder_volume_m3": v["chamber_volume_m3"], "cylinder_area_m2": 0.0}
         return {**numbers, **volume, **_RIGID}
+    if actuator == "direct":
+        return {**numbers, "valve_gain_m2_per_v": 0.0, "cylinder_volume_m3": 1.0}
     return numbers
 
 

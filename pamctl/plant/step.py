@@ -52,8 +52,9 @@ def plant_step(
     middle_m = x + 0.5 * step_s * v
     begin = AirBegin(pressure_pa, air, opening_v, x, middle_m, age_s, step_s)
     middle_pa, balanced = air_middle_pa(p, begin)
+    middle_n = p.drive_n_per_v * opening_v
     end_m, end_v, mechanics = mechanics_block_step(
-        p, x, v, mechanics, middle_pa, 0.0, age_s, step_s
+        p, x, v, mechanics, middle_pa, middle_n, age_s, step_s
     )
     end_pa, end_air = air_step(p, begin, middle_pa, balanced, end_m)
     if p.sensors_act:

@@ -199,6 +199,8 @@ _NO_DEFAULT = {
     "cylinder": {"cylinder_area_m2", "cylinder_volume_m3", "stroke_m", *_OF_MOTION},
 }
 """Numbers for which no other rig's value is a guess."""
+_OPTIONAL = {"direct": {"drive_n_per_v"}}
+"""Numbers that only `run` and `tune` need."""
 _DEFAULTS = {"temperature_k": ROOM_K}
 """Where the paper's number is no guess for a rig of one's own."""
 _EFFECTS = {"direct": ("piston",), "cylinder": ("external_load",)}
@@ -240,7 +242,8 @@ def list_questions(actuator: str) -> tuple[PlantQuestion, ...]:
     fields = {
         name: field
         for name, field in PlantSettings.model_fields.items()
-        if _is_number(field) and name in _NO_DEFAULT.get(actuator, set())
+        if _is_number(field)
+        and name in _NO_DEFAULT.get(actuator, set()) | _OPTIONAL.get(actuator, set())
     }
     fields |= {
         name: field
@@ -263,6 +266,7 @@ def _make_question(actuator: str, name: str, field: FieldInfo) -> PlantQuestion:
         field.description or name,
         list_units(name),
         None if needed else _DEFAULTS.get(name, field.default),
+        is_optional=name in _OPTIONAL.get(actuator, set()),
         field=field,
     )
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
+import numpy as np
 from pydantic import ValidationError
 
 from pamctl.control.course import Segment, reference_at
@@ -14,6 +15,8 @@ from pamctl.control.forms import Form
 from pamctl.control.law_registry import read_controller
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.paper import PaperParameters, braid_lever_m, force_area_m2, valve_flow, volume_m3
+from pamctl.plant.parameters import PlantParameters
+from pamctl.plant.required_force import required_force_n
 from pamctl.realtime.gain_ramp import GainRampError, require_blendable
 from pamctl.settings.resolve import RunSettings
 from pamctl.signals import Reference
@@ -103,10 +106,21 @@ def _judge_motion(settings: RunSettings, samples: Sequence[TimedReference]) -> I
     if said:  # outside the stroke the model means nothing
         yield from said
         return
-    model = plant_parameters(settings.plant).paper
+    plant = plant_parameters(settings.plant)
+    command_v = min(limits.command_v, settings.controller.command_limit_v)
+    valve = _Limit(
+        "(by the plant's model) for a valve command",
+        "V",
+        -command_v,
+        command_v,
+        "rig.limits.command_v and controller.command_limit_v",
+    )
+    if plant.direct:
+        yield from _judge(valve, _find_drive_commands(plant, samples))
+        return
+    model = plant.paper
     low_pa = model.atmospheric_pressure_pa
     high_pa = min(model.tank_pressure_pa, limits.pressure_pa)
-    command_v = min(limits.command_v, settings.controller.command_limit_v)
     demands = [(sample.t_s, find_demand(model, sample)) for sample in samples]
     # The vented muscle stays at rest a little above its length of zero pressure.
     pressure = _Limit(
@@ -117,14 +131,16 @@ def _judge_motion(settings: RunSettings, samples: Sequence[TimedReference]) -> I
         "the air supply and rig.limits.pressure_pa",
     )
     said = list(_judge(pressure, ((t_s, d.pressure_pa * _KPA) for t_s, d in demands)))
-    valve = _Limit(
-        "(by the plant's model) for a valve command",
-        "V",
-        -command_v,
-        command_v,
-        "rig.limits.command_v and controller.command_limit_v",
-    )
     yield from said or _judge(valve, ((t_s, d.valve_v) for t_s, d in demands))
+
+
+def _find_drive_commands(
+    plant: PlantParameters, samples: Sequence[TimedReference]
+) -> list[tuple[float, float]]:
+    """Return the command (V) of an axis's drive at each sample: the force over its force a volt."""
+    motion = np.array([(t_s, *reference[1:4]) for t_s, reference in samples]).T
+    commands_v = required_force_n(plant, *motion) / plant.drive_n_per_v
+    return list(zip(motion[0].tolist(), commands_v.tolist(), strict=True))
 
 
 def find_demand(model: PaperParameters, sample: TimedReference) -> Demand:

@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeVar
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
-from hal.calibration import Configured
+from hal.calibration import Configured, calibration, valve_v
 from pamctl.control.experiment import ExperimentSettings
 from pamctl.control.filters import HIGHEST_PER_RATE
 from pamctl.control.law_registry import (
@@ -50,17 +50,37 @@ from pamctl.settings.yaml12 import (
 Settings = TypeVar("Settings")
 
 
-def require_muscle(plant: PlantSettings) -> None:
-    """Raise ValueError for a plant that no run, and no law, can move."""
-    lacks = {
-        "direct": "is a mechanism without a valve, which no run can drive",
-        "chamber": "does not move, and every run begins by moving the muscle",
-    }
-    if plant.actuator in lacks:
+def require_drivable(plant: PlantSettings) -> None:
+    """Raise ValueError for a plant that no law can move."""
+    if plant.actuator == "chamber":
         raise ValueError(
-            f"plant.actuator {plant.actuator} {lacks[plant.actuator]}: it is for "
-            "`pamctl diagnose`, `audit` and `compare` of logs; give the plant of a muscle"
+            "plant.actuator chamber does not move, and the laws of pamctl follow a displacement: "
+            "no run and no `tune` for it. `pamctl diagnose`, `audit` and `compare` take it, and "
+            "`pamctl plant export` makes an FMU of it, to tune a pressure controller elsewhere"
         )
+    if plant.actuator == "direct" and plant.drive_n_per_v is None:
+        raise ValueError(
+            "plant.drive_n_per_v is missing: the force of the axis's drive per volt of command, "
+            "such as `drive_n_per_v: 20`; an axis that only pressure moves is `actuator: cylinder`"
+        )
+
+
+def require_free_axis(rig: RigSettings) -> None:
+    """Raise ValueError for a rig file whose safe voltage or homing would push an axis."""
+    safe_v = valve_v(calibration(rig.calibration), rig.safe_volts)
+    if abs(safe_v) > _NO_FORCE_V:
+        raise ValueError(
+            f"rig.safe_volts {rig.safe_volts:g} is a command of {safe_v:g} V, which pushes the "
+            f"axis when a run ends; {rig.calibration.driver_offset_v:g} is no force"
+        )
+    if rig.homing.enabled:
+        raise ValueError(
+            "rig.homing fills and vents a muscle, and an axis has none: give a rig file with "
+            "`homing: {enabled: false}`, or --set rig.homing.enabled=false"
+        )
+
+
+_NO_FORCE_V = 0.01
 
 
 class RunSettings(Configured):
@@ -94,8 +114,10 @@ class RunSettings(Configured):
         return self
 
     @model_validator(mode="after")
-    def _check_muscle(self) -> RunSettings:
-        require_muscle(self.plant)
+    def _check_drive(self) -> RunSettings:
+        require_drivable(self.plant)
+        if self.plant.actuator == "direct":
+            require_free_axis(self.rig)
         return self
 
     @model_validator(mode="after")

@@ -28,7 +28,8 @@ from pamctl.settings.resolve import (
     SECTIONS,
     RunSettings,
     read_section_file,
-    require_muscle,
+    require_drivable,
+    require_free_axis,
     resolve,
     settings_to_data,
 )
@@ -119,7 +120,8 @@ class TuningTask:
             _require_new(asked.out)
         elif asked.compensate:
             checked = checked.model_copy(update={"compensate": tuple(asked.compensate)})
-        named = make_fixed_members([(bare_name(name), _read_muscle(name)) for name in asked.plants])
+        read = [(bare_name(name), _read_plant(name, base)) for name in asked.plants]
+        named = make_fixed_members(read)
         draws = asked.size is not None or not asked.plants
         if asked.compensate and draws:
             raise _option_error(
@@ -197,10 +199,12 @@ def _require_new(out: Path | None) -> None:
     require_place(out)
 
 
-def _read_muscle(name: str) -> Any:
+def _read_plant(name: str, base: RunSettings | None) -> Any:
     plant = _read("plant", name)
     try:
-        require_muscle(plant)
+        require_drivable(plant)
+        if plant.actuator == "direct":
+            require_free_axis((base or resolve()).rig)
     except ValueError as error:
         raise ConfigError([Problem(name, "", str(error))]) from error
     return plant
@@ -252,17 +256,20 @@ def summarise_verdicts(members: Sequence[Member], verdicts: Sequence[GainsVerdic
     )
 
 
-def format_gains_file(gains: Mapping[str, Any], command: str, effort: str, reported: str) -> str:
+def format_gains_file(
+    gains: Mapping[str, Any], command: str, effort: str, reported: str, *, own_motion: bool = False
+) -> str:
     """Return the text of a controller file; the arguments after the gains are for its header."""
     law = find_law(str(gains["law"]))
+    below = "only the proportion counts" if own_motion else "below 1 is inside"
     paragraphs = [
         f"{law.title}: {law.equation}. Units: mm, s, V.",
         f"Made by:  {command}",
         f"{effort} {reported}",
-        "Score: the largest of every error over its bound in the strictest column of Table IV "
+        f"Score: the largest of every error over {_name_scale(own_motion)} "
         f"(max {BOUNDS.max_m * 1e6:g}, RMS {BOUNDS.rms_m * 1e6:g}, steady "
         f"{BOUNDS.steady_m * 1e6:g} um; experiment 2 RMS {BOUNDS.moving_rms_m * 1e6:g} um); "
-        "below 1 is inside. Cost: the score plus a tenth of the mean of these errors, of the "
+        f"{below}. Cost: the score plus a tenth of the mean of these errors, of the "
         "named plants and of the drawn ones added up. Simulated; nothing was measured on a rig.",
     ]
     lines: list[str] = []
@@ -299,14 +306,29 @@ def report_scores(task: TuningTask, found: Mapping[str, Scores]) -> str:
     """Return how good the gains are, for the gains file."""
     if not found:
         return "Not scored: interrupted."
+    own = task.whole_trial.own_motion
     said = [
-        f"on {one.plants} {_PLANT_SET_NAMES[which]} {one.inside} inside Table IV "
-        f"({100 * one.share:.1f} %), "
+        f"on {one.plants} {_PLANT_SET_NAMES[which]} {_describe_score(one, own_motion=own)}, "
         f"score median {one.median:.2f}, 95 % {one.p95:.2f}, worst {one.worst:.2f}"
         for which, one in found.items()
     ]
-    what = "Own experiment" if task.whole_trial.own_motion else "Both experiments in full"
+    what = "Own experiment" if own else "Both experiments in full"
     return f"{what}: {'; '.join(said)}."
+
+
+def _name_scale(own_motion: bool) -> str:
+    """Return what errors are divided by: for a motion of one's own it is a scale, and no bound."""
+    table = "the strictest column of Table IV"
+    return f"that of the paper's own motion in {table}" if own_motion else f"its bound in {table}"
+
+
+def _describe_score(one: Scores, *, own_motion: bool) -> str:
+    """Return how good gains are: inside Table IV, or for a motion of one's own the errors."""
+    if not own_motion:
+        return f"{one.inside} inside Table IV ({100 * one.share:.1f} %)"
+    if not one.errors_um:
+        return "safety ended the run"
+    return ", ".join(f"{_ERROR_NAMES[name]} {um:.1f} µm" for name, um in one.errors_um.items())
 
 
 def report_gains(
@@ -317,27 +339,33 @@ def report_gains(
     report = Report(f"Gains of {task.law}", document=whole)
     if not scores:
         report.verdict = "not scored"
+    own = task.whole_trial.own_motion
     for which, one in scores.items():
-        verdict = (
-            f"{task.law}, {_PLANT_SET_NAMES[which]}: {one.inside} of {one.plants} inside every "
-            f"bound of Table IV ({100 * one.share:.1f} %)"
-        )
+        verdict = f"{task.law}, {_PLANT_SET_NAMES[which]}: "
+        if own:
+            verdict += _describe_score(one, own_motion=True)
+        else:
+            verdict += (
+                f"{one.inside} of {one.plants} inside every "
+                f"bound of Table IV ({100 * one.share:.1f} %)"
+            )
         if report.verdict:
             report.add(Section(verdict))
         report.verdict = report.verdict or verdict
         report.add(
             Text(
-                f"largest error over its bound: median {one.median:.2f}, 95 % {one.p95:.2f}, "
-                f"worst {one.worst:.2f}"
+                f"largest error over {'that of the paper' if own else 'its bound'}: "
+                f"median {one.median:.2f}, 95 % {one.p95:.2f}, worst {one.worst:.2f}"
             )
         )
-        if one.errors_um:
+        if one.errors_um and not own:
             errors = ", ".join(f"{name} {um:.1f} µm" for name, um in one.errors_um.items())
             report.add(Text(f"errors on the median plant: {errors}"))
-        shown = one.failures[:_SHOWN_FAILURES]
+        failures = [f for f in one.failures if not own or f[1] not in _ERROR_NAMES]
+        shown = failures[:_SHOWN_FAILURES]
         outside = [f"outside: plant {n}: {_describe_failure(why, w)}" for n, why, w in shown]
-        if len(one.failures) > _SHOWN_FAILURES:
-            outside.append(f"and {len(one.failures) - _SHOWN_FAILURES} more")
+        if len(failures) > _SHOWN_FAILURES:
+            outside.append(f"and {len(failures) - _SHOWN_FAILURES} more")
         if outside:
             report.add(Points(outside))
     return report
@@ -436,7 +464,13 @@ def search_gains(
         except KeyboardInterrupt as stop:  # a second one: the gains are written without scores
             ending, scores = _name_ending(stop), {}
     effort = describe_effort(task, best)
-    text = format_gains_file(best.gains, command, effort, report_scores(task, scores))
+    text = format_gains_file(
+        best.gains,
+        command,
+        effort,
+        report_scores(task, scores),
+        own_motion=task.whole_trial.own_motion,
+    )
     failure = None
     try:
         write_files({task.out: text})

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from support.command_line import run_pamctl
 
+import pamctl.log
 from pamctl.plant.drive import drive_mechanics
-from pamctl.plant.parameters import parameters_of, rest_state
+from pamctl.plant.parameters import parameters_of, rest_state, vented_state
 from pamctl.plant.required_force import required_force_n
+from pamctl.plant.step import advance_plant
 
 TICK_S = 1e-3
 ATMOSPHERE_PA = 101.3e3
@@ -37,6 +41,36 @@ def test_a_free_mass_moves_as_the_closed_form_says(damping: float) -> None:
     else:
         expected_m = 1.5 / rate * (t - (1.0 - np.exp(-rate * t)) / rate)
     np.testing.assert_allclose(moved.position_m, expected_m, rtol=1e-9, atol=1e-14)
+
+
+@pytest.mark.parametrize("command_v", [3.0, -0.5])
+def test_a_driven_axis_moves_as_the_closed_form_of_its_force_says(command_v: float) -> None:
+    p = parameters_of(axis(mass_kg=2.0, damping_n_s_per_m=4.0, drive_n_per_v=20.0))
+    state = vented_state(p)
+    state = advance_plant(p, state, command_v, 1.5, 1e-3)
+    rate, speed = 4.0 / 2.0, 20.0 * command_v / 4.0
+    expected_m = speed * (1.5 - (1.0 - math.exp(-rate * 1.5)) / rate)
+    assert state.position_m == pytest.approx(expected_m, rel=1e-9)
+    assert state.pressure_pa == pytest.approx(ATMOSPHERE_PA, rel=1e-12)
+
+
+def test_the_log_of_a_driven_axis_has_the_mean_force_around_each_sample(tmp_path: Path) -> None:
+    """The drive holds its force between two samples: this is what a load cell would show."""
+    (tmp_path / "plant.yaml").write_text(
+        "actuator: direct\ndrive_n_per_v: 20\n"
+        "parameters: {mass_kg: 4, damping_n_s_per_m: 30, stiffness_n_per_m: 0}\n"
+    )
+    named = ["--plant", "plant.yaml", "--rig", "axis", "--controller", "pid"]
+    motion = ["--experiment", "step", "--duration", "3", "--log", "run.mcap"]
+    ran = run_pamctl("run", "--fast", "--quiet", *named, *motion, cwd=tmp_path)
+    assert ran.returncode == 0, ran.stderr
+    log = pamctl.log.read(tmp_path / "run.mcap")
+    measured = pamctl.log.signals(log)
+    assert measured.valve_v is not None
+    assert measured.force_n is not None
+    assert measured.force_n[0] == pytest.approx(10.0 * measured.valve_v[0])
+    expected_n = 10.0 * (measured.valve_v[1:] + measured.valve_v[:-1])
+    np.testing.assert_allclose(measured.force_n[1:], expected_n, rtol=1e-12)
 
 
 def test_a_thrown_mass_stops_where_dry_friction_stops_it_and_stays() -> None:

@@ -552,7 +552,7 @@ def test_config_show_knows_the_backend_as_run_does() -> None:
             "controller.law=pid",
             "for 'qsmc' and has its keys; choose another file with --controller",
         ),
-        ("rig.backend=nidaq", "choose another file with --rig (pci6221, pci6221-comedi, sim)"),
+        ("rig.backend=nidaq", "another file with --rig (axis, pci6221, pci6221-comedi, sim)"),
         ("experiment.kind=steps", "choose another file with --experiment"),
     ],
 )

@@ -194,14 +194,17 @@ def advise_next_steps(diagnosis: Diagnosis) -> Iterator[str]:
 
 
 def _advise_after_naming(diagnosis: Diagnosis) -> tuple[str, ...]:
-    if diagnosis.nominal.actuator != "muscle":
+    plant = diagnosis.nominal
+    if plant.actuator == "chamber" or (plant.actuator == "direct" and not plant.drive_n_per_v):
         return (
             f"Go on with plant.yaml, which has what was found: {_AGAIN} asks whether it holds.",
         )
+    is_muscle = plant.actuator == "muscle"
+    law, rig = ("--law qsmc ", "") if is_muscle else ("", " --rig RIG --experiment MOTION")
     go_on = (
         "Go on with plant.yaml, which has what was found. In the folder of this page: "
-        "`pamctl tune --law qsmc --plant plant.yaml --out gains.yaml`, then "
-        "`pamctl run --controller gains.yaml --plant plant.yaml`."
+        f"`pamctl tune {law}--plant plant.yaml{rig} --out gains.yaml`, then "
+        f"`pamctl run --controller gains.yaml --plant plant.yaml{rig}`."
     )
     if runs_here(diagnosis) and any(f.name == "null_offset" for f in diagnosis.findings):
         null = "The null of the valve is measured by `pamctl calibrate valve --out rig.yaml`."

@@ -26,7 +26,7 @@ from pamctl.log.run_meta import RunMeta
 from pamctl.processes.front import FrontReport, close_log, read_ending
 from pamctl.processes.guardian_handle import start_loop
 from pamctl.processes.loop_supervisor import STARTS_WITHIN_S
-from pamctl.realtime.orders import OrderError, Orders
+from pamctl.realtime.orders import SESSION_SLOT_BYTES, OrderError, Orders
 from pamctl.recording.journal import make_outcome_event, put_event_for_dead_loop
 from pamctl.recording.recorder import RecorderError, await_recorder, spawn_recorder
 from pamctl.recording.ring import LoopStage, RecorderFlag, Ring
@@ -89,20 +89,18 @@ class Session:
         self._workshop = workshop
         self.run: DaemonRun | None = None
         self.runs_begun = 0
-        self._orders = Orders.create()
         meta = workshop.meta(settings, names, Path("/nonexistent"))
         path = workshop.ring_path().with_suffix(".session")
-        self._ring = Ring.create(path, meta, _SESSION_ROWS)
+        self._ring = Ring.create(path, meta, _SESSION_ROWS, slot_bytes=SESSION_SLOT_BYTES)
+        self._orders = Orders(self._ring.slot)
         self._open_rings = [self._ring]
         self._failing = ""
         """What the loop did not do in time, and was killed for."""
         self._reading = threading.Lock()
         self._may_signal = threading.Lock()
         """Taken once, by whoever ends the loop."""
-        pace, fd = settings.rig.loop, self._orders.fd
-        self._loop, self._guardian = start_loop(
-            self._ring, workshop.rig, pace, orders_fd=fd, is_session=True
-        )
+        pace = settings.rig.loop
+        self._loop, self._guardian = start_loop(self._ring, workshop.rig, pace, is_session=True)
         self._await_ticks()
         self._ring.unlink()  # processes that hold it keep it; nothing is left behind
 
@@ -195,7 +193,8 @@ class Session:
             self._orders.send(order)
             self._orders.wait_until_taken(_ORDER_PATIENCE_S, lambda: self.is_alive)
         except OrderError as error:
-            raise RequestRefusedError(str(error)) from error
+            why = str(error) if self.is_alive else f"{error}; `pamctl status` says why"
+            raise RequestRefusedError(why) from error
 
     def begin(self, name: str, meta: RunMeta, rows: int, course: bytes) -> None:
         """Begin a run with its own log, on a course that is packed for the loop.
@@ -279,6 +278,6 @@ class Session:
         if run is not None:
             self._finish(run, ending)
         self._ring.unlink()
-        self._close_ring(self._ring)
         self._orders.close()
+        self._close_ring(self._ring)
         return ending

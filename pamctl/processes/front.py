@@ -25,7 +25,6 @@ from hal.rig import Rig
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.guardian_handle import LOOK_EVERY_S, Guardianship, start_loop
 from pamctl.processes.interrupts import STOP_SIGNALS, block_signals
-from pamctl.processes.mark_desk import MarkDesk
 from pamctl.realtime.clock import LoopSettings
 from pamctl.realtime.scheduling import Mode, raise_front_priority
 from pamctl.recording.journal import make_outcome_event, put_event_for_dead_loop
@@ -55,7 +54,6 @@ def conduct_run(
     progress: Progress,
     mode: Mode,
     pace: LoopSettings,
-    desk: MarkDesk | None = None,
     *,
     is_guarded: bool = True,
 ) -> FrontReport:
@@ -65,22 +63,15 @@ def conduct_run(
     `restore_signals`. `rig` is not opened here: it is made safe
     where neither loop nor guardian is left to do it. `mode` is for this process alone: it
     says whether the front may be scheduled in real time while it watches. `pace` says
-    how long the loop may be silent. `desk` takes marks from other terminals. A run without a
-    clock is not guarded.
+    how long the loop may be silent. A run without a clock is not guarded.
     """
     with _SignalForwarder() as signals:
         with block_signals():
             recorder = spawn_recorder(ring.path)
-            loop, guardian = start_loop(
-                ring,
-                rig,
-                pace,
-                is_guarded=is_guarded,
-                orders_fd=None if desk is None else desk.fd,
-            )
+            loop, guardian = start_loop(ring, rig, pace, is_guarded=is_guarded)
         signals.start_forwarding(loop)
         with raise_front_priority(mode):
-            _watch(ring, loop, recorder, guardian, progress, desk)
+            _watch(ring, loop, recorder, guardian, progress)
         ending = guardian.judge_ending(read_ending(loop))
         if not ring.loop_done:
             put_event_for_dead_loop(ring, make_outcome_event(ending))
@@ -125,7 +116,6 @@ def _watch(
     recorder: subprocess.Popen[bytes],
     guardian: Guardianship,
     progress: Progress,
-    desk: MarkDesk | None,
 ) -> None:
     """Return when the loop has ended; end it when the recorder has."""
     shown_s = 0.0
@@ -134,8 +124,6 @@ def _watch(
             if recorder.poll() is not None:
                 ring.raise_flag(RecorderFlag.FAILED)
             guardian.look(loop)
-            if desk is not None:
-                desk.look()
             now_s = time.monotonic()
             if now_s - shown_s >= _POLL_S and (tick := ring.latest_tick()) is not None:
                 shown_s = now_s

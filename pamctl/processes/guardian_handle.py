@@ -140,16 +140,13 @@ def start_loop(
     pace: LoopSettings,
     *,
     is_guarded: bool = True,
-    orders_fd: int | None = None,
     is_session: bool = False,
 ) -> tuple[subprocess.Popen[bytes], Guardianship]:
     """Start the loop on a ring, and its guardian; see `Guardianship` for `rig` and `pace`.
 
-    `orders_fd` is the slot that the loop takes marks or orders from. A session goes on without a
-    run, until it is stopped.
+    A session goes on without a run, until it is stopped.
     """
-    fds = [] if orders_fd is None else [orders_fd]
-    words = [ring.path, *fds, *(["session"] if is_session else [])]
+    words = [ring.path, *(["session"] if is_session else [])]
     command = child_command("pamctl.processes.guardian_main") if is_guarded else None
     # The loop inherits the block and lifts it when it has handlers: a signal that comes while it
     # starts waits, instead of killing it.
@@ -159,7 +156,6 @@ def start_loop(
             child_command("pamctl.processes.loop_main", *words),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            pass_fds=fds,
             process_group=0,
         )
         ring.loop_pid = loop.pid

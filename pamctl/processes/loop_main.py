@@ -1,8 +1,8 @@
-"""The loop process: `python -m pamctl.processes.loop_main RING [FD [session]]`.
+"""The loop process: `python -m pamctl.processes.loop_main RING [session]`.
 
 The front of a run starts it on the ring of that run, a daemon on the ring of its session, which
 nothing records: there each run brings another ring. All that it needs is in the ring's meta; marks
-or orders come from the slot in `FD`. The end of its standard input is the death of who started it.
+or orders come from the ring's slot. The end of its standard input is the death of who started it.
 It says in JSON lines on standard output how it ends: once when the valve is safe, and once when all
 is done. The last line counts.
 """
@@ -13,7 +13,7 @@ import json
 import sys
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import closing, suppress
 from functools import partial
 from typing import NoReturn
 
@@ -39,12 +39,12 @@ from pamctl.settings.resolve import RunSettings, from_resolved
 def main() -> NoReturn:
     """Run the loop on the ring that the first argument names."""
     keep_single_threaded()
-    with Ring.attach(sys.argv[1]) as ring:
+    with Ring.attach(sys.argv[1]) as ring, closing(Orders(ring.slot)) as slot:
         settings = from_resolved(json.dumps(ring.meta.config))
-        orders = Orders(int(sys.argv[2])) if len(sys.argv) > 2 else None
+        orders = slot if ring.slot_bytes else None
         pace, front = settings.rig.loop, sys.stdin.fileno()
         supervisor = LoopSupervisor(ring, front, pace, patient=settings.fast, orders=orders)
-        session = SessionJournal(ring, supervisor.watch_recording) if sys.argv[3:] else None
+        session = SessionJournal(ring, supervisor.watch_recording) if sys.argv[2:] else None
         journal = session or RingJournal(ring)
         ending = supervisor.name_cause(
             _run_to_ending(partial(_run, ring, settings, supervisor, journal, orders))

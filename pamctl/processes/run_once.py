@@ -32,7 +32,7 @@ from pamctl.processes.backends import (
 )
 from pamctl.processes.front import FrontReport, conduct_run
 from pamctl.processes.keep_awake import keep_awake
-from pamctl.processes.mark_desk import MarkDesk, open_mark_desk
+from pamctl.realtime.orders import MARK_SLOT_BYTES
 from pamctl.realtime.tick import first_state, keyframe_fields
 from pamctl.realtime.tick_runner import TickRunner
 from pamctl.recording.recorder import finish_orphans
@@ -92,14 +92,18 @@ def run_once(
     with secure_device(settings) as rig:
         finish_orphans(SHARED_MEMORY, quiet=quiet)
         with (
-            Ring.create(new_ring_path(), meta, settings.rig.loop.ring_rows) as ring,
-            # Without a clock there is no moment to mark.
-            open_mark_desk(path, wanted=not settings.fast) as desk,
+            Ring.create(
+                new_ring_path(),
+                meta,
+                settings.rig.loop.ring_rows,
+                # Without a clock there is no moment to mark.
+                slot_bytes=0 if settings.fast else MARK_SLOT_BYTES,
+            ) as ring,
             nullcontext("") if settings.fast else keep_awake() as risk,
         ):
             if risk and not quiet:
                 print(f"note: {risk}", file=sys.stderr, flush=True)
-            report = _conduct_run(ring, rig, progress, settings, desk)
+            report = _conduct_run(ring, rig, progress, settings)
     progress.end_line()
     return _conclude_run(settings, names, path, report, is_usual_place=log is None)
 
@@ -123,13 +127,13 @@ def secure_device(settings: RunSettings) -> Iterator[Rig]:
 
 
 def _conduct_run(
-    ring: Ring, rig: Rig, progress: ProgressLine, settings: RunSettings, desk: MarkDesk | None
+    ring: Ring, rig: Rig, progress: ProgressLine, settings: RunSettings
 ) -> FrontReport:
     try:
         # Without a clock no valve depends on the front: it needs no priority.
         mode = "off" if settings.fast else settings.rt
         pace, is_guarded = settings.rig.loop, not settings.fast
-        return conduct_run(ring, rig, progress, mode, pace, desk, is_guarded=is_guarded)
+        return conduct_run(ring, rig, progress, mode, pace, is_guarded=is_guarded)
     except BaseException:
         if not ring.head:
             ring.unlink()

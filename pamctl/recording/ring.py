@@ -1,6 +1,6 @@
 """The ring between loop and recorder: a file in shared memory.
 
-    header, 4 KiB | run meta, JSON | cargo | rows of 512 bytes
+    header, 4 KiB | run meta, JSON | slot for orders | cargo | rows of 512 bytes
 
 One process puts rows, another takes them; neither waits for the other. The head moves after a
 row is complete, the tail after it is in the log. Rows between the two survive the death of either
@@ -51,6 +51,7 @@ HEADER_BYTES = 4096
 _MAGIC = b"PAMRING\n"
 _VERSION = 2
 _HEAD = 8
+_CACHE_LINE = 64
 _MADV_POPULATE_WRITE, _MADV_DONTNEED_LOCKED = 23, 24
 _POPULATE_BYTES = 64 * mmap.PAGESIZE
 """Touched at once: some tens of microseconds."""
@@ -119,14 +120,17 @@ def _give_name(fd: int, path: Path) -> None:
         os.close(directory)
 
 
-def _lay_out(meta: RunMeta, rows: int, cargo: bytes) -> tuple[bytes, int]:
+def _lay_out(
+    meta: RunMeta, rows: int, cargo: bytes = b"", slot_bytes: int = 0
+) -> tuple[bytes, int]:
     """Return what stands before the rows of a new ring, and the bytes of the whole ring."""
     text = replace(meta, log_path=os.path.abspath(meta.log_path)).to_text()
-    before_rows = len(text) + len(cargo)
+    text += b" " * (-len(text) % _CACHE_LINE)  # the slot's words must not be torn
+    before_rows = len(text) + slot_bytes + len(cargo)
     rows_at = HEADER_BYTES + -(-before_rows // mmap.PAGESIZE) * mmap.PAGESIZE
-    words = (_VERSION, ROW_BYTES, rows, len(text), rows_at, len(cargo))
-    header = struct.pack("<8s6Q", _MAGIC, *words).ljust(HEADER_BYTES, b"\0")
-    return header + text + cargo, rows_at + rows * ROW_BYTES
+    words = (_VERSION, ROW_BYTES, rows, len(text), rows_at, len(cargo), slot_bytes)
+    header = struct.pack("<8s7Q", _MAGIC, *words).ljust(HEADER_BYTES, b"\0")
+    return header + text + bytes(slot_bytes) + cargo, rows_at + rows * ROW_BYTES
 
 
 def _map_file(fd: int, *, populate: bool) -> mmap.mmap:
@@ -166,6 +170,8 @@ class Ring:
     _version, _row_bytes, _row_count = _Word(1), _Word(2), _Word(3)
     _meta_bytes, _rows_start, cargo_bytes = _Word(4), _Word(5), _Word(6)
     """The cargo is what the maker of the ring hands to the loop; nobody else reads it."""
+    slot_bytes = _Word(7)
+    """Size of the slot for orders to the loop; zero for none."""
     head = _Word(_HEAD)
     """Number of rows put. Written by the loop."""
     tail = _Word(16)
@@ -226,14 +232,22 @@ class Ring:
         self._prepare_packing()
 
     @classmethod
-    def create(cls, path: str | Path, meta: RunMeta, rows: int = 16384, cargo: bytes = b"") -> Ring:
+    def create(
+        cls,
+        path: str | Path,
+        meta: RunMeta,
+        rows: int = 16384,
+        cargo: bytes = b"",
+        *,
+        slot_bytes: int = 0,
+    ) -> Ring:
         """Create a ring, hold it, and return it; raise RingError if it exists.
 
         It appears complete or not at all, and only this user can read it. All its memory is
         allocated now, not later when shared memory may be full.
         """
         path = Path(path)
-        front, size = _lay_out(meta, rows, cargo)
+        front, size = _lay_out(meta, rows, cargo, slot_bytes)
         with _explain_errors(f"cannot make the ring {path}"):
             fd = os.open(path.parent, os.O_TMPFILE | os.O_RDWR | os.O_CLOEXEC, 0o600)
             with _close_on_error(fd):
@@ -251,7 +265,7 @@ class Ring:
 
         The interpreter's lock keeps their accesses in order, so it needs no barrier.
         """
-        front, size = _lay_out(meta, rows, b"")
+        front, size = _lay_out(meta, rows)
         mapped = mmap.mmap(-1, size)
         mapped[: len(front)] = front
         return cls(Path(), -1, mapped)
@@ -280,8 +294,14 @@ class Ring:
 
     def read_cargo(self, start: int, size: int) -> bytes:
         """Return so many bytes of the cargo from a place on."""
-        at = HEADER_BYTES + self._meta_bytes + start
+        at = HEADER_BYTES + self._meta_bytes + self.slot_bytes + start
         return self._buffer[at : at + size].tobytes()
+
+    @property
+    def slot(self) -> memoryview:
+        """The memory for orders; whoever takes it lets it go before the ring is closed."""
+        at = HEADER_BYTES + self._meta_bytes
+        return self._buffer[at : at + self.slot_bytes]
 
     def admit_readers(self, group: int) -> None:
         """Let the members of a group, by its number, read this ring; nobody else may write."""
@@ -515,10 +535,17 @@ class Ring:
 
         The kernel takes it back when the process dies.
         """
+        return self._claim_byte(0)
+
+    def claim_slot(self) -> bool:
+        """Take the slot for this process alone; as `claim_log`."""
+        return self._claim_byte(1)
+
+    def _claim_byte(self, byte: int) -> bool:
         import fcntl
 
         try:
-            fcntl.lockf(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.lockf(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, byte)
         except OSError:
             return False
         return True

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 from support.patience import BUSY_PC, PATIENCE_S
+from support.runs import run_settings
 from typer.testing import CliRunner
 
 from hal.sim import peek_v
@@ -19,12 +20,11 @@ from pamctl.cli.app import app
 from pamctl.log import read
 from pamctl.plain_text import LONGEST_REMARK
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
-from pamctl.processes.mark_desk import (
-    MarkDesk,
-    MarkError,
-    list_running_runs,
-    mark_run,
-)
+from pamctl.processes.marks import MarkError, list_running_runs, mark_run
+from pamctl.processes.run_once import make_run_meta
+from pamctl.realtime.orders import MARK_SLOT_BYTES
+from pamctl.recording.ring import Ring
+from pamctl.settings.config_files import DEFAULT_NAMES
 
 DEVICE = f"testmarks{os.getpid()}"
 
@@ -52,17 +52,16 @@ def test_a_mark_reaches_the_log_of_a_run_without_a_daemon(tmp_path: Path) -> Non
             assert CliRunner().invoke(app, ["mark", "x", "--log", "other.mcap"]).exit_code == 3
             with pytest.raises(MarkError, match="1 to 2000"):
                 mark_run(run, "x" * (LONGEST_REMARK + 1))
-            for bad in (b"{", b"[]", b'{"mark": ""}', b"\xff", b"9" * 60_000):
-                with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as client:
-                    client.connect(f"\0{run.address}")
-                    client.send(bad)
-            mark_run(run, "after the noise")
+            with ThreadPoolExecutor() as terminals:
+                command = [sys.executable, "-m", "pamctl", "mark", "at once", "--log", str(log)]
+                ends = [*terminals.map(subprocess.call, 3 * [command])]
+            assert ends == [0, 0, 0]
         finally:
             front.send_signal(signal.SIGINT)
             _, complaint = front.communicate(timeout=PATIENCE_S)
     assert front.returncode == 130, complaint.decode()
     marks = [event for event in read(log).events if event["event"] == "mark"]
-    assert [mark["text"] for mark in marks] == ["load on", "load off", "after the noise"]
+    assert [mark["text"] for mark in marks] == ["load on", "load off", *3 * ["at once"]]
     ticks = [mark["tick"] for mark in marks]
     assert ticks == sorted(ticks)
     assert set(ticks) <= set(read(log)["tick"].tolist())
@@ -72,22 +71,27 @@ def test_a_mark_reaches_the_log_of_a_run_without_a_daemon(tmp_path: Path) -> Non
         left.unlink()
 
 
-def test_a_mark_waits_for_no_loop(tmp_path: Path) -> None:
-    """The front also watches the loop: a loop that takes nothing must not hold it up."""
-    desk = MarkDesk(tmp_path / "run.mcap")
+def test_a_loop_that_takes_no_mark_is_reported_in_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pamctl.processes.marks._PATIENCE_S", 0.05)
+    path = SHARED_MEMORY / f"pamctl-{DEVICE}.ring"
+    meta = make_run_meta(run_settings(), DEFAULT_NAMES, tmp_path / "run.mcap")
+    with Ring.create(path, meta, 64, slot_bytes=MARK_SLOT_BYTES) as ring:
+        (run,) = (run for run in list_running_runs() if run.ring == path)
+        for why in ("did not take the order", "did not take the order"):  # nor the one before
+            with pytest.raises(MarkError, match=why):
+                mark_run(run, "one")
+        ring.loop_done = 1
+        assert path not in [run.ring for run in list_running_runs()]
+        ring.unlink()
+
+
+def test_the_ring_of_a_dead_run_takes_no_marks(tmp_path: Path) -> None:
+    path = SHARED_MEMORY / f"pamctl-{DEVICE}dead.ring"
+    meta = make_run_meta(run_settings(), DEFAULT_NAMES, tmp_path / "run.mcap")
+    Ring.create(path, meta, 64, slot_bytes=MARK_SLOT_BYTES).close()
     try:
-        with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as first:
-            first.connect(desk._listener.getsockname())
-            first.send(b'{"mark": "one"}')
-            desk.look()
-            desk.look()
-            first.setblocking(False)
-            with pytest.raises(BlockingIOError):
-                first.recv(100)
-            with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as second:
-                second.connect(desk._listener.getsockname())
-                second.send(b'{"mark": "two"}')
-                desk.look()
-                assert b"refused" in second.recv(1000)
+        assert path not in [run.ring for run in list_running_runs()]
     finally:
-        desk.close()
+        path.unlink()

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-import os
 import threading
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pamctl.realtime.orders import LARGEST_ORDER, OrderError, Orders
+from pamctl.realtime.orders import MARK_SLOT_BYTES, SESSION_SLOT_BYTES, OrderError, Orders
 
 
 @pytest.fixture
-def orders():
-    slot = Orders.create()
-    yield slot
-    slot.close()
+def slot() -> memoryview:
+    return memoryview(bytearray(MARK_SLOT_BYTES))
+
+
+@pytest.fixture
+def orders(slot: memoryview) -> Orders:
+    return Orders(slot)
 
 
 def test_an_empty_slot_holds_no_order(orders: Orders) -> None:
@@ -41,7 +43,7 @@ def test_a_second_order_waits_until_the_first_was_taken(orders: Orders) -> None:
 
 def test_what_does_not_fit_is_refused_and_leaves_the_slot_free(orders: Orders) -> None:
     with pytest.raises(OrderError, match="exceed"):
-        orders.send({"text": "x" * LARGEST_ORDER})
+        orders.send({"text": "x" * MARK_SLOT_BYTES})
     assert orders.is_free
 
 
@@ -62,15 +64,12 @@ def test_the_emergency_stop_needs_no_free_slot(orders: Orders) -> None:
 
 @given(st.lists(st.dictionaries(st.text(), st.floats() | st.integers() | st.text()), max_size=5))
 def test_orders_arrive_as_they_were_sent(sent: list[dict[str, object]]) -> None:
-    slot = Orders.create()
-    try:
-        for order in sent:
-            slot.send(order)
-            taken = slot.take()
-            assert taken is not None
-            assert repr(sorted(taken.items())) == repr(sorted(expected(order).items()))
-    finally:
-        slot.close()
+    orders = Orders(memoryview(bytearray(SESSION_SLOT_BYTES)))
+    for order in sent:
+        orders.send(order)
+        taken = orders.take()
+        assert taken is not None
+        assert repr(sorted(taken.items())) == repr(sorted(expected(order).items()))
 
 
 def expected(order: dict[str, object]) -> dict[str, object]:
@@ -79,9 +78,9 @@ def expected(order: dict[str, object]) -> dict[str, object]:
     return {k: spelled.get(v, v) if isinstance(v, str) else v for k, v in order.items()}
 
 
-def test_two_processes_share_it_and_it_goes_with_them(orders: Orders) -> None:
+def test_two_processes_share_it(slot: memoryview, orders: Orders) -> None:
     """A thread stands for the loop: the slot knows processes only by their memory."""
-    other = Orders(os.dup(orders.fd))
+    other = Orders(slot)
     taken = []
 
     def loop() -> None:

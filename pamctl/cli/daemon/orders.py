@@ -283,7 +283,7 @@ def mark(asked: MarkOptions) -> None:
     """Put a remark into the log of the run that goes on, of the daemon or of pamctl run."""
     text, log, socket = check_remark(asked.text), asked.log, asked.socket
     require_linux()
-    from pamctl.processes.mark_desk import list_running_runs, mark_run
+    from pamctl.processes.marks import list_running_runs, mark_run
 
     runs = [] if socket is not None else list_running_runs()
     if log is not None:

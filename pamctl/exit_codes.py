@@ -37,6 +37,8 @@ class ExitCode(IntEnum):
 
 EMERGENCY_STOP = "emergency stop"
 """Begins the reason of a run that someone stopped at once; its code is that of a safety trip."""
+LOG_DISK_FULL = "the log's disk is full"
+"""The reason of a run that stopped because its log cannot grow; its code is `UNEXPECTED`."""
 
 
 class Ending(NamedTuple):

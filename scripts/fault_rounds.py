@@ -14,6 +14,10 @@ stand-ins for NI's driver (on demand and hardware-timed) and for comedi (they ne
 daemon over the simulation, whose front is the daemon itself. A run over a card ends by itself where
 the machine gives it no CPU; such a round is counted apart.
 
+Single faults include a disk that becomes full during a run: a small one of its own for root, for
+others a limit on the file. Then the run must stop smoothly: the time counts from the recorder's
+report, and the log must have every tick.
+
 After a round, the output must be at the safe voltage, the log complete to the last tick before the
 signal, the exit code as documented, nothing left behind, and the next start clean. Processes that
 are still frozen when the valve is safe are continued, but not the recorder: nobody may need it.
@@ -27,6 +31,7 @@ import argparse
 import json
 import os
 import random
+import resource
 import signal
 import subprocess
 import sys
@@ -51,7 +56,7 @@ from hal.sim import peek_v
 from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
 from pamctl.log.reader import read
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
-from pamctl.recording.ring import Ring
+from pamctl.recording.ring import RecorderFlag, Ring
 
 SAFE_V, AO_STEP_V = 0.625, 20.0 / 65536.0
 """A voltage that neither a reset nor a power-up leaves behind."""
@@ -80,6 +85,11 @@ BENCHES = ("sim", "nidaq", "nidaq_hardware_timed", "comedi", "daemon")
 Fault = tuple[str, str]
 """A process and what happens to it."""
 FAULTS: list[Fault] = [(process, what) for process in PROCESSES for what in SIGNALS]
+FULL_DISK: tuple[Fault, ...] = (("disk", "full"),)
+DISK_MB = 24
+"""Room for the log, and for what is reserved ahead for a full ring."""
+FILLED_WITHIN_S = 90.0
+"""4 MB are reserved ahead: a log of 1 kHz fills them in half a minute."""
 
 
 class Bench(NamedTuple):
@@ -306,6 +316,61 @@ def round_of(bench: Bench, faults: Sequence[Fault], log: Path) -> dict[str, Any]
     return {"safe_after_ms": took_ms, "ticks_lost": ticks_lost(run.log, int(tick["tick"]))}
 
 
+def full_disk_round(bench: Bench, disk: Path, next_log: Path) -> dict[str, Any]:
+    """Run once onto a disk that becomes full; return what `round_of` does. Raises `Amiss`."""
+    with small_disk(disk):
+        run = Run(bench, disk / "run.mcap")
+        try:
+            pids = run.pids()
+            with Ring.attach(run.ring()) as ring:
+                run.await_motion(ring)
+                fill(disk, pids["recorder"])
+                deadline_s = time.monotonic() + FILLED_WITHIN_S
+                while not ring.recorder_flags & RecorderFlag.DISK_FULL:
+                    require(time.monotonic() < deadline_s, "the disk is never full")
+                    time.sleep(1e-3)
+                took_ms = run.await_safe(time.perf_counter())
+                _, said = run.front.communicate(timeout=PATIENCE_S)
+                tick = ring.latest_tick()
+        finally:
+            run.front.kill()
+            run.front.communicate()
+        lines = said.decode().strip().splitlines()
+        require(run.front.returncode == 1, f"exit code {run.front.returncode}")
+        require(len(lines) == 1 and "disk is full" in lines[0], f"not one message: {lines}")
+        require(abs(bench.output_v() - SAFE_V) <= AO_STEP_V, f"{bench.output_v()} V after the end")
+        assert tick is not None
+        lost = ticks_lost(run.log, int(tick["tick"]))
+    next_start(bench, next_log)
+    return {"safe_after_ms": took_ms, "ticks_lost": lost}
+
+
+@contextmanager
+def small_disk(place: Path) -> Iterator[None]:
+    """Mount a small disk at `place`; only root may, others get a folder."""
+    place.mkdir()
+    if os.geteuid():
+        yield
+        return
+    options = ["-t", "tmpfs", "-o", f"size={DISK_MB}m", "none", str(place)]
+    subprocess.run(["mount", *options], check=True)
+    try:
+        yield
+    finally:
+        subprocess.run(["umount", place], check=True)
+
+
+def fill(disk: Path, recorder: int) -> None:
+    """Leave no room on a small disk; where it is none, let the log grow by a little only."""
+    if os.geteuid():
+        most = (disk / "run.mcap").stat().st_size + (1 << 18)
+        resource.prlimit(recorder, resource.RLIMIT_FSIZE, (most, most))
+        return
+    with suppress(OSError), (disk / "other").open("wb", buffering=0) as file:
+        while file.write(bytes(1 << 16)):
+            pass
+
+
 def send(pid: int, number: int) -> None:
     with suppress(ProcessLookupError):
         os.kill(pid, number)
@@ -339,6 +404,11 @@ def list_faults(hits: int) -> list[tuple[Fault, ...]]:
     ]
 
 
+def list_cases(hits: int, bench: str) -> list[tuple[Fault, ...]]:
+    """List the faults of a bench; a daemon begins no run where the disk is small."""
+    return list_faults(hits) + [FULL_DISK] * (hits == 1 and bench != "daemon")
+
+
 def rounds(
     count: int, done: Counter[str], hits: int = 1, names: Sequence[str] = BENCHES
 ) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -350,7 +420,7 @@ def rounds(
         cases = [
             (f"{bench.name} {', '.join(map(' '.join, faults))}", bench, faults)
             for bench in rigs
-            for faults in list_faults(hits)
+            for faults in list_cases(hits, bench.name)
             if bench.name in names
         ]
         for index in range(count):
@@ -359,7 +429,10 @@ def rounds(
                     continue
                 log = Path(temporary) / f"{case}-{index}.mcap".replace(" ", "-").replace(",", "")
                 try:
-                    found = round_of(bench, faults, log)
+                    if faults == FULL_DISK:
+                        found = full_disk_round(bench, log.with_suffix(""), log)
+                    else:
+                        found = round_of(bench, faults, log)
                 except (Amiss, subprocess.TimeoutExpired) as amiss:
                     found = {"starved" if STARVED in str(amiss) else "amiss": str(amiss)}
                 yield case, found

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable
 from types import FrameType
 
-from pamctl.exit_codes import EMERGENCY_STOP, Ending, ExitCode
+from pamctl.exit_codes import EMERGENCY_STOP, LOG_DISK_FULL, Ending, ExitCode
 from pamctl.processes.interrupts import STOP_SIGNALS
 from pamctl.realtime.clock import LoopSettings, SleepWatch
 from pamctl.realtime.orders import Orders
@@ -171,7 +171,7 @@ class LoopSupervisor:
         if ring is None:
             return None
         if ring.recorder_flags & RecorderFlag.DISK_FULL:
-            return Ending(ExitCode.UNEXPECTED, "the log's disk is full")
+            return Ending(ExitCode.UNEXPECTED, LOG_DISK_FULL)
         if self._patient:
             return None
         if ring.pending > ring.rows - self._spare_rows:

@@ -16,7 +16,7 @@ from hal.calibration import Zero, calibration
 from hal.rig import Rig
 from pamctl.control.filters import warp_cutoff
 from pamctl.control.law_registry import describe_law, law_of
-from pamctl.exit_codes import Ending, ExitCode
+from pamctl.exit_codes import LOG_DISK_FULL, Ending, ExitCode
 from pamctl.kernel import build
 from pamctl.log.annotation import NOTHING_SAID, Annotation, annotate_meta
 from pamctl.log.run_meta import RunMeta, bare_name, make_dated_path
@@ -210,8 +210,11 @@ def _conclude_run(
             lines.append(f"log: {path}")
             index_quietly(path, make_index=is_usual_place)
     code = int(ending.code or (ExitCode.OK if report.log_is_whole else ExitCode.CHECK_FAILED))
-    reason = ending.reason if ending.code else ""
-    return FinishedRun(code, reason, report.note, document, "\n".join(lines))
+    reason, note = ending.reason if ending.code else "", report.note
+    if reason == LOG_DISK_FULL:  # the recorder says the same of its log: once is enough
+        note = note.removeprefix("the disk is full: ")
+        reason, note = f"{reason}: {note}; make room, or give another place with --log", ""
+    return FinishedRun(code, reason, note, document, "\n".join(lines))
 
 
 def _compute_figures(

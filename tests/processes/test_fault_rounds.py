@@ -52,9 +52,11 @@ def test_what_was_done_before_ctrl_c_is_told_kept_and_not_done_again(
 
 def test_rounds_that_are_done_are_left_out(script, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(script, "round_of", lambda *_: dict(WELL))
+    monkeypatch.setattr(script, "full_disk_round", lambda *_: dict(WELL))
     monkeypatch.setattr(script, "next_start", lambda *_: None)
     all_of_them = [case for case, _ in script.rounds(2, script.Counter())]
-    assert len(all_of_them) == 2 * 5 * len(script.PROCESSES) * len(script.SIGNALS)
+    signals = len(script.PROCESSES) * len(script.SIGNALS)
+    assert len(all_of_them) == 2 * (5 * signals + 4), "and a full disk where there is no daemon"
     done = script.Counter({all_of_them[0]: 2, all_of_them[1]: 1})
     rest = [case for case, _ in script.rounds(2, done)]
     assert len(rest) == len(all_of_them) - 3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import socket
 import struct
@@ -102,6 +103,16 @@ class Client:
     def __exit__(self, *_: object) -> None:
         """Hang up."""
         self.close()
+
+
+def read_ticks(answer: Mapping[str, Any]) -> list[dict[str, float]]:
+    """Return the ticks in an answer to `recent`: columns by name, oldest first."""
+    return [restore_nan(dict(zip(answer["fields"], row, strict=True))) for row in answer["ticks"]]
+
+
+def restore_nan(tick: Mapping[str, float | None]) -> dict[str, float]:
+    """Return a tick as the loop has it: NaN where a value is unknown, as JSON knows no NaN."""
+    return {name: math.nan if value is None else value for name, value in tick.items()}
 
 
 def _advice(path: Path, error: OSError) -> str:

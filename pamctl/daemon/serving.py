@@ -27,6 +27,7 @@ from pamctl.daemon.shelf import Latch, Shelf
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.plant.model import PlantSettings
 from pamctl.processes.backends import SHARED_MEMORY, device_of, require_backend, require_open_files
+from pamctl.processes.interrupts import STOP_SIGNALS, ignore_signals
 from pamctl.processes.keep_awake import keep_awake
 from pamctl.processes.run_once import (
     build_machine_code,
@@ -40,7 +41,6 @@ from pamctl.settings.resolve import RunSettings
 _LOOK_EVERY_S = 5e-3
 _TURN_OF_A_THREAD_S = 5e-4
 _END_PATIENCE_S = 10.0
-_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _OWN_ERROR = Ending(ExitCode.UNEXPECTED, "an error of the daemon's own")
 
 Tell = Callable[[Mapping[str, object]], object]
@@ -102,7 +102,7 @@ def serve_daemon(
             )
             _shorten_pauses()
             ending = asyncio.run(_serve(service, options.socket, options.group, tell))
-            _ignore_signals()
+            ignore_signals()
         tell(_make_event("ended", exit_code=int(ending.code), reason=ending.reason))
         return ending.code
     finally:
@@ -171,15 +171,9 @@ def _listen_for_signals(on_end: Callable[[signal.Signals], object]) -> None:
         if not events.is_closed():
             events.call_soon_threadsafe(on_end, signal.Signals(number))
 
-    for number in _ENDING:
+    for number in STOP_SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:  # ignored under nohup
             signal.signal(number, on_signal)
-
-
-def _ignore_signals() -> None:
-    """Let Python end undisturbed: the daemon has ended and the valve is safe."""
-    for number in _ENDING:
-        signal.signal(number, signal.SIG_IGN)
 
 
 def _stop(stop: asyncio.Future[Ending], service: RigSession, ending: Ending) -> None:

@@ -27,7 +27,7 @@ from pamctl.processes.front import FrontReport, close_log, read_ending
 from pamctl.processes.guardian_handle import start_loop
 from pamctl.processes.loop_supervisor import STARTS_WITHIN_S
 from pamctl.realtime.orders import SESSION_SLOT_BYTES, OrderError, Orders
-from pamctl.recording.journal import make_outcome_event, put_event_for_dead_loop
+from pamctl.recording.journal import end_for_dead_loop
 from pamctl.recording.recorder import RecorderError, await_recorder, spawn_recorder
 from pamctl.recording.ring import LoopStage, RecorderFlag, Ring
 from pamctl.settings.resolve import RunSettings
@@ -248,9 +248,7 @@ class Session:
             time.sleep(5e-3)
 
     def _finish(self, run: DaemonRun, ending: Ending) -> FrontReport:
-        if not run.is_over:  # the loop is dead: its recorder would wait for more
-            put_event_for_dead_loop(run.ring, make_outcome_event(ending))
-            run.ring.loop_done = 1
+        end_for_dead_loop(run.ring, ending)
         report = close_log(run.ring, run.recorder, ending)
         if self.run is run:
             self.run = None  # only now: its log is whole
@@ -271,8 +269,7 @@ class Session:
         if self._failing:
             ending = ending._replace(reason=self._failing)
         ending = self._guardian.judge_ending(ending)
-        if not self._ring.loop_done:
-            self._ring.loop_done = 1
+        self._ring.loop_done = 1
         self._guardian.dismiss()
         run = self.run
         if run is not None:

@@ -12,7 +12,13 @@ from contextlib import closing, nullcontext, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
+from pamctl.daemon.client import (
+    Client,
+    DaemonDeclinedError,
+    DaemonUnreachableError,
+    read_ticks,
+    restore_nan,
+)
 from pamctl.log.run_meta import spell_controller
 from pamctl.report.progress_line import format_progress
 
@@ -59,14 +65,7 @@ class DaemonFeed:
         if newest < self._seen:
             self._seen = -1  # another session counts from zero
         request = {"after_tick": self._seen, "every": self._every, "fields": self._fields}
-        answer = self._client.call("recent", request)
-        ticks = [
-            {
-                name: math.nan if value is None else value
-                for name, value in zip(answer["fields"], row, strict=True)
-            }
-            for row in answer["ticks"]
-        ]
+        ticks = read_ticks(self._client.call("recent", request))
         self._seen = newest
         if ticks and "tick" in ticks[-1]:
             self._seen = max(newest, int(ticks[-1]["tick"]))
@@ -119,7 +118,7 @@ def format_status(status: Mapping[str, Any]) -> str:
         what = f": {status['fault']}"
     lines = [f"{status['state']}{what}, {status['backend']} {status['device']}"]
     if status["tick"] is not None:
-        tick = {k: float("nan") if v is None else v for k, v in status["tick"].items()}
+        tick = restore_nan(status["tick"])
         lines.append(format_progress(tick, status["worst_late_s"]).strip())
     lines.append(f"controller: {spell_controller(status['names'])}")
     if status.get("monitor"):

@@ -27,7 +27,7 @@ from pamctl.processes.guardian_handle import LOOK_EVERY_S, Guardianship, start_l
 from pamctl.processes.interrupts import STOP_SIGNALS, block_signals
 from pamctl.realtime.clock import LoopSettings
 from pamctl.realtime.scheduling import Mode, raise_front_priority
-from pamctl.recording.journal import make_outcome_event, put_event_for_dead_loop
+from pamctl.recording.journal import end_for_dead_loop
 from pamctl.recording.recorder import RECORDER_PATIENCE_S, spawn_recorder
 from pamctl.recording.ring import RecorderFlag, Ring
 
@@ -73,9 +73,7 @@ def conduct_run(
         with raise_front_priority(mode):
             _watch(ring, loop, recorder, guardian, progress)
         ending = guardian.judge_ending(read_ending(loop))
-        if not ring.loop_done:
-            put_event_for_dead_loop(ring, make_outcome_event(ending))
-            ring.loop_done = 1
+        end_for_dead_loop(ring, ending)
         try:
             return close_log(ring, recorder, ending)
         finally:

@@ -27,7 +27,7 @@ from pamctl.processes.backends import build_clock, build_rig, require_backend
 from pamctl.processes.guardian import LoopProcess, Takeover, drive_safe, guard
 from pamctl.processes.loop_supervisor import STARTS_WITHIN_S
 from pamctl.realtime.scheduling import keep_single_threaded, prepare_guardian
-from pamctl.recording.journal import make_outcome_event, put_event_for_dead_loop
+from pamctl.recording.journal import end_for_dead_loop, put_event_for_dead_loop
 from pamctl.recording.recorder import leave_recorder, outlive_signals
 from pamctl.recording.ring import Ring, RingError
 from pamctl.settings.resolve import RunSettings, from_resolved, settings_to_json
@@ -101,10 +101,7 @@ def _end_log(ring: Ring, takeover: Takeover | None) -> None:
     for path in ring.path.parent.glob(f"{ring.path.name.rpartition('-')[0]}-*.ring"):
         with suppress(RingError):  # finished meanwhile
             with Ring.attach(path) as run:
-                if not run.loop_done:
-                    ending = Ending(ExitCode.UNEXPECTED, reason)
-                    put_event_for_dead_loop(run, make_outcome_event(ending))
-                    run.loop_done = 1
+                end_for_dead_loop(run, Ending(ExitCode.UNEXPECTED, reason))
             leave_recorder(path)
 
 

@@ -15,12 +15,7 @@ from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log.run_meta import RunMeta
 from pamctl.processes.backends import require_backend
 from pamctl.processes.compose_loop import compose_loop
-from pamctl.recording.journal import (
-    RingJournal,
-    make_outcome_event,
-    put_event_for_dead_loop,
-    wait_for_recorder,
-)
+from pamctl.recording.journal import RingJournal, end_for_dead_loop, wait_for_recorder
 from pamctl.recording.recorder_thread import RecordedRun
 from pamctl.recording.ring import Ring
 from pamctl.settings.resolve import RunSettings
@@ -77,6 +72,6 @@ def run_here(
     # The log keeps every tick until then.
     except Exception as error:
         ending = Ending(ExitCode.UNEXPECTED, f"{type(error).__name__}: {error}")
-    put_event_for_dead_loop(ring, make_outcome_event(ending))
+    end_for_dead_loop(ring, ending)
     run.finish()
     return ending

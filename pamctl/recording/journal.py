@@ -117,6 +117,8 @@ class SessionJournal(RingJournal):
         self._recorded = recorded
         self._standing: dict[str, Mapping[str, object]] = {}
         self._closing: deque[Iterator[None]] = deque()
+        # Nobody reads the session's own ring: where it is full, its rows are old.
+        session.await_room = lambda has_room: session.commit(session.head)
 
     @property
     def run(self) -> Ring | None:
@@ -168,36 +170,25 @@ class SessionJournal(RingJournal):
 
     def _show_life(self, late_s: float, missed: int) -> None:
         super()._show_life(late_s, missed)
-        ring, session = self._ring, self._session
-        if ring is session:
-            session.commit(session.head)
-        else:
-            ring.loop_beat_ns = session.loop_beat_ns
+        if self._ring is not self._session:
+            self._ring.loop_beat_ns = self._session.loop_beat_ns
         if missed:
-            ring.missed_ticks += missed
+            self._ring.missed_ticks += missed
 
     def note_start(self, event: Mapping[str, object]) -> None:
         """Keep an event for the runs to come, before the rig is open."""
         self._standing[str(event["event"])] = event
         super().note_start(event)
-        self._session.commit(self._session.head)
 
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
         """Put an event; those that begin a log are kept for the runs to come."""
         if event["event"] in _FIRST_EVENTS:
             self._standing[str(event["event"])] = event
         super().put_event(tick, t_ns, event)
-        self._session.commit(self._session.head)
 
     def put_event_text(self, tick: int, t_ns: int, text: bytes) -> None:
         """Put an event that is JSON already, and begins no log."""
         self._ring.put_event_text(tick, t_ns, text)
-        self._session.commit(self._session.head)
-
-    def put_gains(self, tick: int, t_ns: int, gains: Mapping[str, object]) -> None:
-        """Put gains that apply from the next tick on."""
-        super().put_gains(tick, t_ns, gains)
-        self._session.commit(self._session.head)
 
     def put_keyframe(self, tick: int, t_ns: int, state: Sequence[float]) -> None:
         """Put the frozen state, during a run only."""
@@ -214,6 +205,13 @@ def put_last_event(ring: Ring, event: Mapping[str, object]) -> None:
     """Put an event at the time of the last tick; raise `RingFull` if there is no room."""
     last = ring.latest_tick() or {"tick": 0, "encoder_t_ns": ring.meta.start_mono_ns}
     ring.put_event(int(last["tick"]), int(last["encoder_t_ns"]), event)
+
+
+def end_for_dead_loop(ring: Ring, ending: Ending) -> None:
+    """End the rows of a run whose loop has not done so: its recorder would wait for more."""
+    if not ring.loop_done:
+        put_event_for_dead_loop(ring, make_outcome_event(ending))
+        ring.loop_done = 1
 
 
 def put_event_for_dead_loop(ring: Ring, event: Mapping[str, object]) -> None:

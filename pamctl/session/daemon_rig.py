@@ -9,7 +9,13 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from pamctl.daemon.client import Client, DaemonDeclinedError, default_socket
+from pamctl.daemon.client import (
+    Client,
+    DaemonDeclinedError,
+    default_socket,
+    read_ticks,
+    restore_nan,
+)
 from pamctl.exit_codes import ExitCode
 from pamctl.session.pamctl_error import PamctlError, translate_errors
 from pamctl.session.steered_rig import Goal, InterruptedWaitError, SteeredRig, require_well
@@ -92,9 +98,7 @@ class _SocketLink:
         newest = -1 if status["tick"] is None else int(status["tick"]["tick"])
         while True:
             goes_on = require_well(self.ask("status", {}))["run"] is not None
-            columns = self.ask("recent", {"after_tick": newest, "every": every})
-            for values in columns["ticks"]:
-                tick = dict(zip(columns["fields"], map(_nan_if_none, values), strict=True))
+            for tick in read_ticks(self.ask("recent", {"after_tick": newest, "every": every})):
                 newest = int(tick["tick"])
                 yield tick
             if not goes_on:
@@ -118,8 +122,4 @@ class _Seen:
     @property
     def tick(self) -> Mapping[str, float] | None:
         tick = self._status["tick"]
-        return None if tick is None else {name: _nan_if_none(value) for name, value in tick.items()}
-
-
-def _nan_if_none(value: float | None) -> float:
-    return math.nan if value is None else value
+        return None if tick is None else restore_nan(tick)

@@ -21,12 +21,7 @@ from pamctl.log.run_meta import RunMeta
 from pamctl.processes.backends import require_backend
 from pamctl.processes.compose_loop import compose_loop
 from pamctl.processes.run_once import make_run_meta, new_ring_path
-from pamctl.recording.journal import (
-    SessionJournal,
-    make_outcome_event,
-    put_event_for_dead_loop,
-    wait_for_recorder,
-)
+from pamctl.recording.journal import SessionJournal, end_for_dead_loop, wait_for_recorder
 from pamctl.recording.recorder_thread import RecordedRun
 from pamctl.recording.ring import Ring, RingError, RingFull
 from pamctl.session.pamctl_error import hold_back_ctrl_c
@@ -197,8 +192,8 @@ class InProcessLoop:
         self.begin_end()
         self._advance_whole(_NEVER)
         assert self._ending is not None
-        if self.run is not None and not self.run.ring.loop_done:  # it ended before it took the run
-            put_event_for_dead_loop(self.run.ring, make_outcome_event(self._ending))
+        if self.run is not None:
+            end_for_dead_loop(self.run.ring, self._ending)  # it may not have taken the run
         self.finish_run()
         if self._thread.is_alive():
             self._thread.join()

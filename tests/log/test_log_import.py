@@ -308,6 +308,7 @@ def test_a_table_that_is_none_is_refused_with_its_line(tmp_path, text, told):
     [
         ("position: {column: x, unit: mm, offest: 1}", 78, "map.yaml:2:"),
         ("position: {column: x, unit: mm, offest: 1}", 78, "did you mean 'offset'"),
+        ("position: {column: x, unit: deg}", 78, "the radius of the pulley or lever in m times"),
         ("position: {column: positon_m, unit: m}", 65, "did you mean position_m?"),
         ("valve: {column: valve_v}", 65, "there is neither pressure nor position"),
     ],

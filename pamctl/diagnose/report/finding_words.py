@@ -426,10 +426,11 @@ def _say_fault(
                 f"{one_clock}; this record is mended by moving {number} {ms} {way}",
             )
         case "clock_rate":
-            word = "long" if value > 0.0 else "short"
+            word, runs = ("long", "fast") if value > 0.0 else ("short", "slow")
             text = f"{column} runs away from the others by {1e6 * value:+.0f} us in each second"
             if number == "t_s":
-                text = f"all times are {100.0 * abs(value):.2g} % too {word}"
+                percent = f"{100.0 * abs(value):.2g} %"
+                text = f"all times are {percent} too {word}: the record's clock runs {runs}"
             return text, f"{one_clock}; two clocks never run alike"
         case "filtered":
             hz = sqrt(log(2.0)) / (2.0 * pi * max(value, 1e-9))  # half the power passes

@@ -16,7 +16,7 @@ import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from hal.calibration import CalibrationSettings, Configured
 from pamctl.json_text import to_json
@@ -148,6 +148,18 @@ class PositionMap(_MeasuredMap):
     quantity: ClassVar[str] = "position_m"
     unit: Literal["m", "mm", "cm", "um", "in"]
     noise: SensorNoise = None
+
+    @field_validator("unit", mode="before")
+    @classmethod
+    def _refuse_angle(cls, unit: object) -> object:
+        """Say how an angle becomes a position: its unit alone does not."""
+        radians = {"deg": 0.0174533, "rad": 1.0}.get(str(unit).lower())
+        if radians is None:
+            return unit
+        raise ValueError(
+            f"{unit} is an angle, and a position is an arc: write `unit: m, gain: G`, where G is "
+            f"the radius of the pulley or lever in m times {radians:g}"
+        )
 
 
 class ForceMap(_MeasuredMap):

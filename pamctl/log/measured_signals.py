@@ -120,7 +120,7 @@ def signals(log: Log) -> Signals:
         if output.held_v is not None:
             held_v = float(_compute_valve_v(log, np.array(output.held_v)))
         if drive_n_per_v := log.config.get("plant", {}).get("drive_n_per_v"):
-            before_v = np.concatenate(([valve[0] if held_v is None else held_v], valve[:-1]))
+            before_v = np.concatenate((valve[:1] if held_v is None else [held_v], valve[:-1]))
             force_n = 0.5 * drive_n_per_v * (before_v + valve)
     t_s = find_sample_times(log)
     return Signals(

@@ -148,7 +148,8 @@ def decide_verdict(evidence: EvidenceVerdict) -> Verdict:
         left = max(evidence.left_over_noise.values(), default=0.0)
         if left > LEFT_TIMES:
             return Verdict.NONE_KNOWN
-        return Verdict.MISCALIBRATED if _is_start_off(evidence) else Verdict.NO_DISCREPANCY
+        is_off = evidence.held_s > 0.0 or _is_start_off(evidence)
+        return Verdict.MISCALIBRATED if is_off else Verdict.NO_DISCREPANCY
     if any(f.level == "set" for f in said):
         return Verdict.AMBIGUOUS
     named = [f for f in said if f.level == "name"]

@@ -165,7 +165,7 @@ def _as_column(values: ArrayLike) -> Array:
 
 # --- what is known of the sensors -----------------------------------------------------------------
 
-FaultKind = Literal["jitter", "outliers", "dropouts", "hum", "filtered", "unused"]
+FaultKind = Literal["jitter", "outliers", "dropouts", "hum", "filtered", "unused", "early"]
 SENSORS = {channel: unit for channel, unit in CHANNELS.items() if channel != "valve_v"}
 SOURCES = {
     "stated": "as stated",

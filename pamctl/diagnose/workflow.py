@@ -9,7 +9,7 @@ print(sentence(diagnosis))
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from pamctl.diagnose.audit import audit_evidence
@@ -77,9 +77,19 @@ def diagnose(
         holdout=tuple(holdout),
         audit=audit_evidence(found, pairs=False),
         accepted=accepted,
-        noise=describe_channels(records, found.noise_rms, faults),
+        noise=describe_channels(records, found.noise_rms, [*faults, *_tell_instants(found)]),
     )
     return _decide_next(diagnosis, found, records, progress)
+
+
+def _tell_instants(found: EvidenceVerdict) -> Iterator[SensorFault]:
+    """Say so where commands act before the samples at which the files have them."""
+    jumps = sum(len(each.owner) for each in found.instants)
+    if jumps:
+        early = sum(each.early for each in found.instants)
+        says = f"{early} of {jumps} steps of the command act before their samples: the files do not"
+        says += " have all commands. When they acted was fitted"
+        yield SensorFault("valve_v", "early", says)
 
 
 def _decide_next(

@@ -118,6 +118,8 @@ class RunPiece:
     """Of its record."""
     begin_s: float = 0.0
     """Where it begins in its record."""
+    acts_after_s: Array | None = None
+    """How long after its sample each command acts, shape (samples,); None: at once."""
 
 
 class Runs:
@@ -154,6 +156,11 @@ class Runs:
         self._last: tuple[Any, Array] | None = None
         self._whole = self
 
+    @property
+    def whole(self) -> Runs:
+        """All blocks of these records."""
+        return self._whole
+
     def part(self, counts: Mask) -> Runs:
         """Return the same records, of which only these blocks count, shape (n_blocks,)."""
         view = copy(self)
@@ -179,17 +186,32 @@ class Runs:
             }
             acts_after = getattr(record, "acts_after_s", None)
             held_v = getattr(record, "held_v", None) if begin == 0 else None
-            grids = {
-                step: build_grid(
-                    np.diff(t_s[cut]), end - begin, max(LEAST_STEPS, round(self.period_s / step)),
-                    None if acts_after is None else acts_after[cut], held_v,
-                )
-                for step in self.steps_s
-            }  # fmt: skip
+            late_s = None if acts_after is None else acts_after[cut]
+            grids = self._build_grids(np.diff(t_s[cut]), late_s, held_v)
             counted = None if counts is None else counts[cut]
             found.append(self._make_stretch(columns, grids, begin == 0, counted))
             found[-1].name, found[-1].begin_s = record.name, float(t_s[begin])
+            found[-1].acts_after_s = late_s
         return found
+
+    def _build_grids(
+        self, between_s: Array, acts_after_s: Array | None, held_v: float | None
+    ) -> dict[float, SampleGrid]:
+        return {
+            step: build_grid(
+                between_s, len(between_s) + 1, max(LEAST_STEPS, round(self.period_s / step)),
+                acts_after_s, held_v,
+            )
+            for step in self.steps_s
+        }  # fmt: skip
+
+    def set_instants(self, acts_after_s: Sequence[Array | None]) -> None:
+        """Let the commands of each stretch act so long after their samples, s."""
+        for stretch, late_s in zip(self.stretches, acts_after_s, strict=True):
+            grid = stretch.grids[FINE_STEP_S]
+            stretch.grids = self._build_grids(np.diff(grid.samples_s), late_s, grid.held_v)
+            stretch.acts_after_s = late_s
+        self._whole._last = None
 
     def _make_stretch(
         self, columns: dict[str, Array], grids: dict[float, SampleGrid], is_first: bool,

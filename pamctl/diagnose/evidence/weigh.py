@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pamctl.diagnose.evidence.command_instants import CommandInstants, find_instants
 from pamctl.diagnose.evidence.constants import FIT_STEPS, LEFT_TIMES, NAME_NATS
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher, bound_gain
 from pamctl.diagnose.evidence.ladder import Finding, climb_ladder, fit_number
@@ -80,6 +81,14 @@ class EvidenceVerdict:
     """RMS by stage (`nominal`, `recalibrated`, `extended`) and channel, SI; held out if any is."""
     noise_rms: Mapping[str, float]
     """Of each channel's sensor, SI."""
+    instants: Sequence[CommandInstants] = ()
+    """When the commands acted, where the files do not have all of them."""
+
+    @property
+    def held_s(self) -> float:
+        """For how long the files hold a command though others followed it; 0 for one sample."""
+        refresh = max((i.refresh for i in self.instants), default=1)
+        return refresh * self.weigher.train.period_s if refresh > 1 else 0.0
 
     @property
     def values(self) -> dict[str, float]:
@@ -130,6 +139,7 @@ def weigh_evidence(
     """
     plant = plant or PlantSettings()
     weigher, start = prepare_weigher(records, held_out, plant, noise, jobs, holds_out=True)
+    instants = find_instants(weigher)
     base = _free_mistyped(weigher, start, weigher.settle(replace(start), FIT_STEPS))
     tell("recalibrated")
     pool = {
@@ -139,6 +149,11 @@ def weigh_evidence(
     }
     search = NameSearch(weigher, pool, tell)
     m = search.run(base)
+    if instants:
+        tell("when the commands acted is fitted again, beside what was found")
+        base = _refit_instants(weigher, instants, m, base)
+        search = NameSearch(weigher, pool, tell)
+        m = search.run(base)
     findings = tuple(climb_ladder(search, base, m)) if m.names else ()
     weigher.set_floor(m)
     weigher.leave_out(m)
@@ -148,7 +163,17 @@ def weigh_evidence(
     }
     left = np.sqrt(weigher.find_noise2(m))
     noise_rms = dict(zip(weigher.train.channels, map(float, left), strict=True))
-    return EvidenceVerdict(findings, start, base, m, weigher, pool, gap, noise_rms)
+    return EvidenceVerdict(findings, start, base, m, weigher, pool, gap, noise_rms, instants)
+
+
+def _refit_instants(
+    weigher: Weigher, instants: Sequence[CommandInstants], m: WeighedModel, base: WeighedModel
+) -> WeighedModel:
+    """Return the base model fitted to records whose commands act as a model says."""
+    for each in instants:
+        each.fit(m)
+    weigher.pushes.clear()
+    return weigher.settle(WeighedModel((), base.numbers, {}, base.x.copy()), FIT_STEPS)
 
 
 def _free_mistyped(weigher: Weigher, start: WeighedModel, base: WeighedModel) -> WeighedModel:

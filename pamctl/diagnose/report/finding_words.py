@@ -443,6 +443,12 @@ def _say_fault(
                 f"{column} is {1e-3 * value:.4g} kPa too high: the atmosphere was added twice",
                 f"{number} is absolute already: take the atmosphere out of the import map",
             )
+        case "decimated_command":
+            return (
+                f"{column} changes only every {1e3 * value:.3g} ms in the file, and the pressure "
+                "answers commands between",
+                f"log {number} at every tick",
+            )
     return (  # a sign
         f"{column} has the wrong sign",
         f"change the sign of {number} in the import map or in the calibration",
@@ -459,12 +465,18 @@ def list_effects(diagnosis: Diagnosis) -> list[Finding]:
 
 
 def list_faults(diagnosis: Diagnosis) -> list[SetupFault]:
-    """Return the faults of the set-up, named or first of a set."""
-    return [
+    """Return the faults of the set-up, named or first of a set; commands that were not logged."""
+    found = [
         SetupFault.read(diagnosis, f, list_candidates(f)[1:] if f.level == "set" else [])
         for f in diagnosis.findings
         if f.level in BEST_KNOWN and f.hypothesis.setup
     ]
+    held_s = diagnosis.evidence.held_s if diagnosis.evidence else 0.0
+    if held_s:
+        kind, number = "decimated_command", "valve_v"
+        text, mend = _say_fault(kind, number, held_s, "s", None)
+        found.append(SetupFault(kind, number, held_s, (held_s, held_s), "s", None, [], mend, text))
+    return found
 
 
 def list_terms(diagnosis: Diagnosis) -> list[dict[str, Any]]:

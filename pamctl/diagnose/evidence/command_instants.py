@@ -13,7 +13,7 @@ the file; where it does at all of them, a column is late, which is a fault of th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -49,8 +49,10 @@ USUAL, WIDE = 0.3, 0.3
 """Mean and standard deviation of a share before anything is known of it."""
 MOVE = 0.1
 """Of a period: the step of a difference."""
-SETTLED, ROUNDS = 0.005, 6
-"""Of a period: when no share changes by more, the fit ends; and rounds at most."""
+SETTLED, ROUNDS = 0.002, 8
+"""When no share changes by more, the fit ends; and rounds at most."""
+RIDGE, ROOM = 1e-12, 1e-9
+"""So that what no sample shows has a solution, and a number at its end a range."""
 
 
 def find_jumps(command_v: Array) -> NDArray[np.int64]:
@@ -99,12 +101,6 @@ class CommandInstants:
         """The number of jumps that act surely before their samples."""
         return int((self.shares[:-1] > IN_TIME).sum())
 
-    def simulate(self, values: Mapping[str, float], shares: Array) -> Array:
-        """Return what a plant shows under commands that act so early, shape (channels, samples)."""
-        self.put(shares)
-        rows = self.runs.simulate(values, FINE_STEP_S)
-        return rows.reshape(len(rows), -1)
-
     def measure_shares(self) -> Array:
         """Let commands act as the pressure shows it; return the shares of the sharp jumps.
 
@@ -140,58 +136,66 @@ class CommandInstants:
         self.runs.set_instants(late_s)
 
     def fit(self, m: WeighedModel) -> None:
-        """Fit the shares beside a model's own numbers.
+        """Fit the shares together with a model's numbers, by Gauss and Newton; keep the shares.
 
         The model's residual is then no longer that of the records: fit it again.
         """
-        count, values = len(self.shares), {**self.weigher.base, **m.values}
-        free = np.ones(len(m.x))
-        low = np.concatenate([np.zeros(count), -MOST_STEP * free])
-        high = np.concatenate([np.ones(count), MOST_STEP * free])
-        usual = np.concatenate([np.full(count, USUAL), 0.0 * free])
-        prior = np.concatenate([np.full(count, WIDE**-2), MOST_STEP**-2 * free])
+        count, scale = len(self.shares), np.array([n.scale for n in m.numbers])
+        ends = np.array([(n.low, n.high) for n in m.numbers])
+        low, high = (np.append(np.full(count, k), (ends[:, k] - m.x) / scale) for k in (0, 1))
+        usual = np.append(np.full(count, USUAL), np.zeros(len(scale)))
+        prior = np.append(np.full(count, WIDE**-2), np.zeros(len(scale)))
+        z = np.append(self.shares, np.zeros(len(scale)))
         for _ in range(ROUNDS):
-            here = self.simulate(values, self.shares)
+            here = self._show(m, z)
             d = self._to_haar(self.runs.shown.reshape(here.shape) - here)
-            columns = np.stack([*self._find_columns(m, values, here)])
+            columns = np.stack([*self._find_columns(m, z, here)])
             weighed = columns * self.like(d, self.like.least2).weights.ravel()
-            now = np.concatenate([self.shares, 0.0 * free])
-            root = np.linalg.cholesky(weighed @ columns.T + np.diag(prior))
-            slope = weighed @ d.ravel() + prior * (now - usual)
-            room = low - now - 1e-9, high - now + 1e-9
-            step = lsq_linear(root.T, -np.linalg.solve(root, slope), room).x[:count]
-            self.shares = np.clip(self.shares + step, 0.0, 1.0)
-            if np.abs(step).max() < SETTLED:
+            normal = weighed @ columns.T + np.diag(prior)
+            root = np.linalg.cholesky(normal + RIDGE * np.diag(np.diag(normal)))
+            slope = weighed @ d.ravel() + prior * (z - usual)
+            room = np.maximum(low - z, -MOST_STEP) - ROOM, np.minimum(high - z, MOST_STEP) + ROOM
+            step = lsq_linear(root.T, -np.linalg.solve(root, slope), room).x
+            z = np.clip(z + step, low, high)
+            if np.abs(step[:count]).max() < SETTLED:
                 break
+        self.shares = z[:count]
         self.put(self.shares)
+
+    def _show(self, m: WeighedModel, z: Array) -> Array:
+        """Return what a plant shows, shape (channels, samples).
+
+        z holds the shares, and by how many scales the model's numbers are moved.
+        """
+        count, values = len(self.shares), {**self.weigher.base, **m.values}
+        for n, value, move in zip(m.numbers, m.x, z[count:], strict=True):
+            values[n.name] = float(value + move * n.scale)
+        self.put(z[:count])
+        rows = self.runs.simulate(values, FINE_STEP_S)
+        return rows.reshape(len(rows), -1)
 
     def _to_haar(self, off: Array) -> Array:
         return to_haar(self.runs.fill_masked(off.reshape(self.runs.shown.shape)))
 
-    def _find_columns(
-        self, m: WeighedModel, values: Mapping[str, float], here: Array
-    ) -> Iterator[Array]:
-        """Yield the change of the residual for each share, and for a scale of each own number.
+    def _find_columns(self, m: WeighedModel, z: Array, here: Array) -> Iterator[Array]:
+        """Yield the change of the residual for a unit of each number in z.
 
         One simulation moves a jump in every stretch.
         """
-        move = np.where(self.shares > 0.5, -MOVE, MOVE)
-        moved = []
-        for number in range(int(self.order.max(initial=-1)) + 1):
-            now = np.append(self.order == number, False)
-            moved.append(self.simulate(values, self.shares + now * move))
-        for owner, order, h in zip(self.owner, self.order, move, strict=False):
-            change = np.zeros_like(here)
-            part = self.parts[owner]
-            change[:, part] = (here - moved[order])[:, part] / h
+        jumps, numbers = len(self.owner), np.arange(len(z))
+        move = np.where(numbers < len(self.shares), np.where(z > 0.5, -MOVE, MOVE), STEP)
+        order = np.append(self.order, np.full(len(z) - jumps, -1))
+        moved = [
+            self._show(m, z + move * (order == number))
+            for number in range(int(order.max(initial=-1)) + 1)
+        ]
+        for owner, number, h in zip(self.owner, self.order, move, strict=False):
+            change, part = np.zeros_like(here), self.parts[owner]
+            change[:, part] = (here - moved[number])[:, part] / h
             yield self._to_haar(change).ravel()
-        now = np.arange(len(self.shares)) == len(self.owner)
-        rows = self.simulate(values, self.shares + now * move)
-        yield self._to_haar((here - rows) / move[-1]).ravel()
-        for n, value in zip(m.numbers, m.x, strict=True):
-            h = STEP if value + STEP * n.scale <= n.high else -STEP
-            rows = self.simulate({**values, n.name: value + h * n.scale}, self.shares)
-            yield self._to_haar((here - rows) / h).ravel()
+        for i in numbers[jumps:]:
+            rows = self._show(m, z + move * (numbers == i))
+            yield self._to_haar((here - rows) / move[i]).ravel()
 
 
 def find_instants(weigher: Weigher) -> list[CommandInstants]:

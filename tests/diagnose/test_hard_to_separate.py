@@ -10,7 +10,7 @@ from hidden.examination.examine import records_of, rig_of, start_plant
 from support.made_records import names_of, numbers_of, to_records
 
 from pamctl.diagnose import Diagnosis, Verdict, diagnose
-from pamctl.diagnose.report.finding_words import list_ambiguous
+from pamctl.diagnose.report.finding_words import list_ambiguous, list_faults
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
 
@@ -78,3 +78,12 @@ def test_a_quick_valve_behind_a_dead_band_is_no_delay() -> None:
     assert set(names_of(found)) == {"valve_deadband", "valve_spool"}
     true_s = 1.0 / rig_of(case).truth.spool_rad_per_s
     assert numbers_of(found)["valve_spool.time_constant_s"] == pytest.approx(true_s, rel=0.02)
+
+
+def test_a_load_that_was_not_weighed_is_a_mass_and_no_late_column() -> None:
+    case = Case("unknown/moving_mass", "unknown", {"moving_mass": 10}, program="short")
+    found = diagnose(*to_records(records_of(case)), start_plant(case))
+    assert found.verdict is Verdict.MISCALIBRATED
+    (fault,) = list_faults(found)
+    assert (fault.kind, fault.number) == ("plant_constant", "mass_kg")
+    assert fault.value == pytest.approx(rig_of(case).truth.mass_kg, rel=0.02)

@@ -20,6 +20,8 @@ ADDED = "added"
 """The kind of a pressure to which the atmosphere was added twice."""
 HIGH_UP = 0.4
 """Of the air's pressure at sea level, the share that the highest laboratories lack."""
+HEAVIER = 12.0
+"""Times the plant file's mass that may move."""
 SWITCHED = (TURNED, ADDED)
 """Kinds that are so or not: there is nothing between."""
 
@@ -91,6 +93,7 @@ def list_of_chain(
         for name, share in (("rest_length_m", 0.01), ("temperature_k", 0.02)):
             place = "pull" if name == "rest_length_m" else "air"
             yield _make_number(name.rsplit("_", 1)[0], place, name, plant[name], share, 0.05)
+        yield _make_mass(plant["mass_kg"])
 
 
 def _make_turn(short: str, place: str, channel: str) -> Hypothesis:
@@ -108,6 +111,19 @@ def _make_clock(short: str, place: str, channel: str) -> Hypothesis:
     name = f"{short}_clock"
     variants = (Variant({}, (rate,)),)
     return Hypothesis(name, place, "clock", variants, name, setup=("clock_rate", channel))
+
+
+def _make_mass(mass_kg: float) -> Hypothesis:
+    """Return another moving mass: what hangs on the muscle was not weighed.
+
+    Beside the damping it is nearly a position that is late by M / c.
+    """
+    size = Unknown(
+        "mass_kg", 2.0 * mass_kg, mass_kg / HEAVIER, mass_kg * HEAVIER, mass_kg, mass_kg,
+        0.5 * mass_kg,
+    )  # fmt: skip
+    setup = ("plant_constant", "mass_kg")
+    return Hypothesis("mass", "pull", "constant", (Variant({}, (size,)),), "mass", setup=setup)
 
 
 def _make_number(

@@ -290,7 +290,6 @@ CURVES: Mapping[str, tuple[str, ...]] = {
     "opening": ("time",),
     "supply": ("time",),
     "flow": ("pressure", "position", "time"),
-    "leak": ("command",),
     "volume": ("position", "pressure"),
     "force": ("position", "pressure", "time"),
     "stiffness": ("time",),

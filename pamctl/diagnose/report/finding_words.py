@@ -366,6 +366,7 @@ _CALLED = {
     "force_n": "the force",
 }
 _MEND_NUMBER = {
+    "mass_kg": "weigh what moves",
     "rest_length_m": "measure the vented, unloaded muscle between its end caps",
     "temperature_k": "measure the temperature of the supplied air",
     "tank_pressure_pa": "read the regulator's gauge, and add the atmosphere's pressure",

@@ -137,4 +137,8 @@ def test_commands_that_were_logged_more_rarely_than_given_are_said() -> None:
         return replace(record, valve_v=record["valve_v"][np.arange(len(record)) // 5 * 5])
 
     found = diagnose_spoiled(hidden_rig(seed=8), decimate)
-    assert {f.hypothesis.place for f in found.findings if f.level != "rest"} == {"valve"}
+    (fault,) = list_faults(found)
+    assert (fault.kind, fault.number) == ("decimated_command", "valve_v")
+    assert fault.value == pytest.approx(5e-3)
+    assert "every 5 ms" in sentence(found)
+    assert [f.name for f in found.findings if f.level != "rest"] == []

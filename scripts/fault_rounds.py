@@ -116,16 +116,20 @@ def benches(folder: Path) -> Iterator[list[Bench]]:
         settings = [*OPTIONS, f"rig.sim.device={device}"]
         return Bench(name, "sim", settings, os.environ, lambda: peek_v(ao_path(device)))
 
-    yield [
-        simulated("sim", name),
-        Bench("nidaq", "nidaq", chosen, card.environment(), lambda: card.output_v),
-        Bench("nidaq_hardware_timed", "nidaq", clocked, card.environment(), lambda: card.output_v),
-        Bench("comedi", "comedi", comedi, other.environment(), lambda: other.output_v),
-        simulated("daemon", f"{name}daemon"),
-    ]
-    for pattern in (f"pamctl-{name}*", f"pamctl-{other.name}*"):
-        for left in SHARED_MEMORY.glob(pattern):
-            left.unlink()
+    try:
+        yield [
+            simulated("sim", name),
+            Bench("nidaq", "nidaq", chosen, card.environment(), lambda: card.output_v),
+            Bench(
+                "nidaq_hardware_timed", "nidaq", clocked, card.environment(), lambda: card.output_v
+            ),
+            Bench("comedi", "comedi", comedi, other.environment(), lambda: other.output_v),
+            simulated("daemon", f"{name}daemon"),
+        ]
+    finally:
+        for pattern in (f"pamctl-{name}*", f"pamctl-{other.name}*"):
+            for left in SHARED_MEMORY.glob(pattern):
+                left.unlink()
 
 
 class Run:

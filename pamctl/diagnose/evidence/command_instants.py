@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from pamctl.diagnose.evidence.constants import FINE_STEP_S
+from pamctl.diagnose.evidence.constants import COARSE_STEP_S, FINE_STEP_S
 from pamctl.diagnose.evidence.fit import MOST_STEP, STEP, WeighedModel, Weigher
 from pamctl.diagnose.evidence.likelihood import Likelihood, to_haar
 from pamctl.diagnose.evidence.run_pieces import Runs
@@ -51,8 +51,8 @@ MOVE = 0.1
 """Of a period: the step of a difference."""
 SETTLED, ROUNDS = 0.002, 8
 """When no share changes by more, the fit ends; and rounds at most."""
-RIDGE, ROOM = 1e-12, 1e-9
-"""So that what no sample shows has a solution, and a number at its end a range."""
+LOOSE, RIDGE, ROOM = 1e-4, 1e-12, 1e-9
+"""So that a number that no sample shows stays, and one at its end has a range."""
 
 
 def find_jumps(command_v: Array) -> NDArray[np.int64]:
@@ -110,7 +110,8 @@ class CommandInstants:
         row, every = self.runs.channels.index("pressure_pa"), self.refresh
         shares, sharp = [], []
         for number, stretch in enumerate(self.runs.stretches):
-            p, noise = stretch.shown[row], estimate_white_noise(stretch.shown[row])
+            p = stretch.shown[row]
+            noise = max(estimate_white_noise(p), float(np.sqrt(self.like.least2[row])))
             at = self.sample[self.owner == number]
             at = np.clip(at, every + SLOPE, len(p) - SLOPE - 1)
             before = (p[at - every] - p[at - every - SLOPE]) / SLOPE
@@ -144,12 +145,12 @@ class CommandInstants:
         ends = np.array([(n.low, n.high) for n in m.numbers])
         low, high = (np.append(np.full(count, k), (ends[:, k] - m.x) / scale) for k in (0, 1))
         usual = np.append(np.full(count, USUAL), np.zeros(len(scale)))
-        prior = np.append(np.full(count, WIDE**-2), np.zeros(len(scale)))
+        prior = np.append(np.full(count, WIDE**-2), np.full(len(scale), LOOSE))
         z = np.append(self.shares, np.zeros(len(scale)))
         for _ in range(ROUNDS):
-            here = self._show(m, z)
+            here = self._show(m, z, FINE_STEP_S)
             d = self._to_haar(self.runs.shown.reshape(here.shape) - here)
-            columns = np.stack([*self._find_columns(m, z, here)])
+            columns = np.stack([*self._find_columns(m, z)])
             weighed = columns * self.like(d, self.like.least2).weights.ravel()
             normal = weighed @ columns.T + np.diag(prior)
             root = np.linalg.cholesky(normal + RIDGE * np.diag(np.diag(normal)))
@@ -162,7 +163,7 @@ class CommandInstants:
         self.shares = z[:count]
         self.put(self.shares)
 
-    def _show(self, m: WeighedModel, z: Array) -> Array:
+    def _show(self, m: WeighedModel, z: Array, step_s: float = COARSE_STEP_S) -> Array:
         """Return what a plant shows, shape (channels, samples).
 
         z holds the shares, and by how many scales the model's numbers are moved.
@@ -171,18 +172,18 @@ class CommandInstants:
         for n, value, move in zip(m.numbers, m.x, z[count:], strict=True):
             values[n.name] = float(value + move * n.scale)
         self.put(z[:count])
-        rows = self.runs.simulate(values, FINE_STEP_S)
+        rows = self.runs.simulate(values, step_s)
         return rows.reshape(len(rows), -1)
 
     def _to_haar(self, off: Array) -> Array:
         return to_haar(self.runs.fill_masked(off.reshape(self.runs.shown.shape)))
 
-    def _find_columns(self, m: WeighedModel, z: Array, here: Array) -> Iterator[Array]:
+    def _find_columns(self, m: WeighedModel, z: Array) -> Iterator[Array]:
         """Yield the change of the residual for a unit of each number in z.
 
         One simulation moves a jump in every stretch.
         """
-        jumps, numbers = len(self.owner), np.arange(len(z))
+        here, jumps, numbers = self._show(m, z), len(self.owner), np.arange(len(z))
         move = np.where(numbers < len(self.shares), np.where(z > 0.5, -MOVE, MOVE), STEP)
         order = np.append(self.order, np.full(len(z) - jumps, -1))
         moved = [

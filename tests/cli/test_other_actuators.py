@@ -72,12 +72,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("plant", ["chamber", "axis"])
+@pytest.mark.parametrize(
+    ("plant", "way_on"),
+    [("chamber", "`pamctl plant export`"), ("axis", "plant.drive_n_per_v is missing")],
+)
 @pytest.mark.parametrize("verb", ["run --fast --log {0}/r.mcap", "tune --law pid --out {0}/g.yaml"])
-def test_a_run_of_a_plant_that_is_no_muscle_is_refused_before_it_begins(plant, verb, folder):
+def test_a_plant_that_nothing_can_drive_is_refused_before_a_run(plant, way_on, verb, folder):
     done = run_pamctl(*verb.format(folder).split(), "--plant", folder / f"{plant}.yaml")
     assert done.returncode == 78
-    assert "give the plant of a muscle" in done.stderr
+    assert way_on in done.stderr
     assert not [*folder.glob("r*.mcap"), *folder.glob("g*.yaml")]
 
 

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
-import numpy as np
 from pydantic import ValidationError
 
 from pamctl.control.course import Segment, reference_at
@@ -16,7 +15,6 @@ from pamctl.control.law_registry import read_controller
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.paper import PaperParameters, braid_lever_m, force_area_m2, valve_flow, volume_m3
 from pamctl.plant.parameters import PlantParameters
-from pamctl.plant.required_force import required_force_n
 from pamctl.realtime.gain_ramp import GainRampError, require_blendable
 from pamctl.settings.resolve import RunSettings
 from pamctl.signals import Reference
@@ -138,6 +136,10 @@ def _find_drive_commands(
     plant: PlantParameters, samples: Sequence[TimedReference]
 ) -> list[tuple[float, float]]:
     """Return the command (V) of an axis's drive at each sample: the force over its force a volt."""
+    import numpy as np  # a command line must not wait for it
+
+    from pamctl.plant.required_force import required_force_n
+
     motion = np.array([(t_s, *reference[1:4]) for t_s, reference in samples]).T
     commands_v = required_force_n(plant, *motion) / plant.drive_n_per_v
     return list(zip(motion[0].tolist(), commands_v.tolist(), strict=True))

@@ -56,7 +56,8 @@ def require_drivable(plant: PlantSettings) -> None:
         raise ValueError(
             "plant.actuator chamber does not move, and the laws of pamctl follow a displacement: "
             "no run and no `tune` for it. `pamctl diagnose`, `audit` and `compare` take it, and "
-            "`pamctl plant export` makes an FMU of it, to tune a pressure controller elsewhere"
+            "`pamctl plant export PLANT.yaml PLANT.fmu` makes an FMU of it, to tune a pressure "
+            "controller elsewhere"
         )
     if plant.actuator == "direct" and plant.drive_n_per_v is None:
         raise ValueError(

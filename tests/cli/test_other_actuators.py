@@ -74,7 +74,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize(
     ("plant", "way_on"),
-    [("chamber", "`pamctl plant export`"), ("axis", "plant.drive_n_per_v is missing")],
+    [
+        ("chamber", "`pamctl plant export PLANT.yaml PLANT.fmu`"),
+        ("axis", "plant.drive_n_per_v is missing"),
+    ],
 )
 @pytest.mark.parametrize("verb", ["run --fast --log {0}/r.mcap", "tune --law pid --out {0}/g.yaml"])
 def test_a_plant_that_nothing_can_drive_is_refused_before_a_run(plant, way_on, verb, folder):

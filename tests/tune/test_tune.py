@@ -312,7 +312,10 @@ def test_drawn_plants_reach_other_processes(tmp_path: Path) -> None:
     ("options", "said"),
     [
         (["--law", "lqr", "--out", "x.yaml"], "--law lqr: must be one of"),
-        (["--plant", "chamber.yaml"], "`pamctl plant export` makes an FMU of it"),
+        (
+            ["--plant", "chamber.yaml"],
+            "`pamctl plant export PLANT.yaml PLANT.fmu` makes an FMU of it",
+        ),
         (["--plant", "axis.yaml"], "plant.drive_n_per_v is missing"),
         (["--plant", "driven.yaml"], "rig.safe_volts 0 is a command of -5 V, which pushes"),
         (["--plant", "driven.yaml", "--rig", "sim", "--set", "rig.safe_volts=5"], "rig.homing"),

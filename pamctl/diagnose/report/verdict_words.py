@@ -199,12 +199,17 @@ def _advise_after_naming(diagnosis: Diagnosis) -> tuple[str, ...]:
         return (
             f"Go on with plant.yaml, which has what was found: {_AGAIN} asks whether it holds.",
         )
-    is_muscle = plant.actuator == "muscle"
-    law, rig = ("--law qsmc ", "") if is_muscle else ("", " --rig RIG --experiment MOTION")
+    tune = "`pamctl tune --plant plant.yaml --rig rig.yaml --experiment motion.yaml`"
+    run = (
+        "`pamctl run --controller gains.yaml --plant plant.yaml --rig rig.yaml "
+        "--experiment motion.yaml`"
+    )
+    if plant.actuator == "muscle":
+        tune = "`pamctl tune --law qsmc --plant plant.yaml --out gains.yaml`"
+        run = "`pamctl run --controller gains.yaml --plant plant.yaml`"
     go_on = (
         "Go on with plant.yaml, which has what was found. In the folder of this page: "
-        f"`pamctl tune {law}--plant plant.yaml{rig} --out gains.yaml`, then "
-        f"`pamctl run --controller gains.yaml --plant plant.yaml{rig}`."
+        f"{tune}, then {run}."
     )
     if runs_here(diagnosis) and any(f.name == "null_offset" for f in diagnosis.findings):
         null = "The null of the valve is measured by `pamctl calibrate valve --out rig.yaml`."

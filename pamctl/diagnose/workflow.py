@@ -88,7 +88,7 @@ def _tell_instants(found: EvidenceVerdict) -> Iterator[SensorFault]:
     if jumps:
         early = sum(each.early for each in found.instants)
         says = f"{early} of {jumps} steps of the command act before their samples: the files do not"
-        says += " have all commands. When they acted was fitted"
+        says += " have all commands. The instants of the steps were fitted"
         yield SensorFault("valve_v", "early", says)
 
 

@@ -35,7 +35,7 @@ STANDS_OUT, LEAST_JUMP = 3.0, 0.005
 MOST_JUMPS = 64
 """In one stretch. A valve that is switched all the time has no instants that a fit could find."""
 MOST_HELD = 32
-"""Samples for which a file may hold a command because it lacks those between."""
+"""Samples. A command that a file holds for longer was held by the program."""
 SLOPE = 3
 """Samples over which the pressure's slope is taken on either side of a jump."""
 SHARP = 8.0
@@ -102,7 +102,7 @@ class CommandInstants:
         return int((self.shares[:-1] > IN_TIME).sum())
 
     def measure_shares(self) -> Array:
-        """Let commands act as the pressure shows it; return the shares of the sharp jumps.
+        """Set each share to what the pressure shows of it; return those of the sharp jumps.
 
         The pressure rises along one line before a jump, and along another after it: where they
         meet, the command acted. No model is asked, since it may be wrong.
@@ -127,7 +127,7 @@ class CommandInstants:
         return found
 
     def put(self, shares: Array) -> None:
-        """Let the records have it that commands act so early."""
+        """Let the commands of the records act so early."""
         late_s = []
         for number, stretch in enumerate(self.runs.stretches):
             early = np.full(len(stretch.inputs["valve_v"]), shares[-1])
@@ -202,7 +202,7 @@ class CommandInstants:
 def find_instants(weigher: Weigher) -> list[CommandInstants]:
     """Return when the commands acted, for each set of records; empty where they act in time.
 
-    So it is where a file says when its commands act, or nothing shows the pressure behind a valve.
+    It is not asked where a file says when its commands act, or where valve or pressure is missing.
     """
     sets = [weigher.train.whole, *([weigher.held_out.whole] if weigher.held_out else [])]
     sets = sets[:1] if sets[0] is sets[-1] else sets

@@ -86,7 +86,7 @@ class EvidenceVerdict:
 
     @property
     def held_s(self) -> float:
-        """For how long the files hold a command though others followed it; 0 for one sample."""
+        """How long the files hold a command while the valve got others; 0 for one sample."""
         refresh = max((i.refresh for i in self.instants), default=1)
         return refresh * self.weigher.train.period_s if refresh > 1 else 0.0
 
@@ -150,7 +150,7 @@ def weigh_evidence(
     search = NameSearch(weigher, pool, tell)
     m = search.run(base)
     if instants:
-        tell("when the commands acted is fitted again, beside what was found")
+        tell("fitting when the commands acted, beside what was found; then asking again")
         base = _refit_instants(weigher, instants, m, base)
         search = NameSearch(weigher, pool, tell)
         m = search.run(base)

@@ -447,7 +447,7 @@ def _say_fault(
         case "decimated_command":
             return (
                 f"{column} changes only every {1e3 * value:.3g} ms in the file, and the pressure "
-                "answers commands between",
+                "answers commands in between",
                 f"log {number} at every tick",
             )
     return (  # a sign
@@ -466,7 +466,7 @@ def list_effects(diagnosis: Diagnosis) -> list[Finding]:
 
 
 def list_faults(diagnosis: Diagnosis) -> list[SetupFault]:
-    """Return the faults of the set-up, named or first of a set; commands that were not logged."""
+    """Return the faults of the set-up that are named or first of a set, and lost commands."""
     found = [
         SetupFault.read(diagnosis, f, list_candidates(f)[1:] if f.level == "set" else [])
         for f in diagnosis.findings

@@ -131,7 +131,7 @@ def test_a_wrong_value_is_one_document_with_a_reason(
         (("log", "import", "none.csv", "new.mcap"), 65),
         (("log", "import", "none.csv", "new.mcap", "--map", "none.yaml"), 78),
         (("reproduce", "fig9", "--out", "out"), 2),
-        (("tune", "--law", "qsmc"), 2),
+        (("tune", "--law", "qsmc", "--out", "no/such/place.yaml"), 2),
         (("run", "--fast", "--log", "no/such/place.mcap"), 2),
         (("safe", "--backend", "nidaq"), 69),
         (("calibrate", "valve", "--backend", "nidaq", "--out", "x.yaml", "--yes"), 69),

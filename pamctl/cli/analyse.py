@@ -1,10 +1,8 @@
-"""The verbs that judge logs against code and model: report, replay, compare, health."""
+"""The verbs that judge logs against code and model: report, replay, compare, health, reproduce."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import nullcontext
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,7 +22,14 @@ from pamctl.cli.options import (
 )
 from pamctl.cli.output import PAGE_BEGIN, print_report, print_result, tell, warn
 from pamctl.exit_codes import ExitCode
-from pamctl.new_file import NewFileError, require_empty_folder, require_place, write_files
+from pamctl.json_text import to_json
+from pamctl.new_file import (
+    NewFileError,
+    require_empty_folder,
+    require_folder,
+    require_place,
+    write_files,
+)
 
 if TYPE_CHECKING:
     from pamctl.log import Log
@@ -194,8 +199,11 @@ def compare(asked: CompareOptions) -> None:
             progress(number, count, f"reading {path.name}")
             log = read_some(path, SIGNAL_FIELDS)
             warn(path, judge_ticks(log))
-            begun = partial(_show_plant, progress, number, count)
-            found.append((path, compare_plants(log, asked.plants, begun)))
+
+            def show_plant(done: float, of: float, doing: str, before: int = number) -> None:
+                progress(before + done / of, count, doing)
+
+            found.append((path, compare_plants(log, asked.plants, show_plant)))
         whole = None if plot is None else read(asked.paths[0])
         reports = [report_comparison(path, models, whole) for path, models in found]
     if len(reports) > 1:
@@ -215,13 +223,6 @@ def compare(asked: CompareOptions) -> None:
     one.document = {**one.document, "plot": saved}
     end = f"\nplots: {saved}" if saved else ""
     print_report(one, as_json=asked.as_json, failure=failure, end=end)
-
-
-def _show_plant(
-    progress: Callable[[float, float, str], None], log: int, logs: int, done: float, of: float,
-    doing: str,
-) -> None:  # fmt: skip
-    progress(log + done / of, logs, doing)
 
 
 # --- health -----------------------------------------------------------------------------------
@@ -249,7 +250,6 @@ def health(asked: HealthOptions) -> None:
     from pamctl.diagnose.refuse import read_acceptances
     from pamctl.health.follow_health import Stated, follow_health
     from pamctl.health.health_words import format_good_plant, report_health
-    from pamctl.json_text import to_json
     from pamctl.report.html_page import write_html
     from pamctl.runs.run_index import RunIndex
     from pamctl.runs.run_row import UNREADABLE
@@ -276,3 +276,46 @@ def health(asked: HealthOptions) -> None:
         failure = error
     end = f"\n\n{asked.out}: {', '.join(files)}"
     print_report(report, as_json=asked.as_json, failure=failure, end=end)
+
+
+# --- reproduce --------------------------------------------------------------------------------
+
+_ALL = "all"
+_NUMBERS_BEGIN = "{"
+
+
+class ReproduceOptions(Options):
+    """`pamctl reproduce`."""
+
+    part: str = argument("fig3|fig4|fig5|table4|all", "Part of the paper")
+    out: Path = option("--out DIR", "Folder for the page and the numbers", ...)
+    seed: int = option("--seed N", "Seed of the simulated noise", 0, low=0)
+
+
+@verb
+def reproduce(asked: ReproduceOptions) -> None:
+    """Write DIR/index.html and DIR/numbers.json; every number is simulated now."""
+    from pamctl.report.html_page import write_html
+    from pamctl.report.progress_line import WorkProgress
+    from pamctl.reproduce.reproduction import PARTS, reproduce_paper
+
+    part, out = asked.part, asked.out
+    if part not in (_ALL, *PARTS):
+        known = ", ".join((*PARTS, _ALL))
+        raise typer.BadParameter(f"{part}: unknown; there are {known}", param_hint="part")
+    parts = list(PARTS) if part == _ALL else [part]
+    page, numbers = out / "index.html", out / "numbers.json"
+    require_folder(out)
+    if out.is_dir():
+        require_place(page, replaces=PAGE_BEGIN)
+        require_place(numbers, replaces=_NUMBERS_BEGIN)
+    with WorkProgress("reproduce") as progress:
+        made = reproduce_paper(parts, asked.seed, progress)
+    end, failure = f"\n\npage: {page}\nnumbers: {numbers}", None
+    written = to_json(made.document).decode() + "\n"
+    try:
+        write_files({page: write_html(made)}, replaces=PAGE_BEGIN)
+        write_files({numbers: written}, replaces=_NUMBERS_BEGIN)
+    except NewFileError as error:
+        end, failure = "", error
+    print_report(made, as_json=asked.as_json, failure=failure, end=end)

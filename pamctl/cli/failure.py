@@ -19,8 +19,8 @@ from typing import Any, Protocol, runtime_checkable
 import typer
 from typer.core import TyperGroup
 
-from pamctl.cli.examples import EXAMPLES, write_epilog
-from pamctl.cli.waiting import SLOW_VERBS, tell_while_silent
+from pamctl.cli.verbs import EXAMPLES, SLOW_VERBS, write_epilog
+from pamctl.cli.waiting import tell_while_silent
 from pamctl.errors import ConfigError
 from pamctl.exit_codes import ExitCode
 from pamctl.plain_text import PlainStream, clean_lines
@@ -55,7 +55,9 @@ class Verbs(TyperGroup):
         super().__init__(*arguments, **options)
         for words, command in list(_walk(self)):
             _word_help(command, " ".join(words))
-            _print_plainly(command)
+            is_group = getattr(command, "commands", {}) and not command.invoke_without_command
+            if command.callback is not None and not is_group:
+                command.callback = print_plainly(command.callback, " ".join(words))
             command.get_params = partial(_list_readers, command.get_params)
 
     def main(self, args: Sequence[str] | None = None, *rest: Any, **extra: Any) -> Any:
@@ -129,17 +131,15 @@ def _word_help(command: Any, words: str) -> None:
         command.epilog = write_epilog(words)
 
 
-def _print_plainly(command: Any) -> None:
-    """Let no verb print control characters: what it shows may be somebody else's log."""
-    is_group = getattr(command, "commands", {}) and not command.invoke_without_command
-    if command.callback is not None and not is_group:
-        command.callback = _with_plain_streams(command.callback)
+def print_plainly(verb: Callable[..., None], words: str) -> Callable[..., None]:
+    """Let a verb print no control characters: what it shows may be somebody else's log.
 
+    While it is silent, the terminal says what it does, as `SLOW_VERBS` has it for these words.
+    """
 
-def _with_plain_streams(verb: Callable[..., None]) -> Callable[..., None]:
     @wraps(verb)
     def carry_out(*arguments: Any, **options: Any) -> None:
-        with tell_while_silent(SLOW_VERBS.get(verb.__name__)) as end:
+        with tell_while_silent(SLOW_VERBS.get(words)) as end:
             out, err = PlainStream(sys.stdout, end), PlainStream(sys.stderr, end)
             with redirect_stdout(out), redirect_stderr(err):
                 verb(*arguments, **options)

@@ -1,11 +1,13 @@
-"""The verbs of the files that a user writes: `pamctl config` and `pamctl plant`."""
+"""`pamctl config` and `pamctl plant`, the files that a user writes; `pamctl manual`, to read."""
 
 from __future__ import annotations
 
 import json
 import shlex
+import sys
+from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -51,7 +53,12 @@ class FilesOptions(Options):
 def check_files(asked: FilesOptions) -> None:
     """Validate files, each by itself: one line per file, or one per problem."""
     shipped = (path for kind in SECTIONS for path in sorted((config_dir() / kind).glob("*.yaml")))
-    checked = [(path, *_check_file(path)) for path in asked.files or shipped]
+    checked: list[tuple[Path, str, tuple[Problem, ...]]] = []
+    for path in asked.files or shipped:
+        try:
+            checked.append((path, check_config_file(path, read_tables), ()))
+        except ConfigError as error:
+            checked.append((path, "", error.problems))
     documents = [
         {
             "file": shorten_path(path),
@@ -69,14 +76,6 @@ def check_files(asked: FilesOptions) -> None:
     print_result(documents, "\n".join(lines), as_json=asked.as_json)
     if any(problems for _, _, problems in checked):
         raise typer.Exit(ExitCode.BAD_CONFIG)
-
-
-def _check_file(path: Path) -> tuple[str, tuple[Problem, ...]]:
-    """Return the kind of a valid file, or the problems of another."""
-    try:
-        return check_config_file(path, read_tables), ()
-    except ConfigError as error:
-        return "", error.problems
 
 
 @config_app.command("show")
@@ -273,3 +272,36 @@ def _list_fitted(plant: PlantSettings) -> list[str]:
     names = [name for name in CALIBRATED[plant.actuator] if value_of(plant, name)]
     load = [LOAD] if plant.actuator in ("direct", "cylinder") else []
     return [name for name in (*names, *load) if name not in plant.known]
+
+
+# --- the manual -------------------------------------------------------------------------------
+
+
+def manual(
+    page: Annotated[
+        str | None,
+        typer.Argument(metavar="[PAGE]", help="Page to read", show_default="the list of all pages"),
+    ] = None,
+) -> None:
+    """List the pages of the manual, or print one of them."""
+    from pamctl.manual import UnknownPageError, list_pages, read_page
+
+    if page is None:
+        pages = list_pages()
+        width = max(len(one.name) for one in pages)
+        for kind, of_kind in groupby(pages, key=lambda one: one.kind):
+            typer.echo(f"{kind}:")
+            for one in of_kind:
+                typer.echo(f"  {one.name:<{width}}  {one.title}")
+        return
+    try:
+        text = read_page(page)
+    except UnknownPageError as error:
+        raise typer.BadParameter(str(error), param_hint="PAGE") from None
+    if not sys.stdout.isatty():
+        typer.echo(text.rstrip())
+        return
+    from rich.console import Console
+    from rich.markdown import Markdown
+
+    Console().print(Markdown(text))

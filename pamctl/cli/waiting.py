@@ -16,26 +16,6 @@ _BEGAN_S = time.monotonic()
 _CLEAR = "\r\x1b[K"
 
 STARTING = "pamctl: starting"
-SLOW_VERBS = {
-    "start": "start: homing, if the muscle is not homed",
-    "goto": "goto: homing, if the muscle is not homed",
-    "audit": "audit: simulating and judging",
-    "compare": "compare: simulating",
-    "diagnose": "diagnose: reading",
-    "replay": "replay: reading and computing every tick",
-    "report": "report: reading and drawing",
-    "tune": "tune: compiling and drawing plants",
-    "health": "health: reading and fitting",
-    "list_runs": "runs: reading new logs",
-    "reproduce": "reproduce: simulating",
-    "show_info": "log info: reading",
-    "check_logs": "log check: reading every record",
-    "recover_log": "log recover: reading and writing",
-    "export_log": "log export: reading and writing",
-    "cut_file": "log cut: reading and writing",
-    "import_file": "log import: reading and writing",
-}
-"""Verbs that may be silent for seconds, by their function, and what they do then."""
 
 
 @contextmanager

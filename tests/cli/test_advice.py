@@ -16,7 +16,7 @@ from typer.main import get_command
 import hal
 import pamctl
 from pamctl.cli.app import app
-from pamctl.cli.examples import EXAMPLES
+from pamctl.cli.verbs import EXAMPLES
 from pamctl.diagnose.audit import find_separating_experiment, find_showing_experiment
 from pamctl.diagnose.report.next_experiment import write_command
 from pamctl.plant.catalogue import CATALOGUE

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import pytest
 
-from pamctl.cli.audit import report_audit
+from pamctl.cli.diagnose import report_audit
 from pamctl.diagnose.audit import Audit, BlindSpot, Inseparable
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.report.report import format_terminal

@@ -14,8 +14,8 @@ from support.patience import PATIENCE_S
 from typer.main import get_command
 
 from pamctl.__main__ import main
+from pamctl.cli import orders
 from pamctl.cli.app import app
-from pamctl.cli.daemon import orders
 
 
 def verbs(command: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 import pamctl
 from pamctl.aio import AsyncRig
 from pamctl.cli.app import build_app
-from pamctl.cli.daemon.orders import make_verb
+from pamctl.cli.orders import make_verb
 from pamctl.cli.verbs import VERBS
 from pamctl.daemon.client import Client, DaemonDeclinedError
 from pamctl.daemon.protocol import INVALID_PARAMS, list_orders, methods_of, order

@@ -1,4 +1,4 @@
-"""The verbs of the daemon's clients: each gives an order of `daemon/rig_session.py`.
+"""The verbs of the daemon's clients: an order of `daemon/rig_session.py` each, and `pamctl watch`.
 
 A verb is made of its order: the signature says arguments, options, ranges and help. Written here
 are those that read a file, or that print more than the answer. Verbs without arguments are made of
@@ -11,6 +11,7 @@ import getpass
 import inspect
 import math
 import re
+import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -27,6 +28,7 @@ from pamctl.cli.options import (
     AnnotationOptions,
     Options,
     argument,
+    flag,
     list_fields,
     option,
     require_linux,
@@ -313,3 +315,51 @@ def _find_daemon_log(socket: Path | None = None) -> list[str]:
     except (DaemonUnreachableError, DaemonDeclinedError):
         return []
     return [] if log is None else [log]
+
+
+# --- watch ------------------------------------------------------------------------------------
+
+
+class WatchOptions(Options):
+    """`pamctl watch`."""
+
+    web: bool = flag("--web", "Serve a page to browsers of this PC")
+    port: int = option(
+        "--port PORT", "Port of the page; 0 picks a free one", 8642, low=0, high=65535
+    )
+    allow_control: bool = flag("--allow-control", "Let the page of --web stop and move the muscle")
+    socket: Path | None = SOCKET
+    count: int | None = option(
+        "--count N", "Number of lines or pictures, after which it ends", shown="no end", low=1
+    )
+    as_json: bool = flag("--json", "Print one line of JSON ten times a second")
+
+
+@verb
+def watch(asked: WatchOptions) -> None:
+    """Show state, position, error, pressure, command and timing ten times a second."""
+    if asked.allow_control and not asked.web:
+        raise typer.BadParameter("it goes with --web; in the terminal there are the other verbs")
+    if asked.web and (asked.as_json or asked.count is not None):
+        raise typer.BadParameter("--json and --count are for the terminal and for pipes")
+    require_linux()
+    from pamctl.daemon.client import default_socket
+
+    where = asked.socket or default_socket()
+    # However it ends, the terminal gets its cursor back.
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+    if not asked.web:
+        from pamctl.live.feed import watch_in_terminal
+
+        # Tell a script that asked for some lines or pictures that there was no daemon.
+        found = watch_in_terminal(where, asked.count, as_json=asked.as_json)
+        if not found and asked.count is not None:
+            raise typer.Exit(ExitCode.UNAVAILABLE)
+        return
+    from pamctl.live.web import serve_page
+
+    try:
+        serve_page(where, asked.port, allow_control=asked.allow_control)
+    except OSError as error:
+        why = f"port {asked.port}: {error.strerror or error}; choose another with --port"
+        raise Failed(ExitCode.UNAVAILABLE, why) from error

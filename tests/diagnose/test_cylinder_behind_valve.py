@@ -11,7 +11,7 @@ from pamctl.diagnose.evidence.fit import WeighedModel
 from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.weigh import list_pool, prepare_weigher
 
-T_S = np.arange(0.0, 8.0, 2e-3)
+T_S = np.arange(0.0, 5.0, 2e-3)
 GUESSED = Cylinder(
     stroke_m=0.2, mass_kg=1.0, damping_n_s_per_m=60.0, stiffness_n_per_m=1650.0,
     gain_m2_per_v=2.6e-7, preload_n=25.0, volume_m3=3.4e-5,
@@ -41,13 +41,6 @@ def test_dead_band_and_leak_are_named_from_valve_pressure_and_position_together(
         ("chamber_leak.area_m2", 2e-8),
     ):
         assert numbers[name].value == pytest.approx(true, rel=0.03), name
-
-
-@pytest.mark.long
-def test_of_a_cylinder_that_lacks_nothing_no_effect_is_named() -> None:
-    rig = Cylinder(stroke_m=0.2)
-    found = diagnose([record(rig, 1)], [record(rig, 2)], GUESSED.plant())
-    assert not [f.name for f in found.findings if f.says_name]
 
 
 @pytest.mark.long

@@ -54,16 +54,16 @@ def fill_vessel(gain_m2_per_v: float, volume_m3: float, tank_pa: float) -> Recor
     def command_v(t: float) -> float:
         return 2.0 if t % 2.0 < 1.0 else -2.0
 
-    def rate(t: float, y: np.ndarray) -> list[float]:
-        u = command_v(t)
-        flow = u * (psi(tank_pa, y[0]) if u > 0.0 else psi(y[0], 101.3e3))
-        return [air_j_per_kg * gain_m2_per_v * flow / volume_m3]
+    def rate(u: float, pressure_pa: float) -> float:
+        flow = u * (psi(tank_pa, pressure_pa) if u > 0.0 else psi(pressure_pa, 101.3e3))
+        return air_j_per_kg * gain_m2_per_v * flow / volume_m3
 
     pressures, now_pa = [], 101.3e3
     for t in T_S:
         pressures.append(now_pa)
-        found = solve_ivp(rate, (t, t + PERIOD_S), [now_pa], max_step=PERIOD_S / 4)
-        now_pa = min(max(found.y[0, -1], 101.4e3), tank_pa - 100.0)
+        half_pa = now_pa + 0.5 * PERIOD_S * rate(command_v(t), now_pa)
+        now_pa += PERIOD_S * rate(command_v(t), half_pa)
+        now_pa = min(max(now_pa, 101.4e3), tank_pa - 100.0)
     return Record(
         "vessel", T_S, valve_v=np.array([*map(command_v, T_S)]), pressure_pa=np.array(pressures)
     )

@@ -31,14 +31,6 @@ def test_a_dead_volume_is_told_from_a_line_and_a_scale() -> None:
     assert volume.value == pytest.approx(rig_of(case).truth.dead_m3, rel=0.05)
 
 
-def test_a_leak_that_falls_in_one_step_is_named_by_forms_that_fall_slowly() -> None:
-    case = Case("single/valve_leak/10", "single", {"valve_leak": 10}, program="brief", repeat=1)
-    found = _diagnose(case, ("valve_leak",))
-    assert names_of(found)[0] == "valve_leak"
-    area_m2 = numbers_of(found)["valve_leak.area_m2"]
-    assert area_m2 == pytest.approx(rig_of(case).truth.null_leak_m2, rel=0.05)
-
-
 def test_a_ratio_of_heat_capacities_is_no_rival_of_the_valve() -> None:
     case = Case("discharge", "single", {"discharge_ratio": 1}, program="brief")
     found = _diagnose(case, ("discharge_ratio", "valve_curve"))

@@ -56,7 +56,7 @@ def write_record(path: Path, seed: int, noise_n: float = NOISE_N) -> Path:
     return path
 
 
-def diagnose_axis(tmp_path: Path, *, stated: bool) -> dict[str, Any]:
+def diagnose_axis(tmp_path: Path) -> dict[str, Any]:
     (tmp_path / "guess.yaml").write_text(GUESS)
     logs = [write_record(tmp_path / f"{seed}.mcap", seed) for seed in (1, 2)]
     others = {*CATALOGUE} - {"coulomb_friction", "cubic_stiffness"}
@@ -64,16 +64,14 @@ def diagnose_axis(tmp_path: Path, *, stated: bool) -> dict[str, Any]:
         *("diagnose", logs[0], "--holdout", logs[1], "--plant", tmp_path / "guess.yaml"),
         *("--out", tmp_path / "found", "--json"),
         *(word for name in sorted(others) for word in ("--without", name)),
-        *(("--noise", f"force_n={NOISE_N}") if stated else ()),
     )
     assert done.returncode == 0, done.stderr
     document: dict[str, Any] = json.loads(done.stdout)
     return document
 
 
-@pytest.mark.parametrize("stated", [False, True])
-def test_a_force_that_climbs_to_break_away_is_no_wandering_sensor(tmp_path, stated):
-    document = diagnose_axis(tmp_path, stated=stated)
+def test_a_force_that_climbs_to_break_away_is_no_wandering_sensor(tmp_path: Path) -> None:
+    document = diagnose_axis(tmp_path)
     assert [effect["name"] for effect in document["effects"]] == ["coulomb_friction"]
     (force,) = document["effects"][0]["parameters"].values()
     assert force["value"] == pytest.approx(COULOMB_N, rel=0.02)

@@ -25,17 +25,6 @@ def records_of(effects: dict[str, float], seed: int) -> tuple[list[Record], list
     return [rig.run(e).record for e in train], [rig.run(e).record for e in held_out]
 
 
-def test_a_dead_band_is_named_with_its_width() -> None:
-    verdict = weigh_evidence(*records_of({"valve_deadband": 5}, 40711))
-    assert [f.name for f in verdict.findings if f.level == "name"] == ["valve_deadband"]
-    assert verdict.gap["extended"]["position_m"] < 2e-6
-    assert 0.1 < verdict.values["valve_deadband.fill_width_v"] < 0.5
-
-
-def test_of_a_rig_that_lacks_nothing_nothing_is_said() -> None:
-    assert not weigh_evidence(*records_of({}, 40712)).findings
-
-
 def test_every_effect_of_a_muscle_that_data_can_show_is_in_the_pool() -> None:
     families = {h.family for h in list_effects("muscle", PAPER_SCALES)}
     assert families == {

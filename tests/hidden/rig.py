@@ -52,10 +52,6 @@ class Record:
             for row in zip(*columns.values(), strict=True):
                 writer.writerow([f"{value:.10g}" for value in row])
 
-    def write_npz(self, path: Path) -> None:
-        """Write as numpy's archive, one array a column."""
-        np.savez(path, **self.columns())
-
 
 @dataclass(frozen=True)
 class Passage:

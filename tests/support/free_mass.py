@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pamctl.diagnose import Record
 from pamctl.plant.model import PlantSettings
@@ -66,32 +65,3 @@ def pushed_mass(
         position_m=x + random.normal(0.0, position_noise_m, len(t_s)),
         force_n=force_n + random.normal(0.0, force_noise_n, len(t_s)),
     )
-
-
-def imposed_motion(seed: int, *, period_s: float = 0.01, noise_n: float = 0.3) -> Record:
-    """Move a piston to and fro at constant speeds; a load cell measures what it takes.
-
-    F = c v + f sgn v + load, at a pressure of one atmosphere; the mass is too light to show.
-    """
-    t_s = np.arange(round(30.0 / period_s)) * period_s
-    random = np.random.default_rng(seed)
-    ends_s = np.concatenate([[0.0], np.cumsum(random.uniform(1.5, 4.0, 20))])
-    speeds = random.uniform(5e-3, 15e-3, 20) * (-1.0) ** np.arange(20)
-    v = speeds[np.searchsorted(ends_s, t_s, "right") - 1]
-    x = np.concatenate([[0.0], np.cumsum(v[:-1])]) * period_s
-    force_n = 400.0 * v + 6.0 * np.sign(v) + 2.0 + random.normal(0.0, noise_n, len(t_s))
-    return Record(
-        f"imposed-{seed}",
-        t_s,
-        position_m=x + random.normal(0.0, 1e-5, len(t_s)),
-        force_n=force_n,
-    )
-
-
-def leave_gaps(record: Record, *gaps: tuple[int, int]) -> Record:
-    """Return a record without the samples [start, stop) of each gap."""
-    kept: NDArray[np.bool_] = np.ones(len(record), dtype=bool)
-    for start, stop in gaps:
-        kept[start:stop] = False
-    channels = {name: record[name][kept] for name in record.channels}
-    return Record(record.name, record.t_s[kept], **channels)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hidden.equations.advance import at_rest, small_step
+from hidden.equations.advance import at_rest
 from hidden.equations.passes import between_readings, settled
 from hidden.equations.truth import State, Truth
 from pamctl.kernel.calls import Call, prepare
@@ -27,9 +27,3 @@ def prepare_passage(truth: Truth, state: State, times: Any, volts: Any, step_s: 
         "written": 0, "arrived": 0, "start_force": 0.0, "force_rate": 0.0, "longest": step_s,
     }  # fmt: skip
     return prepare(between_readings, given, updates=("state", "arrived"))
-
-
-def prepare_step(truth: Truth, state: State, step_s: float) -> Call:
-    """Return the call of `small_step` that goes on from step to step."""
-    given = {"p": truth, "s": state, "command_v": 0.0, "force_n": 0.0, "h": step_s}
-    return prepare(small_step, given, updates=("s",))

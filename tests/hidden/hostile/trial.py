@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from time import process_time
 from typing import Any
 
@@ -65,8 +64,3 @@ def examine(case: HostileCase) -> dict[str, Any]:
     began = process_time()
     diagnosis = diagnose(handed[0], handed[1], start_plant(case))
     return {"document": build_diagnosis_document(diagnosis), "seconds": process_time() - began}
-
-
-def without_noise(rig: HiddenRig) -> HiddenRig:
-    """Return the rig with perfect sensors: what is left of a case is its fault alone."""
-    return replace(rig, sensors=replace(rig.sensors, perfect=True))

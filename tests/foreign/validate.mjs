@@ -1,4 +1,4 @@
-// Opens a log as a viewer would, checks its checksums, and says what it found, as JSON.
+// Opens logs as a viewer would, checks their checksums, and says what it found: a line of JSON each.
 import { readFile } from "node:fs/promises";
 
 import { McapIndexedReader, McapStreamReader } from "@mcap/core";
@@ -6,10 +6,9 @@ import { loadDecompressHandlers } from "@mcap/support";
 import protobuf from "protobufjs";
 import "protobufjs/ext/descriptor/index.js";
 
-const bytes = await readFile(process.argv[2]);
 const decompressHandlers = await loadDecompressHandlers();
 
-function streamed() {
+function streamed(bytes) {
   const reader = new McapStreamReader({ decompressHandlers, validateCrcs: true });
   reader.append(bytes);
   const messages = new Map();
@@ -25,11 +24,6 @@ function streamed() {
   return Object.fromEntries(messages);
 }
 
-const file = {
-  size: async () => BigInt(bytes.byteLength),
-  read: async (offset, size) => bytes.subarray(Number(offset), Number(offset + size)),
-};
-
 function decoder(schema) {
   const set = protobuf.FileDescriptorSet ?? protobuf.descriptor?.FileDescriptorSet;
   const type = protobuf.Root.fromDescriptor(set.decode(schema.data)).lookupType(schema.name);
@@ -43,27 +37,36 @@ function decoder(schema) {
 const snake = (name) => name.replace(/[A-Z]/g, (letter) => "_" + letter.toLowerCase());
 const plain = (value) => (typeof value === "object" ? Number(value.toString()) : value);
 
-const reader = await McapIndexedReader.Initialize({ readable: file, decompressHandlers });
-const messages = {};
-let first, last, keyframe;
-for await (const message of reader.readMessages({ validateCrcs: true })) {
-  const channel = reader.channelsById.get(message.channelId);
-  const schema = reader.schemasById.get(channel.schemaId);
-  messages[channel.topic] = (messages[channel.topic] ?? 0) + 1;
-  if (channel.messageEncoding === "json") {
-    const value = JSON.parse(new TextDecoder().decode(message.data));
-    if (channel.topic === "/pam/keyframe") keyframe = value;
-  } else {
-    channel.decode ??= decoder(schema);
-    last = channel.decode(message.data);
-    first ??= last;
+async function inspect(path) {
+  const bytes = await readFile(path);
+  const file = {
+    size: async () => BigInt(bytes.byteLength),
+    read: async (offset, size) => bytes.subarray(Number(offset), Number(offset + size)),
+  };
+  const reader = await McapIndexedReader.Initialize({ readable: file, decompressHandlers });
+  const messages = {};
+  let first, last, keyframe;
+  for await (const message of reader.readMessages({ validateCrcs: true })) {
+    const channel = reader.channelsById.get(message.channelId);
+    const schema = reader.schemasById.get(channel.schemaId);
+    messages[channel.topic] = (messages[channel.topic] ?? 0) + 1;
+    if (channel.messageEncoding === "json") {
+      const value = JSON.parse(new TextDecoder().decode(message.data));
+      if (channel.topic === "/pam/keyframe") keyframe = value;
+    } else {
+      channel.decode ??= decoder(schema);
+      last = channel.decode(message.data);
+      first ??= last;
+    }
   }
+  const attachments = [];
+  for await (const attachment of reader.readAttachments({ validateCrcs: true })) {
+    attachments.push(attachment.name);
+  }
+  if (JSON.stringify(Object.entries(streamed(bytes)).sort()) !== JSON.stringify(Object.entries(messages).sort())) {
+    throw new Error("the index and the file disagree");
+  }
+  console.log(JSON.stringify({ messages, attachments, first, last, keyframe }));
 }
-const attachments = [];
-for await (const attachment of reader.readAttachments({ validateCrcs: true })) {
-  attachments.push(attachment.name);
-}
-if (JSON.stringify(Object.entries(streamed()).sort()) !== JSON.stringify(Object.entries(messages).sort())) {
-  throw new Error("the index and the file disagree");
-}
-console.log(JSON.stringify({ messages, attachments, first, last, keyframe }));
+
+for (const path of process.argv.slice(2)) await inspect(path);

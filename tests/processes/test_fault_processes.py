@@ -7,7 +7,6 @@ documented, the next start clean. Made-up time and the other faults: `test_fault
 from __future__ import annotations
 
 import os
-import resource
 import signal
 import subprocess
 from pathlib import Path
@@ -139,17 +138,6 @@ def test_an_exception_in_the_law_ends_with_1_and_its_name(own: Card, tmp_path: P
     # The law is also called to rehearse: before the rig is open, and before ticks.
     assert 150 < len(log) < 899
     assert log.events[-1]["reason"].startswith("ZeroDivisionError")
-
-
-@pytest.mark.long
-def test_a_log_that_cannot_grow_stops_the_run_smoothly_and_is_whole(own: Card) -> None:
-    process = start(own, *AT_ONCE, "--set", "rig.loop.ring_rows=2048")
-    recorder = child_of(process, "recorder")
-    await_writes(own, process, 10)
-    most = 1_200_000
-    resource.prlimit(recorder, resource.RLIMIT_FSIZE, (most, most))
-    assert "disk is full" in assert_left_in_order(own, process, code=1)
-    assert spent_s(log_of(own), Phase.STOPPING) > 0.4
 
 
 @pytest.mark.long

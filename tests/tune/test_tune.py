@@ -273,19 +273,6 @@ def tune(*options: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     return run_pamctl("tune", *options, cwd=cwd)
 
 
-@pytest.mark.long
-def test_the_gains_file_says_how_it_was_made_and_can_be_run(tmp_path: Path) -> None:
-    small = ["--plant", "paper", "--generations", "1", "--jobs", "1"]
-    made = tune("--law", "pid", *small, "--out", "mine.yaml", cwd=tmp_path)
-    assert made.returncode == 0, made.stderr
-    text = (tmp_path / "mine.yaml").read_text()
-    assert "pamctl tune --law pid --plant paper --generations 1 --jobs 1 --out mine.yaml" in text
-    assert check_config_file(tmp_path / "mine.yaml") == "controller"
-    assert yaml.safe_load(text)["law"] == "pid"
-    assert "pid, named plants: 1 of 1 inside" in made.stdout
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.yaml"]
-
-
 def test_given_gains_are_scored_and_nothing_is_written(tmp_path: Path) -> None:
     made = tune("--check", "pid", "--plant", "paper", "--jobs", "1", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
@@ -357,6 +344,9 @@ def test_three_commands_lead_from_a_plant_of_ones_own_to_gains_and_a_run(tmp_pat
     assert made.stdout.startswith("pid, named plants: largest error ")
     assert "inside" not in made.stdout
     header = (tmp_path / "gains.yaml").read_text()
+    assert "pamctl tune --plant plant.yaml --rig axis" in header
+    assert "--generations 1" in header
+    assert check_config_file(tmp_path / "gains.yaml") == "controller"
     assert "inside" not in header
     run = ["--fast", "--quiet", "--controller", "gains.yaml", "--log", "run.mcap"]
     ran = run_pamctl("run", *which, *run, cwd=tmp_path)
@@ -388,10 +378,7 @@ def test_gains_are_sought_for_a_motion_of_ones_own_at_another_rate_and_on_a_card
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_signal_keeps_the_best_gains_so_far(
-    tmp_path: Path, number: signal.Signals, code: int
-) -> None:
+def test_a_signal_keeps_the_best_gains_so_far(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "pamctl", "tune", "--law", "pid", "--plant", "paper"]
     process = subprocess.Popen(
         [*command, "--generations", "1000", "--jobs", "2", "--out", "mine.yaml"],
@@ -401,9 +388,9 @@ def test_a_signal_keeps_the_best_gains_so_far(
     )
     assert process.stderr is not None
     assert any(line.startswith(b"generation 1 of 1000") for line in process.stderr)
-    process.send_signal(number)
+    process.send_signal(signal.SIGTERM)
     _, said = process.communicate(timeout=120)
-    assert process.returncode == code, said
+    assert process.returncode == 143, said
     assert check_config_file(tmp_path / "mine.yaml") == "controller"
     assert b"--start mine.yaml goes on from these gains" in said
     assert not _children_of(process.pid)

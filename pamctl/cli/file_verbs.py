@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hal.backend import find_backends
 from pamctl.cli.failure import Failed
 from pamctl.cli.options import MAP, Options, argument, flag, option, verb
 from pamctl.cli.output import print_result, print_run_settings, read_records
@@ -191,6 +192,47 @@ def export_plant(asked: ExportPlantOptions) -> None:
     document = {"plant": asked.plant, "fmu": str(out), "platform": platform or None}
     text = f"{out}: FMI 3.0 for co-simulation, {platform or 'sources only'}"
     print_result(document, text, as_json=asked.as_json)
+
+
+class RigForPlantOptions(Options):
+    """`pamctl plant rig`."""
+
+    plant: str = argument("NAME|FILE", "Plant file")
+    out: Path = argument("RIG.yaml", "New rig file")
+    backend: str = option(
+        f"--backend {'|'.join(find_backends().found)}",
+        "Backend whose shipped file is changed",
+        "sim",
+    )
+
+
+@plant_app.command("rig")
+@verb
+def make_rig(asked: RigForPlantOptions) -> None:
+    """Write a rig file for a plant: a shipped one, with limits that suit what moves."""
+    out = asked.out
+    if out.suffix not in {".yaml", ".yml"}:
+        message = f"{str(out)!r} must end in .yaml, for --rig to take it as a file"
+        raise typer.BadParameter(message, param_hint="RIG.yaml")
+    require_place(out)
+    known = find_backends().found
+    if asked.backend not in known:
+        which = f"{asked.backend!r} is not one of {', '.join(known)}"
+        raise typer.BadParameter(which, param_hint="--backend")
+    from pamctl.commissioning.suited_rig import make_rig_file
+
+    path = find_argument_file("plant", asked.plant)
+    try:
+        text, notes = make_rig_file(read_section_file("plant", path), asked.plant, asked.backend)
+    except ValueError as error:
+        raise ConfigError([Problem(asked.plant, "", str(error))]) from error
+    write_files({out: text})
+    document = {"plant": asked.plant, "rig_file": str(out), "notes": notes}
+    words = ["pamctl", "doctor", "--rig", str(out)]
+    if known[asked.backend].is_simulated:
+        words = ["pamctl", "run", "--fast", "--plant", asked.plant, "--rig", str(out)]
+    lines = [f"rig file: {out}", *notes, f"next: {shlex.join(words)}"]
+    print_result(document, "\n".join(lines), as_json=asked.as_json)
 
 
 def _split_given(given: list[str], actuator: str) -> dict[str, str]:

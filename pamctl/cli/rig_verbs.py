@@ -81,6 +81,11 @@ def run(asked: RunOptions) -> None:
             raise typer.Exit(done.code)
         if done.reason:
             print_error(done.reason)
+        if done.code == ExitCode.SAFETY_TRIP and settings.rig.record.is_simulated:
+            from pamctl.commissioning.suited_rig import advise_after_trip
+
+            if advice := advise_after_trip(settings.plant, settings.rig.limits):
+                print(f"hint: {advice}", file=sys.stderr)
     raise typer.Exit(done.code)
 
 

@@ -167,6 +167,7 @@ _ALL: Mapping[str, Verb] = {
     "plant new": Verb(
         ["--out plant.yaml",
          "--actuator muscle --value rest_length_m='200 mm' --out plant.yaml"]),
+    "plant rig": Verb(["paper rig.yaml", "paper rig.yaml --backend nidaq"]),
     "plant export": Verb(["paper muscle.fmu"]),
     "config": Verb(
         [], "", "Other", "file_verbs:config_app", _FILES,

@@ -100,40 +100,31 @@ def find_responses(run: ReportedRun) -> RunResponses | None:
     window = _find_window(run)
     if window is None:
         return None
-    grid = _read_grid(run, window)
+    form, grid = window.form, _read_grid(run, window)
     if grid is None:
         return None
-    if isinstance(window.form, MultisineForm):
-        return _judge_periods(window.form, grid)
-    return _judge_bands(window.form, grid)
-
-
-def _judge_periods(form: MultisineForm, grid: _Grid) -> RunResponses:
-    kept = form.periods - (form.periods >= _FEWEST_PERIODS_TO_DROP_ONE)
-    lines = np.array(form.list_harmonics())
-    asked, valve, moved = (
-        _take_periods(signal, form.periods, kept, lines)
-        for signal in (grid.excitation, grid.valve_v, grid.position_m)
-    )
-    frequency_hz = lines / form.period_s
+    signals = (grid.excitation, grid.valve_v, grid.position_m)
+    if isinstance(form, MultisineForm):
+        kept = form.periods - (form.periods >= _FEWEST_PERIODS_TO_DROP_ONE)
+        lines = np.array(form.list_harmonics())
+        frequency_hz = lines / form.period_s
+        periods = [np.fft.rfft(s.reshape(form.periods, -1)[-kept:], axis=1) for s in signals]
+        groups = [tuple(one[:, line] for one in periods) for line in lines]
+        basis = f"intervals from {kept} periods" if kept > 1 else "one period gives no interval"
+    else:
+        # Each signal begins and ends at rest; a drift is taken off.
+        whole = [np.fft.rfft(s - np.linspace(s[0], s[-1], len(s))) for s in signals]
+        bands = list(_cut_bands(*_find_ends_hz(form), grid.duration_s))
+        if not bands:
+            return None
+        middle = [math.sqrt(band.start * (band.stop - 1)) for band in bands]
+        frequency_hz = np.array(middle) / grid.duration_s
+        groups = [tuple(one[band] for one in whole) for band in bands]
+        basis = f"intervals from {_FEWEST_LINES} or more lines of the spectrum at each point"
     return RunResponses(
-        None if form.IS_VALVE else _average_periods(frequency_hz, asked, asked, moved),
-        _average_periods(frequency_hz, asked, valve, moved),
-        f"intervals from {kept} periods" if kept > 1 else "one period gives no interval",
-    )
-
-
-def _judge_bands(form: ChirpForm, grid: _Grid) -> RunResponses | None:
-    asked, valve, moved = map(_take_spectrum, (grid.excitation, grid.valve_v, grid.position_m))
-    bands = list(_cut_bands(*_find_ends_hz(form), grid.duration_s))
-    if not bands:
-        return None
-    middle = [math.sqrt(band.start * (band.stop - 1)) for band in bands]
-    frequency_hz = np.array(middle) / grid.duration_s
-    return RunResponses(
-        None if form.IS_VALVE else _average_bands(frequency_hz, bands, asked, asked, moved),
-        _average_bands(frequency_hz, bands, asked, valve, moved),
-        f"intervals from {_FEWEST_LINES} or more lines of the spectrum at each point",
+        None if form.IS_VALVE else _join_groups(frequency_hz, [(a, a, x) for a, _, x in groups]),
+        _join_groups(frequency_hz, groups),
+        basis,
     )
 
 
@@ -190,20 +181,6 @@ def _find_ends_hz(form: ChirpForm) -> tuple[float, float]:
     return min(ends_hz), max(ends_hz)
 
 
-def _take_spectrum(signal: Floats) -> Spectrum:
-    """Return the spectrum of a signal that begins and ends at rest; a drift is taken off."""
-    line = np.linspace(signal[0], signal[-1], len(signal))
-    spectrum: Spectrum = np.fft.rfft(signal - line)
-    return spectrum
-
-
-def _take_periods(signal: Floats, periods: int, kept: int, lines: NDArray[np.int64]) -> Spectrum:
-    """Return the spectrum of each of the last `kept` periods, shape (kept, lines)."""
-    each = signal.reshape(periods, -1)[-kept:]
-    spectrum: Spectrum = np.fft.rfft(each, axis=1)[:, lines]
-    return spectrum
-
-
 def _cut_bands(low_hz: float, high_hz: float, duration_s: float) -> Iterator[slice]:
     """Yield ranges of lines, from low to high, that are a sixth of an octave wide or wider."""
     first, end = max(math.ceil(low_hz * duration_s), 1), math.floor(high_hz * duration_s) + 1
@@ -217,32 +194,12 @@ def _cut_bands(low_hz: float, high_hz: float, duration_s: float) -> Iterator[sli
         first = last
 
 
-def _average_periods(
-    frequency_hz: Floats, asked: Spectrum, put_in: Spectrum, came_out: Spectrum
-) -> FrequencyResponse:
-    """Return output per input from spectra of shape (periods, lines)."""
-    periods = len(asked)
-    mean_in = put_in.mean(axis=0)
-    response = came_out.mean(axis=0) / mean_in
-    if periods > 1:
-        apart = (came_out - response * put_in) / mean_in
-        variance = (np.abs(apart) ** 2).sum(axis=0) / (periods * (periods - 1))
-        radius = np.sqrt(variance * _find_f_quantile(2.0 * (periods - 1)))
-        coherence = np.minimum(_cohere(asked, came_out), _cohere(asked, put_in))
-    else:
-        radius = coherence = np.full(len(response), math.nan)
-    return FrequencyResponse(frequency_hz, response, radius, coherence)
+def _join_groups(frequency_hz: Floats, groups: Sequence[tuple[Spectrum, ...]]) -> FrequencyResponse:
+    """Return output per input at each frequency: a group holds reference, input and output.
 
-
-def _average_bands(
-    frequency_hz: Floats,
-    bands: Sequence[slice],
-    asked: Spectrum,
-    put_in: Spectrum,
-    came_out: Spectrum,
-) -> FrequencyResponse:
-    """Return output per input from the lines of each band."""
-    found = [_join_lines(asked[band], put_in[band], came_out[band]) for band in bands]
+    Their values, shape (lines,), are of one frequency in all periods, or of neighbouring lines.
+    """
+    found = [_join_lines(*group) for group in groups]
     response, radius, coherence = (np.array(column) for column in zip(*found, strict=True))
     return FrequencyResponse(frequency_hz, response, radius, coherence)
 
@@ -250,31 +207,25 @@ def _average_bands(
 def _join_lines(
     asked: Spectrum, put_in: Spectrum, came_out: Spectrum
 ) -> tuple[complex, float, float]:
-    """Return response, radius and coherence of the lines of one band."""
+    """Return response, radius and coherence of the values of one group."""
     power = np.abs(asked) ** 2
     through = np.vdot(asked, put_in)
     response = complex(np.vdot(asked, came_out) / through)
     # Lines of unequal power count for fewer.
     lines = float(power.sum() ** 2 / (power**2).sum())
-    coherence = min(
-        float(_cohere(asked[:, None], came_out[:, None])[0]),
-        float(_cohere(asked[:, None], put_in[:, None])[0]),
-    )
     if lines <= 1.5:
-        return response, math.nan, coherence
+        return response, math.nan, math.nan
     apart = came_out - response * put_in
     variance = (
         float((power * np.abs(apart) ** 2).sum() / np.abs(through) ** 2) * lines / (lines - 1)
     )
-    return response, math.sqrt(variance * _find_f_quantile(2.0 * (lines - 1.0))), coherence
+    radius = math.sqrt(variance * _find_f_quantile(2.0 * (lines - 1.0)))
+    return response, radius, min(_cohere(asked, came_out), _cohere(asked, put_in))
 
 
-def _cohere(asked: Spectrum, came_out: Spectrum) -> Floats:
-    """Return the coherence over axis 0."""
-    cross = np.abs((asked.conj() * came_out).sum(axis=0)) ** 2
-    powers = (np.abs(asked) ** 2).sum(axis=0) * (np.abs(came_out) ** 2).sum(axis=0)
-    coherence: Floats = cross / np.maximum(powers, np.finfo(float).tiny)
-    return coherence
+def _cohere(asked: Spectrum, came_out: Spectrum) -> float:
+    powers = float((np.abs(asked) ** 2).sum() * (np.abs(came_out) ** 2).sum())
+    return float(np.abs(np.vdot(asked, came_out)) ** 2 / max(powers, np.finfo(float).tiny))
 
 
 def _find_f_quantile(freedom: float) -> float:

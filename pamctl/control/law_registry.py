@@ -11,11 +11,11 @@ import json
 import os
 import re
 import sys
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from importlib import import_module, metadata
+from importlib import metadata
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import Annotated, Any, NamedTuple, Union
@@ -28,6 +28,10 @@ from pamctl.control.law import Law, LawSettings, LawTerms, Term, answer
 
 GROUP = "pamctl.laws"
 OWN_PACKAGE = "pamctl"
+_SHIPPED = tuple(
+    EntryPoint(name, f"pamctl.control.{name}:LAW", GROUP) for name in ("qsmc", "smc", "pid")
+)
+"""Their entry points again: an editable install that was made before them knows none."""
 FILE_VARIABLE = "PAMCTL_CONTROLLER_FROM"
 """Environment variable with the law file: the processes of a run inherit it."""
 
@@ -54,26 +58,6 @@ class LawOrigin:
         return not self.package
 
 
-class Addition(NamedTuple):
-    """One entry point, not yet loaded."""
-
-    name: str
-    target: str
-    """`module:attribute`."""
-    package: str
-    """Name of the distribution that brings it."""
-    version: str
-
-    @property
-    def module(self) -> str:
-        """The module that defines it."""
-        return self.target.partition(":")[0]
-
-    def load(self) -> Any:
-        """Import its module and return the object; raise whatever that raises."""
-        return getattr(import_module(self.module), self.target.partition(":")[2])
-
-
 @dataclass
 class _Registry:
     laws: dict[str, Law] = field(default_factory=dict)
@@ -95,11 +79,15 @@ class _Registry:
 @cache
 def _load_registry() -> _Registry:
     registry = _Registry()
-    for one in _list_additions():
+    points = [p for p in metadata.entry_points(group=GROUP) if p not in _SHIPPED]
+    for one in (*_SHIPPED, *points):
+        package, version = OWN_PACKAGE, __version__
+        if one.dist is not None:
+            package, version = one.dist.name, one.dist.version
         if one.name in registry.laws:
             first = registry.origins[one.name].package
             print(
-                f"warning: the law {one.name!r} of the package {one.package} is left out: "
+                f"warning: the law {one.name!r} of the package {package} is left out: "
                 f"{first} has a law of that name",
                 file=sys.stderr,
             )
@@ -107,13 +95,13 @@ def _load_registry() -> _Registry:
         try:
             law = one.load()
             if not isinstance(law, Law) or law.name != one.name:
-                raise LawError(f"{one.target} is no Law named {one.name!r}")
+                raise LawError(f"{one.value} is no Law named {one.name!r}")
             source = Path(str(sys.modules[one.module].__file__))
-            registry.add(law, one.package, one.version, source)
+            registry.add(law, package, version, source)
         except Exception as error:
             # One broken package must not take the other laws away.
             registry.failures[one.name] = (
-                f"the package {one.package} offers it, but cannot be used: "
+                f"the package {package} offers it, but cannot be used: "
                 f"{type(error).__name__}: {error}"
             )
     if os.environ.get(FILE_VARIABLE):
@@ -282,7 +270,10 @@ def add_law_file(spec: str) -> Law:
 
 
 def _add_file(registry: _Registry, spec: str) -> Law:
-    path, name = _split_spec(spec)
+    file, colon, name = spec.rpartition(":")
+    if not colon or not name.isidentifier():
+        file, name = spec, ""
+    path = Path(file).resolve()
     law = _find_record(registry, _load_module(path), name, path)
     known = registry.origins.get(law.name)
     if known is not None:
@@ -292,13 +283,6 @@ def _add_file(registry: _Registry, spec: str) -> Law:
         raise LawError(f"{path}: {whose} has a law {law.name!r} already; choose another name")
     registry.add(law, "", "", path)
     return law
-
-
-def _split_spec(spec: str) -> tuple[Path, str]:
-    path, colon, name = spec.rpartition(":")
-    if not colon or not name.isidentifier():
-        path, name = spec, ""
-    return Path(path).resolve(), name
 
 
 def _load_module(path: Path) -> ModuleType:
@@ -336,30 +320,3 @@ def _find_record(registry: _Registry, module: ModuleType, name: str, path: Path)
         which = ", ".join(own) or "none"
         raise LawError(f"{path} must define one Law, and defines {which}; or name it: FILE.py:NAME")
     return next(iter(own.values()))
-
-
-def _list_additions() -> list[Addition]:
-    """Return the entry points of laws, those of pamctl first."""
-    installed = [
-        Addition(point.name, point.value, point.dist.name, point.dist.version)
-        for point in metadata.entry_points(group=GROUP)
-        if point.dist is not None
-    ]
-    own = _read_checkout() or [one for one in installed if one.package == OWN_PACKAGE]
-    return own + [one for one in installed if one.package != OWN_PACKAGE]
-
-
-def _read_checkout() -> list[Addition]:
-    """Return what the checkout's pyproject.toml lists; nothing where pamctl is installed.
-
-    An editable install that is older than the checkout does not list all of it.
-    """
-    try:
-        text = (Path(__file__).parents[2] / "pyproject.toml").read_text()
-        project = tomllib.loads(text)["project"]
-    except (OSError, ValueError, KeyError):
-        return []
-    if project["name"] != OWN_PACKAGE:
-        return []
-    points = project.get("entry-points", {}).get(GROUP, {})
-    return [Addition(name, target, OWN_PACKAGE, __version__) for name, target in points.items()]

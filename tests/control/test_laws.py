@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -22,7 +24,7 @@ from support.equations.paper_equations import (
 
 from pamctl.control.law import Gains
 from pamctl.control.law import respond as respond_armed
-from pamctl.control.law_registry import law_of
+from pamctl.control.law_registry import _SHIPPED, GROUP, law_of
 from pamctl.control.pid import PidSettings
 from pamctl.control.qsmc import QsmcSettings
 from pamctl.control.sliding import Absement
@@ -448,3 +450,9 @@ def test_a_law_is_pure_and_continues_from_a_restored_state(law, inputs) -> None:
     straight = replayed(lambda state: state)
     assert replayed(lambda state: state) == straight
     assert replayed(lambda state: Absement(*freeze_state(state))) == straight
+
+
+def test_the_shipped_laws_are_those_that_the_package_declares() -> None:
+    pyproject = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
+    declared = pyproject["project"]["entry-points"][GROUP]
+    assert declared == {point.name: point.value for point in _SHIPPED}

@@ -94,21 +94,14 @@ class RunIndex:
         with self._writing() as base:
             base.executemany(f"INSERT OR REPLACE INTO runs VALUES ({marks})", map(_encode, rows))
 
-    def select(
-        self, where: str = "1", values: Sequence[object] = (), *, with_gains: bool = True
-    ) -> list[RunRow]:
-        """Return the rows for which an SQL condition holds, the oldest first.
+    def select(self, *, with_gains: bool = True) -> list[RunRow]:
+        """Return all rows, the oldest first.
 
         Without gains, which most lists do not show, ten thousand rows take half the time.
         """
         names = ", ".join(n if with_gains or n != "gains" else "'{}'" for n in _COLUMNS)
-        query = f"SELECT {names} FROM runs WHERE {where} ORDER BY when_s, path"
-        return [_decode(values) for values in self._base.execute(query, tuple(values))]
-
-    def holds_any(self, where: str, values: Sequence[object]) -> bool:
-        """Tell whether an SQL condition holds for any row."""
-        query = f"SELECT 1 FROM runs WHERE {where} LIMIT 1"
-        return self._base.execute(query, tuple(values)).fetchone() is not None
+        query = f"SELECT {names} FROM runs ORDER BY when_s, path"
+        return [_decode(values) for values in self._base.execute(query)]
 
     @contextmanager
     def hold(self) -> Iterator[None]:

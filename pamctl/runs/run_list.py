@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import csv
+import operator
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
+from fnmatch import fnmatchcase
 from io import StringIO
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pamctl.exit_codes import ExitCode
 from pamctl.plain_text import hint_at_nearest
@@ -17,13 +19,13 @@ from pamctl.report.report import Report, ReportTable
 from pamctl.runs.run_index import RunIndex
 from pamctl.runs.run_row import ENDING_WORDS, RunRow, find_varying_keys, read_value
 
-_OPERATORS = {">": ">", "<": "<", ">=": ">=", "<=": "<=", "=": "=", "==": "=", "!=": "!="}
+_OPERATORS = {
+    ">": operator.gt, "<": operator.lt, ">=": operator.ge, "<=": operator.le,
+    "=": operator.eq, "==": operator.eq, "!=": operator.ne,
+}  # fmt: skip
 _WHERE = re.compile(r"\s*([A-Za-z_][\w.-]*)\s*(>=|<=|!=|==|=|>|<)\s*(.*?)\s*")
 _NUMBERS = [one.name for one in fields(RunRow) if str(one.type).startswith(("int", "float"))]
 _TEXTS = [one.name for one in fields(RunRow) if one.type == "str"]
-
-Condition = tuple[str, list[object]]
-"""SQL, and the values of its question marks."""
 
 
 class FilterError(Exception):
@@ -60,64 +62,65 @@ def read_date(text: str) -> float:
 
 def select_runs(index: RunIndex, wanted: RunFilter, *, with_gains: bool = True) -> list[RunRow]:
     """Return the runs that are wanted, the oldest first; raise FilterError."""
-    parts = list(_list_conditions(index, wanted))
-    where = " AND ".join(f"({sql})" for sql, _ in parts) or "1"
-    values = [value for _, more in parts for value in more]
-    rows = index.select(where, values, with_gains=with_gains)
-    return rows[-wanted.last :] if wanted.last else rows
+    conditions = [_read_condition(text) for text in wanted.where]
+    keys = [one.key for one in conditions if one.key not in (*_NUMBERS, *_TEXTS)]
+    rows = index.select(with_gains=with_gains or bool(keys))
+    for one in conditions:
+        if one.key in keys and all(read_value(row, one.key) is None for row in rows):
+            known = {name for row in rows for name in row.gains}
+            hint = hint_at_nearest(one.key, [*sorted(known), *_NUMBERS, *_TEXTS])
+            raise FilterError(f"--where {one.text!r}: no run has {one.key}{hint}")
+    kept = [
+        row
+        for row in rows
+        if {*wanted.tags} <= {*row.tags}
+        and (wanted.since_s is None or row.when_s >= wanted.since_s)
+        and all(one.holds(row) for one in conditions)
+    ]
+    return kept[-wanted.last :] if wanted.last else kept
 
 
-def _list_conditions(index: RunIndex, wanted: RunFilter) -> Iterator[Condition]:
-    for tag in wanted.tags:
-        yield "EXISTS (SELECT 1 FROM json_each(tags) WHERE value = ?)", [tag]
-    if wanted.since_s is not None:
-        yield "when_s >= ?", [wanted.since_s]
-    for text in wanted.where:
-        yield _compare_key(index, text)
+class _Condition(NamedTuple):
+    """A key, a comparison and a value; `text` is how the user wrote it."""
+
+    text: str
+    key: str
+    operator: str
+    asked: str | float
+
+    def holds(self, row: RunRow) -> bool:
+        """Tell whether it is true of a run; it is not where the run does not have the key."""
+        if self.key in _TEXTS:  # in any case; `*` stands for any part, only `*` and `?` are special
+            pattern = str(self.asked).lower().replace("[", "[[]")
+            is_alike = fnmatchcase(getattr(row, self.key).lower(), pattern)
+            return is_alike == (self.operator != "!=")
+        value = getattr(row, self.key) if self.key in _NUMBERS else read_value(row, self.key)
+        if value is None:
+            return False
+        if isinstance(value, str) != isinstance(self.asked, str):
+            return self.operator == "!="
+        return bool(_OPERATORS[self.operator](value, self.asked))
 
 
-def _compare_key(index: RunIndex, text: str) -> Condition:
+def _read_condition(text: str) -> _Condition:
     found = _WHERE.fullmatch(text)
     if not found or not found[3]:
         examples = "law=qsmc, 'rms_um<20' or 'controller.lambda_per_s>=40'"
         raise FilterError(f"--where {text!r}: write a key, a comparison and a value: {examples}")
-    key, operator, asked = found[1], _OPERATORS[found[2]], found[3]
+    key, operator, asked = found.groups()
+    is_equal = operator in ("=", "==", "!=")
     if key in _TEXTS:
-        return _match_text(key, operator, asked, text)
-    if key in _NUMBERS:
-        return f"{key} {operator} ?", [_read_number(asked, text)]
-    place = f'$."{key}"'
-    value = "coalesce(json_extract(sweep, '$.point' || substr(?, 2)), json_extract(gains, ?))"
-    if not index.holds_any(f"{value} IS NOT NULL", [place, place]):
-        raise FilterError(f"--where {text!r}: no run has {key}{_suggest_key(index, key)}")
+        if not is_equal:
+            raise FilterError(f"--where {text!r}: {key} is a text; compare it by = or !=")
+        if key == "ending" and not {*asked} & {*"*?"} and asked not in ENDING_WORDS:
+            raise FilterError(f"--where {text!r}: an ending is one of {', '.join(ENDING_WORDS)}")
+        return _Condition(text, key, operator, asked)
     try:
-        return f"{value} {operator} ?", [place, place, float(asked)]
+        return _Condition(text, key, operator, float(asked))
     except ValueError:
-        if operator not in ("=", "!="):
+        if not is_equal or key in _NUMBERS:
             raise FilterError(f"--where {text!r}: {asked!r} is no number") from None
-        return f"{value} {operator} ?", [place, place, asked]
-
-
-def _match_text(key: str, operator: str, asked: str, text: str) -> Condition:
-    """Compare in any case; `*` stands for any part, and only `*` and `?` are special."""
-    if operator not in ("=", "!="):
-        raise FilterError(f"--where {text!r}: {key} is a text; compare it by = or !=")
-    if key == "ending" and not {*asked} & {*"*?"} and asked not in ENDING_WORDS:
-        raise FilterError(f"--where {text!r}: an ending is one of {', '.join(ENDING_WORDS)}")
-    negation = "NOT " if operator == "!=" else ""
-    return f"lower({key}) {negation}GLOB lower(?)", [asked.replace("[", "[[]")]
-
-
-def _read_number(part: str, text: str) -> float:
-    try:
-        return float(part)
-    except ValueError:
-        raise FilterError(f"--where {text!r}: {part!r} is no number") from None
-
-
-def _suggest_key(index: RunIndex, key: str) -> str:
-    known = {name for row in index.select() for name in row.gains}
-    return hint_at_nearest(key, [*sorted(known), *_NUMBERS, *_TEXTS])
+        return _Condition(text, key, operator, asked)
 
 
 _HEADER = (

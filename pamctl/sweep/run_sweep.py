@@ -108,7 +108,7 @@ def find_runs(sweep: SweepPlan, *, whatever_ending: bool = False) -> dict[str, R
     """
     with RunIndex(sweep.folder) as index:
         index.refresh()
-        rows = index.select("json_extract(sweep, '$.name') = ?", [sweep.name])
+        rows = [row for row in index.select() if row.sweep.get("name") == sweep.name]
     if any(row.sweep["base"] != sweep.base for row in rows):
         raise SweepError(
             f"the sweep {sweep.name} in {sweep.folder} was made with other settings or other keys; "

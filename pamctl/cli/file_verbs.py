@@ -20,7 +20,7 @@ from pamctl.errors import ConfigError, Problem
 from pamctl.exit_codes import ExitCode
 from pamctl.new_file import require_place, write_files
 from pamctl.plain_text import hint_at_nearest
-from pamctl.settings.config_files import config_dir
+from pamctl.settings.config_files import config_dir, read_tables
 from pamctl.settings.resolve import (
     SECTIONS,
     build_config_schema,
@@ -28,7 +28,6 @@ from pamctl.settings.resolve import (
     read_section_file,
     shorten_path,
 )
-from pamctl.settings.table_file import read_tables
 
 if TYPE_CHECKING:
     from pamctl.diagnose.guess_plant import Guess

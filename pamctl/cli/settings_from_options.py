@@ -12,7 +12,7 @@ from hal.backend import find_backends, hint_at_missing
 from pamctl.cli.options import CONTROLLER, CONTROLLER_FROM, NO_CHANGES, PLANT, Options, flag, option
 from pamctl.errors import ConfigError, Problem
 from pamctl.log.run_meta import CHANGES, describe_changes
-from pamctl.settings.config_files import DEFAULT_NAMES, find_config_file, list_shipped
+from pamctl.settings.config_files import DEFAULT_NAMES, find_config_file, list_shipped, read_tables
 from pamctl.settings.envelope import find_excesses
 from pamctl.settings.resolve import (
     SECTIONS,
@@ -21,7 +21,6 @@ from pamctl.settings.resolve import (
     resolve,
     settings_to_data,
 )
-from pamctl.settings.table_file import read_tables
 
 
 class ResolvedOptions(NamedTuple):

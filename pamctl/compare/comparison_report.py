@@ -11,10 +11,9 @@ from typing import Any, NamedTuple
 from pamctl.compare.comparison import OWN_PLANT, Comparison, ComparisonGap
 from pamctl.log import Log
 from pamctl.report.figure import MUTED, Plot, PlotAxis, plot_apart
-from pamctl.report.report import Figure, Report, ReportTable, Section, Text
+from pamctl.report.report import SIGNAL_DISPLAYS, Figure, Report, ReportTable, Section, Text
 from pamctl.report.reported_run import Floats, ReportedRun
 from pamctl.report.run_motion import make_time_axis, mark_moments
-from pamctl.report.signal_display import SIGNAL_DISPLAYS
 
 _UM, _KPA = 1e6, 1e-3
 _Models = Mapping[str, Comparison]

@@ -17,9 +17,8 @@ from pamctl.log.run_meta import file_safe_name
 from pamctl.plant.drive import drive_coupled
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.session.pamctl_error import PamctlError
-from pamctl.settings.config_files import find_config_file
+from pamctl.settings.config_files import find_config_file, read_tables
 from pamctl.settings.resolve import read_section_file, settings_to_data
-from pamctl.settings.table_file import read_tables
 
 FULL_PROGRAM = "diagnosis"
 """The shipped program that shows nearly every effect."""

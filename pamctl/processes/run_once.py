@@ -223,7 +223,7 @@ def _compute_figures(
     # Slow imports: a run does not wait for them before its first tick.
     from pamctl.log.reader import LogError, read_some
     from pamctl.log.schema import TICK_TOPIC
-    from pamctl.report.run_figures import FIGURE_FIELDS, format_run_summary, summarise_run
+    from pamctl.report.reported_run import FIGURE_FIELDS, format_run_summary, summarise_run
 
     try:
         log = read_some(path, FIGURE_FIELDS, TICK_TOPIC)

@@ -27,7 +27,7 @@ from pamctl.report.figure import (
     place_down,
     thin_cloud,
 )
-from pamctl.report.signal_display import spell_figure
+from pamctl.report.report import spell_figure
 
 _SWATCHES = {"b": "M1 1h20v8h-20z", "l": "M1 5h20", "p": "M11 5h0"}
 """What the legend shows of bands and bars, lines, and points."""

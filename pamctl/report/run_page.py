@@ -18,8 +18,15 @@ from pamctl.plain_text import clean_text
 from pamctl.report.figure import Plot, PlotAxis
 from pamctl.report.frequency import write_frequency_response
 from pamctl.report.report import Facts, Figure, Fold, Report, ReportTable, Section, Text
-from pamctl.report.reported_run import MICRO, ReportedRun, law_name, name_runs, paper_rows
-from pamctl.report.run_figures import MERIT_HEADER, make_merit_row
+from pamctl.report.reported_run import (
+    MERIT_HEADER,
+    MICRO,
+    ReportedRun,
+    law_name,
+    make_merit_row,
+    name_runs,
+    paper_rows,
+)
 from pamctl.report.run_motion import write_filtering, write_law, write_motion
 from pamctl.safety import VERDICTS
 from pamctl.simulate.merit import compute_merit, summarise_durations

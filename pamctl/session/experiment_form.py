@@ -45,8 +45,8 @@ class ExperimentForm:
 
 def read_experiment(data: Mapping[str, Any], name: str) -> dict[str, Any]:
     """Return checked keys of an experiment; raise `PamctlError` that calls it `name`."""
+    from pamctl.settings.config_files import read_tables
     from pamctl.settings.resolve import SECTIONS, RawSettings, settings_to_data, validate_settings
-    from pamctl.settings.table_file import read_tables
 
     with translate_errors():
         raw = RawSettings({**data}, {(): name})

@@ -25,6 +25,7 @@ from pamctl.new_file import require_folder
 from pamctl.session.in_process import InProcessLoop, InProcessMaker
 from pamctl.session.pamctl_error import PamctlError, translate_errors
 from pamctl.session.steered_rig import Goal, InterruptedWaitError, SteeredRig, require_well
+from pamctl.settings.config_files import read_tables
 from pamctl.settings.resolve import (
     SECTIONS,
     RawSettings,
@@ -32,7 +33,6 @@ from pamctl.settings.resolve import (
     resolve,
     validate_settings,
 )
-from pamctl.settings.table_file import read_tables
 
 if TYPE_CHECKING:
     from pamctl.plant.model import PlantSettings

@@ -1,15 +1,21 @@
-"""Where the files of a configuration are: those that pamctl brings, and those of the user.
+"""The files of a configuration: where they are, and the tables that they name.
 
 No model is imported here: the help and the options of all verbs name these files.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from pamctl.errors import ConfigError, Problem
+
+if TYPE_CHECKING:
+    from pamctl.settings.resolve import RawSettings
+    from pamctl.settings.yaml12 import KeyPath
 
 DEFAULT_NAMES: Mapping[str, str] = {
     "controller": "qsmc",
@@ -46,3 +52,45 @@ def find_config_file(section: str, name: str, option: str = "") -> Path:
     listed = ", ".join(list_shipped(section)) or "none"
     message = f"there is no such {section}; {meant} {listed}; or give the path of a .yaml file"
     raise ConfigError([Problem(f"{option or f'--{section}'} {name}", "", message)])
+
+
+# --- the files of tables -----------------------------------------------------------------------
+
+_KINDS = ("table", "valve_table")
+
+
+def read_tables(raw: RawSettings) -> None:
+    """Read the file of every table in raw settings; raise `ConfigError`, a line for each file.
+
+    A file's place is from the folder of the experiment file that names it.
+    """
+    problems: list[Problem] = []
+    for at, table in _find_tables(raw.data, ()):
+        # It needs numpy, which neither the daemon nor the start of a verb waits for.
+        from pamctl.settings.table_points import read_points
+
+        key = (*at, "file")
+        origin = raw.origin(key)
+        try:
+            read_points(table, _find_folder(origin) / str(table["file"]))
+        except ValueError as error:
+            problems.append(Problem(origin, ".".join(map(str, key)), str(error)))
+    if problems:
+        raise ConfigError(problems)
+
+
+def _find_tables(data: Any, at: KeyPath) -> Iterator[tuple[KeyPath, dict[str, Any]]]:
+    if isinstance(data, dict):
+        if data.get("kind") in _KINDS and isinstance(data.get("file"), str) and "t_s" not in data:
+            yield at, data
+        for name, value in data.items():
+            yield from _find_tables(value, (*at, name))
+    elif isinstance(data, list):
+        for index, value in enumerate(data):
+            yield from _find_tables(value, (*at, index))
+
+
+def _find_folder(origin: str) -> Path:
+    """Return the folder of the file in which a value was written; else the working folder."""
+    written = re.fullmatch(r"(.+\.ya?ml):\d+:\d+", origin)
+    return Path(written[1]).parent if written else Path()

@@ -166,7 +166,7 @@ def resolve(
     Sections are names of shipped files or paths; overrides read `controller.lambda_per_s=12`.
     `controller_from` is a Python file with a law, as `use_law_file` takes it; without `controller`
     the law's defaults are its gains. `prepare` completes the values before they are checked:
-    `pamctl.settings.table_file.read_tables` reads the files of tables. Raises `ConfigError`.
+    `pamctl.settings.config_files.read_tables` reads the files of tables. Raises `ConfigError`.
     """
     law = None if controller_from is None else use_law_file(controller_from)
     chosen = {"controller": controller, "experiment": experiment, "rig": rig, "plant": plant}

@@ -16,7 +16,7 @@ from hal.calibration import CalibrationSettings
 from pamctl.log.importing.pipeline import write_imported
 from pamctl.log.measured_signals import SIGNAL_FIELDS, Signals
 from pamctl.log.reader import read_some
-from pamctl.report.run_figures import FIGURE_FIELDS, summarise_run
+from pamctl.report.reported_run import FIGURE_FIELDS, summarise_run
 from pamctl.signals import Phase
 
 GOLDEN = Path(__file__).parents[1] / "golden"

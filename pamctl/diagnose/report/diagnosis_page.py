@@ -49,9 +49,18 @@ from pamctl.new_file import write_files
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.report.figure import MUTED, Levels, Plot, PlotAxis
 from pamctl.report.html_page import write_html
-from pamctl.report.report import Facts, Figure, Fold, Points, Report, ReportTable, Section, Text
+from pamctl.report.report import (
+    SIGNAL_DISPLAYS,
+    Facts,
+    Figure,
+    Fold,
+    Points,
+    Report,
+    ReportTable,
+    Section,
+    Text,
+)
 from pamctl.report.run_motion import mark_moments
-from pamctl.report.signal_display import SIGNAL_DISPLAYS
 from pamctl.settings.yaml12 import dump_yaml
 
 

@@ -13,9 +13,8 @@ from pamctl.diagnose.evidence.fit import WeighedModel
 from pamctl.diagnose.record import Array
 from pamctl.log.run_meta import Moment
 from pamctl.report.figure import MUTED, Plot, PlotAxis, plot_apart
-from pamctl.report.report import Figure, Report, Section
+from pamctl.report.report import SIGNAL_DISPLAYS, Figure, Report, Section, spell_figure
 from pamctl.report.run_motion import mark_moments
-from pamctl.report.signal_display import SIGNAL_DISPLAYS, spell_figure
 
 STRETCH_S = 3.0
 MOST_NOISE = 1e4

@@ -24,7 +24,7 @@ from pamctl.diagnose.report.next_experiment import (
     runs_here,
     words_of_rig,
 )
-from pamctl.report.signal_display import SIGNAL_DISPLAYS, spell_figure
+from pamctl.report.report import SIGNAL_DISPLAYS, spell_figure
 
 _ON_RIG = (
     "`pamctl diagnose --on-rig --out decided` runs such programs, one after the other, on the rig "

@@ -32,8 +32,7 @@ from pamctl.diagnose.report.traces_part import (
 from pamctl.diagnose.report.verdict_words import advise_next_steps
 from pamctl.plant.model import PlantSettings
 from pamctl.report.html_page import write_html
-from pamctl.report.report import format_terminal
-from pamctl.report.signal_display import spell_figure
+from pamctl.report.report import format_terminal, spell_figure
 
 HOSTILE = "<script>alert('x')</script>"
 DEAD_BAND = {"valve_deadband__fill_width_v": 0.25, "valve_deadband__exhaust_width_v": 0.2}

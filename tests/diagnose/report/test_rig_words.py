@@ -26,8 +26,7 @@ from pamctl.plant.drive import drive_coupled
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.terms import LOCATIONS
 from pamctl.report.html_page import write_html
-from pamctl.report.report import format_terminal
-from pamctl.report.signal_display import SIGNAL_DISPLAYS
+from pamctl.report.report import SIGNAL_DISPLAYS, format_terminal
 
 pytestmark = pytest.mark.long
 

@@ -20,9 +20,9 @@ def main() -> None:
             setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115
     out = _never_raise_in_print()
     try:
-        from pamctl.cli.waiting import STARTING, tell_while_silent
+        from pamctl.report.progress_line import STARTING, WorkProgress
 
-        with tell_while_silent(STARTING):
+        with WorkProgress(STARTING, is_verb=True):
             app = _import_verb()
         from pamctl.realtime.scheduling import keep_single_threaded
 

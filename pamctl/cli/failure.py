@@ -20,10 +20,10 @@ import typer
 from typer.core import TyperGroup
 
 from pamctl.cli.verbs import EXAMPLES, SLOW_VERBS, write_epilog
-from pamctl.cli.waiting import tell_while_silent
 from pamctl.errors import ConfigError
 from pamctl.exit_codes import ExitCode
 from pamctl.plain_text import PlainStream, clean_lines
+from pamctl.report.progress_line import WorkProgress
 from pamctl.session.pamctl_error import explain_error
 
 
@@ -139,8 +139,8 @@ def print_plainly(verb: Callable[..., None], words: str) -> Callable[..., None]:
 
     @wraps(verb)
     def carry_out(*arguments: Any, **options: Any) -> None:
-        with tell_while_silent(SLOW_VERBS.get(words)) as end:
-            out, err = PlainStream(sys.stdout, end), PlainStream(sys.stderr, end)
+        with WorkProgress(SLOW_VERBS.get(words, ""), is_verb=True) as told:
+            out, err = PlainStream(sys.stdout, told.end), PlainStream(sys.stderr, told.end)
             with redirect_stdout(out), redirect_stderr(err):
                 verb(*arguments, **options)
 

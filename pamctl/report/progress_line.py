@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
+import os
 import shutil
 import sys
 import threading
 import time
 from collections.abc import Mapping
 from contextlib import suppress
-from types import TracebackType
 
 from pamctl.signals import Phase, find_followed_m
 
@@ -76,67 +76,90 @@ def format_progress(tick: Mapping[str, float], worst_late_s: float, end_s: float
     )
 
 
-_FIRST_S = 2.0
-"""Work that ends sooner says nothing."""
-_FILE_EVERY_S = 10.0
+STARTING = "pamctl: starting"
+_BEGAN_S = time.monotonic()
+"""The program's start: this is imported first."""
+_CLEAR = "\r\x1b[K"
 
 
 class WorkProgress:
     """Says what long work does, how far it is and how long it will take; a context manager.
 
     It rewrites its line on a terminal; elsewhere, as in a file, it prints one every 10 s. A thread
-    tells the time also while the work is in machine code.
+    tells the time also while the work is in machine code. Work that ends within 2 s says nothing.
 
         with WorkProgress("compare") as show:
             show(1, 6, "paper, pressure block")
     """
 
-    def __init__(self, what: str) -> None:
+    def __init__(self, what: str, *, is_verb: bool = False) -> None:
+        """`is_verb`: it speaks of the whole program, on a terminal alone, until `end` is called.
+
+        That is called before anything is printed. Without `what` nothing is shown.
+        """
         self._what, self._saying, self._share = what, "", 0.0
+        self._is_verb = is_verb
         self._terminal = sys.stderr is not None and sys.stderr.isatty()
-        self._began_s = time.monotonic()
-        self._ended = threading.Event()
+        self._began_s, self._next_s = time.monotonic(), 2.0
+        if is_verb:
+            self._began_s, self._next_s = _BEGAN_S, max(0.7, time.monotonic() - _BEGAN_S)
+        self._ended, self._shown, self._told = threading.Event(), threading.Lock(), False
         self._teller = threading.Thread(target=self._tell, name="progress", daemon=True)
-        self._width = 0
+        self._is_silent = not what or sys.stderr is None or (is_verb and not self._terminal)
 
     def __enter__(self) -> WorkProgress:
-        self._teller.start()
+        if not self._is_silent:
+            self._teller.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._ended.set()
-        self._teller.join()
-        if self._width:
-            with suppress(OSError, ValueError):
-                print("\r" + " " * self._width, end="\r", file=sys.stderr, flush=True)
+    def __exit__(self, *_: object) -> None:
+        self.end()
+        if not self._is_silent:
+            self._teller.join()
 
     def __call__(self, done: float, of: float, saying: str = "") -> None:
         """Note that so much of the work is done, and what is done now."""
         self._saying, self._share = saying, done / of if of else 0.0
 
+    def end(self) -> None:
+        """Say no more, and take away what is on the terminal."""
+        if not self._ended.is_set():
+            with self._shown:
+                self._ended.set()
+                if self._told:
+                    _write(_CLEAR)
+
     def line(self) -> str:
         """Return what is said now."""
         spent_s = time.monotonic() - self._began_s
-        said = [f"{self._what}: {self._saying}" if self._saying else self._what, f"{spent_s:.0f} s"]
+        what = f"{self._what}: {self._saying}" if self._saying else self._what
+        build = sys.modules.get("pamctl.kernel.build")  # most verbs do without
+        if build is not None and build.progress.builds:
+            what += " (the first time after an update the model is compiled)"
+        said = [what, f"{spent_s:.0f} s"]
         if 0.0 < self._share < 1.0:
             left_s = spent_s * (1.0 / self._share - 1.0)
             said.append(f"{self._share:.0%}, about {left_s:.0f} s left")
         return ", ".join(said)
 
     def _tell(self) -> None:
-        wait_s = _FIRST_S
+        every_s = 1.0 if self._terminal else 10.0
         with suppress(OSError, ValueError):  # standard error is closed: the work goes on
-            while sys.stderr is not None and not self._ended.wait(wait_s):
-                wait_s = 0.5 if self._terminal else _FILE_EVERY_S
-                line = self.line()
-                if self._terminal:
-                    line = line[: shutil.get_terminal_size().columns - 1]
-                    print("\r" + line.ljust(self._width), end="", file=sys.stderr, flush=True)
-                    self._width = len(line)
-                else:
-                    print(line, file=sys.stderr, flush=True)
+            while not self._ended.wait(max(0.0, self._began_s + self._next_s - time.monotonic())):
+                if not self._is_verb:
+                    sys.stderr.write("")  # what is said of the whole program ends
+                with self._shown:
+                    if self._ended.is_set():
+                        return
+                    if self._terminal:
+                        self._told = True
+                        _write(_CLEAR + self.line()[: shutil.get_terminal_size().columns - 1])
+                    else:
+                        print(self.line(), file=sys.stderr, flush=True)
+                self._next_s = round(self._next_s) + every_s
+
+
+def _write(text: str) -> None:
+    """Write past Python's buffer, whose lock a worker process would inherit."""
+    with suppress(OSError):  # the terminal was closed
+        os.write(sys.__stderr__.fileno() if sys.__stderr__ else 2, text.encode())

@@ -242,9 +242,9 @@ class DoctorFinding(NamedTuple):
     level: Level
     found: str
     wanted: str = ""
-    """What it should be; empty where all is well."""
+    """What it should be."""
     fix: str = ""
-    """What to do, as a command where there is one."""
+    """What to do where it is not, as a command where there is one."""
     data: Mapping[str, object] = {}
     """The figures behind the words, in SI, units in the names."""
 

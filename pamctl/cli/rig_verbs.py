@@ -203,7 +203,7 @@ def doctor(asked: DoctorOptions) -> None:
     """Check whether this PC and this rig are fit for a run, with a fix for each fault."""
     settings, _ = asked.resolve()
     require_linux()
-    from pamctl.commissioning.examination import examine_all
+    from pamctl.commissioning.rig_checks import examine_all
     from pamctl.processes.backends import device_of
     from pamctl.processes.interrupts import SignalInterrupt
     from pamctl.report.report import Problems, format_part

@@ -49,33 +49,26 @@ def check_kernel() -> DoctorFinding:
     """Look for PREEMPT_RT."""
     release, version = platform.release(), platform.version()
     is_real_time = "PREEMPT_RT" in version or _read_text(Path("/sys/kernel/realtime")) == "1"
-    found = f"{platform.system()} {release}, {'' if is_real_time else 'not '}PREEMPT_RT"
-    data = {"release": release, "preempt_rt": is_real_time}
-    if is_real_time:
-        return DoctorFinding("pc.kernel", "ok", found, data=data)
     return DoctorFinding(
         "pc.kernel",
-        "warning",
-        found,
+        "ok" if is_real_time else "warning",
+        f"{platform.system()} {release}, {'' if is_real_time else 'not '}PREEMPT_RT",
         "PREEMPT_RT, which bounds the rare long delays",
         "apt install linux-image-rt-amd64 (Debian) or pro enable realtime-kernel (Ubuntu); "
         "runs work without, see pc.wakeup",
-        data,
+        {"release": release, "preempt_rt": is_real_time},
     )
 
 
 def check_processors(count: int) -> DoctorFinding:
     """Count the processors: the loop needs one for itself."""
-    data = {"processors": count}
-    if count > 1:
-        return DoctorFinding("pc.processors", "ok", f"{count}", data=data)
     return DoctorFinding(
         "pc.processors",
-        "warning",
-        "1",
+        "ok" if count > 1 else "warning",
+        f"{count}",
         "at least 2: one for the loop, one for everything else",
         "give the machine a second processor; the loop will not spin on this one",
-        data,
+        {"processors": count},
     )
 
 

@@ -1,16 +1,41 @@
-"""Checks of the rig: sensors alive and plausible at rest; valve and encoder that follow a pulse.
+"""All checks of `pamctl doctor`, from the PC to the muscle; those of the rig stand here.
 
-Only `pulse_valve` moves anything: one short pulse each way, like homing's.
+Sensors alive and plausible at rest; valve and encoder that follow a pulse. Only `pulse_valve`
+moves anything: one short pulse each way, like homing's.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Generator, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
 
-from hal.backend import DoctorFinding, Level
-from hal.rig import RawSample
-from pamctl.commissioning.bench import Bench, LimitError, SensorStatistics, summarise_samples
+from hal.backend import DoctorFinding, Level, ProbeRequest, report_rig_error
+from hal.rig import RigError
+from pamctl.commissioning.bench import (
+    Bench,
+    LimitError,
+    NoAnswer,
+    SensorStatistics,
+    Terminal,
+    open_workplace,
+    summarise_samples,
+)
+from pamctl.commissioning.pc_checks import (
+    examine_pc,
+    judge_calls,
+    judge_permissions,
+    judge_rate,
+    judge_wake_ups,
+    measure_calls,
+    measure_wake_ups,
+)
+from pamctl.processes.backends import SHARED_MEMORY, build_clock, hold_device
+from pamctl.realtime.scheduling import prepare
+from pamctl.realtime.tick import TickSetup
+from pamctl.realtime.tick_runner import rehearse_tick_s
+from pamctl.settings.build import build_tick_setup
+from pamctl.settings.resolve import RunSettings
 
 REST_S = 0.5
 VENT_S = 1.0
@@ -34,13 +59,6 @@ def measure_at_rest(bench: Bench) -> SensorStatistics:
     """
     bench.hold_unwatched(bench.safe_valve_v, VENT_S)
     return summarise_samples(bench.hold_unwatched(bench.safe_valve_v, REST_S))
-
-
-def judge_sensors(bench: Bench, rest: SensorStatistics) -> Iterator[DoctorFinding]:
-    """Judge the sensors at rest."""
-    yield judge_voltage(bench, rest)
-    yield judge_noise(bench, rest)
-    yield judge_encoder_at_rest(bench, rest)
 
 
 def is_in_range(bench: Bench, rest: SensorStatistics) -> bool:
@@ -109,29 +127,24 @@ def judge_encoder_at_rest(bench: Bench, rest: SensorStatistics) -> DoctorFinding
     data = {"span_counts": span, "jump_counts": jump, "mean_counts": rest.counts}
     found = f"{span} counts from lowest to highest in {rest.samples} samples, {jump} at once"
     wanted = f"at most {bench.homing.steady_counts} at rest"
+    level: Level = "warning" if span > bench.homing.steady_counts else "ok"
+    fix = "is the muscle still moving, or is the carriage touched? If not: a loose reading head"
     if jump >= _JUMP_COUNTS:
-        fix = "a loose or unshielded A or B line: check plugs and shield"
+        level, fix = "fault", "a loose or unshielded A or B line: check plugs and shield"
         fix += bench.point_to(bench.keys.encoder_filter)
-        return DoctorFinding("encoder.rest", "fault", found, wanted, fix, data)
-    if span > bench.homing.steady_counts:
-        fix = "is the muscle still moving, or is the carriage touched? If not: a loose reading head"
-        return DoctorFinding("encoder.rest", "warning", found, wanted, fix, data)
-    return DoctorFinding("encoder.rest", "ok", found, data=data)
+    return DoctorFinding("encoder.rest", level, found, wanted, fix, data)
 
 
-def report_unmoved_encoder() -> DoctorFinding:
-    """Say that an encoder that was not moved cannot be checked."""
-    return DoctorFinding(
-        "encoder.alive",
-        "warning",
-        "not checked: an unplugged encoder stands still as well",
-        "counts that follow the carriage",
-        "run `pamctl doctor` at a terminal and move the carriage when asked, or add --actuate",
-    )
-
-
-def judge_hand_motion(bench: Bench, counts: int) -> DoctorFinding:
-    """Judge how the encoder counted a motion by hand."""
+def judge_hand_motion(bench: Bench, counts: int | None) -> DoctorFinding:
+    """Judge how the encoder counted a motion by hand; one that was not moved is not checked."""
+    if counts is None:
+        return DoctorFinding(
+            "encoder.alive",
+            "warning",
+            "not checked: an unplugged encoder stands still as well",
+            "counts that follow the carriage",
+            "run `pamctl doctor` at a terminal and move the carriage when asked, or add --actuate",
+        )
     alive = counts >= BY_HAND_COUNTS
     return DoctorFinding(
         "encoder.alive",
@@ -167,8 +180,8 @@ def pulse_valve(bench: Bench) -> ActuationResponse:
     """Fill briefly, then exhaust briefly. Raises `LimitError`."""
     homing, sign = bench.homing, bench.settings.encoder_sign
     begin = bench.settle(bench.safe_valve_v, 0.1)
-    top = _average_end(bench.hold(homing.fill_v, homing.fill_s))
-    bottom = _average_end(bench.hold(-homing.fill_v, homing.fill_s))
+    top = summarise_samples(bench.hold(homing.fill_v, homing.fill_s)[-_END_SAMPLES:])
+    bottom = summarise_samples(bench.hold(-homing.fill_v, homing.fill_s)[-_END_SAMPLES:])
     bench.hold(bench.safe_valve_v, bench.period_s)
     return ActuationResponse(
         PulseResponse(top.sensor_v - begin.sensor_v, sign * (top.counts - begin.counts)),
@@ -202,12 +215,12 @@ def judge_valve_sign(bench: Bench, answer: ActuationResponse) -> DoctorFinding:
     if fills and exhausts:
         return DoctorFinding(name, "ok", found, data=data)
     if fill.rise_v <= -least_v and exhaust.rise_v >= least_v:
+        found = f"reversed: {found}"
         fix = (
             "THE VALVE IS REVERSED, and the safe voltage fills. Shut the supply off; swap the "
             "valve's ports or the driver's polarity, and run this again before anything else"
         )
-        return DoctorFinding(name, "fault", f"reversed: {found}", wanted, fix, data)
-    if fills:
+    elif fills:
         fix = "it filled, but did not exhaust: a blocked exhaust, or a null that is far off"
     elif exhausts:
         fix = "it exhausted, but did not fill: was the muscle full already? check supply and null"
@@ -251,5 +264,123 @@ def _least_v(bench: Bench) -> float:
     return bench.homing.fill_rise_v or 0.02
 
 
-def _average_end(samples: Sequence[RawSample]) -> SensorStatistics:
-    return summarise_samples(samples[-_END_SAMPLES:])
+# --- all of them -------------------------------------------------------------------------------
+
+
+def examine_all(
+    settings: RunSettings, rt_seconds: float, *, actuate: bool, may_ask: bool
+) -> Generator[DoctorFinding, None, None]:
+    """Check everything, from the PC to the muscle."""
+    yield from examine_pc(SHARED_MEMORY, Path("logs"))
+    yield from _measure_timing(settings, rt_seconds)
+    probe, request = settings.rig.record.probe, make_probe_request(settings)
+    if probe is not None:
+        can_open = True
+        for finding in probe.examine(request):
+            yield finding
+            can_open &= finding.level != "fault" or finding.name not in probe.required
+        if not can_open:
+            return
+    try:
+        with open_workplace(settings) as bench:
+            yield from _examine_rig(
+                bench,
+                build_tick_setup(settings),
+                actuate=actuate,
+                by_hand=_ask_for_motion if may_ask else lambda bench: None,
+                loop_cpu=settings.rig.loop.cpu,
+            )
+        if probe is not None and probe.examine_clock is not None:
+            with hold_device(settings):
+                yield probe.examine_clock(request)
+        if probe is not None and probe.examine_output is not None:
+            with hold_device(settings):
+                yield from probe.examine_output(request)
+    except RigError as error:
+        yield report_rig_error("rig.device", error, "the device, for this command alone")
+
+
+def _examine_rig(
+    bench: Bench,
+    setup: TickSetup,
+    *,
+    actuate: bool,
+    by_hand: Callable[[Bench], int | None],
+    loop_cpu: int | None,
+) -> Iterator[DoctorFinding]:
+    """Check sensors and calls at the safe voltage; with `actuate`, move the muscle as well."""
+    with prepare("auto", loop_cpu):  # as a run's loop makes these calls
+        calls = measure_calls(bench.rig, bench.safe_volts)
+        rehearsed_s = rehearse_tick_s(setup, bench.period_s)
+    yield from judge_calls(calls, bench.period_s)
+    yield judge_rate(calls, rehearsed_s, bench.period_s)
+    rest = measure_at_rest(bench)
+    yield judge_voltage(bench, rest)
+    yield judge_noise(bench, rest)
+    yield judge_encoder_at_rest(bench, rest)
+    if not actuate:
+        counts = by_hand(bench)
+        yield judge_hand_motion(bench, counts)
+    elif is_in_range(bench, rest):
+        yield from examine_actuation(bench)
+    else:
+        yield DoctorFinding(
+            "valve.sign",
+            "fault",
+            "not tried: without a pressure sensor the pressure cannot be watched",
+            "a pressure sensor within its range",
+            "see sensor.voltage, then run this again",
+        )
+
+
+def make_probe_request(settings: RunSettings) -> ProbeRequest[Any]:
+    """Return what the device of a run is checked against."""
+    rig = settings.rig
+    limits, cal = rig.limits, rig.calibration
+    highest_v = (
+        cal.sensor_zero_v + (limits.pressure_pa - cal.atmospheric_pressure_pa) / cal.sensor_pa_per_v
+    )
+    return ProbeRequest(
+        settings=rig.device_settings,
+        safe_volts=rig.safe_volts,
+        rate_hz=rig.loop.rate_hz,
+        sensor_range_v=(limits.sensor_low_v, max(limits.sensor_high_v, highest_v)),
+        sensor_pa_per_v=cal.sensor_pa_per_v,
+    )
+
+
+def _measure_timing(settings: RunSettings, rt_seconds: float) -> Iterator[DoctorFinding]:
+    """Measure the loop's clock as an ordinary program, then with all that is permitted."""
+    period_s = 1.0 / settings.rig.loop.rate_hz
+    plain = measure_wake_ups(build_clock(settings, may_spin=False), rt_seconds)
+    with prepare("auto", settings.rig.loop.cpu) as preparation:
+        permitted = tuple(judge_permissions(preparation))
+        how = "SCHED_FIFO" if preparation.fifo else "no SCHED_FIFO"
+        if preparation.may_spin:
+            how += f", spinning {settings.rig.loop.spin_us:g} us"
+        clock = build_clock(settings, may_spin=preparation.may_spin)
+        prepared = measure_wake_ups(clock, rt_seconds)
+    yield from permitted
+    yield judge_wake_ups("pc.wakeup", prepared, period_s, how)
+    # For comparison only: a run is scheduled like this with `--rt off`.
+    plainly = judge_wake_ups("pc.wakeup_plain", plain, period_s, "as an ordinary program")
+    yield plainly._replace(level="ok")
+
+
+def _ask_for_motion(bench: Bench) -> int | None:
+    """Ask for the carriage to be moved; return how many counts it moved over."""
+    terminal, counts = Terminal(), list[int]()
+
+    def watch() -> None:
+        counts.extend(s.encoder_counts for s in bench.hold_unwatched(bench.safe_valve_v, 0.02))
+
+    request = (
+        f"move the carriage by hand, by a millimetre ({BY_HAND_COUNTS} counts) or more, and back"
+    )
+    watch()  # before the question, and once more after the answer
+    try:
+        done = terminal.confirm_done(request, watch)
+    except NoAnswer:
+        return None
+    watch()
+    return max(counts) - min(counts) if done else None

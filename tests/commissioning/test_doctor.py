@@ -30,7 +30,6 @@ from hal.nidaq.nidaq_backend import (
 from hal.rig import RigError
 from hal.sim import peek_v
 from pamctl.commissioning.bench import Bench, LimitError
-from pamctl.commissioning.examination import make_probe_request
 from pamctl.commissioning.pc_checks import (
     CallCosts,
     WakeUps,
@@ -50,6 +49,7 @@ from pamctl.commissioning.rig_checks import (
     examine_actuation,
     judge_hand_motion,
     judge_sensors,
+    make_probe_request,
     measure_at_rest,
 )
 from pamctl.errors import Problem

@@ -22,7 +22,7 @@ from hal.comedi.comedi_backend import (
     judge_pfi_lines,
 )
 from hal.comedi.comedi_rig import ComediRig
-from pamctl.commissioning.examination import make_probe_request
+from pamctl.commissioning.rig_checks import make_probe_request
 from pamctl.settings.resolve import resolve
 
 Examine = Callable[..., dict[str, DoctorFinding]]

@@ -256,9 +256,9 @@ def health(asked: HealthOptions) -> None:
 
     stated = Stated(read_acceptances(asked.accept), asked.read_noise())
     folder = asked.folder
-    with RunIndex(folder) as index:
-        index.refresh()
-        rows = [row for row in index.select(with_gains=False) if row.ending != UNREADABLE]
+    index = RunIndex(folder)
+    index.refresh()
+    rows = [row for row in index.select() if row.ending != UNREADABLE]
     logs = [(folder / row.path, row.when_s) for row in rows][-asked.last if asked.last else 0 :]
     with start_workers(asked.jobs) if asked.jobs != 1 else nullcontext() as executor:
         found = follow_health(logs, plant, executor, tell, stated)

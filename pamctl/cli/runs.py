@@ -56,10 +56,9 @@ def list_runs(asked: RunsOptions) -> None:
 
     since_s = None if asked.since is None else read_date(asked.since)
     wanted = RunFilter(asked.tags, since_s, asked.where, asked.last)
-    with RunIndex(asked.logs) as index:
-        index.refresh(_show_progress, rebuild=asked.rebuild)
-        rows = select_runs(index, wanted, with_gains=asked.as_csv or asked.as_json)
-        total = index.count()
+    index = RunIndex(asked.logs)
+    index.refresh(_show_progress, rebuild=asked.rebuild)
+    rows, total = select_runs(index, wanted), index.count()
     rows = [replace(row, path=escape_name(row.path)) for row in rows]
     from pamctl.runs.run_list import format_csv, report_runs
 

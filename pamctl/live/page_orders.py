@@ -59,9 +59,9 @@ def list_runs(status: Mapping[str, Any] | None) -> list[Form]:
     """Return the newest logs of the daemon's folder by its index, newest first."""
     try:
         folder = Path("/nonexistent" if status is None else status["logs"])
-        with RunIndex(folder) as index:
-            index.refresh()
-            rows = select_runs(index, RunFilter(last=_MOST_RUNS), with_gains=False)
+        index = RunIndex(folder)
+        index.refresh()
+        rows = select_runs(index, RunFilter(last=_MOST_RUNS))
     except RunsError:
         return []
     return [{name: getattr(row, name) for name in _RUN_COLUMNS} for row in reversed(rows)]

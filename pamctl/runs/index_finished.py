@@ -17,7 +17,7 @@ from pathlib import Path
 
 from hal.child import child_command
 
-INDEX_NAME = ".pamctl-runs.sqlite"
+INDEX_NAME = ".pamctl-runs.jsonl"
 _LEAST_URGENT = 19
 
 
@@ -45,9 +45,10 @@ def index_quietly(log: Path, *, make_index: bool = True) -> None:
     """
     with suppress(Exception):
         if make_index or log.absolute().with_name(INDEX_NAME).exists():
-            from pamctl.runs.run_index import index_log  # slow imports: not before the run
+            from pamctl.runs.run_index import append_rows  # slow imports: not before the run
+            from pamctl.runs.run_row import read_row
 
-            index_log(log)
+            append_rows(log.absolute().parent, [read_row(log)])
 
 
 if __name__ == "__main__":

@@ -60,11 +60,11 @@ def read_date(text: str) -> float:
         raise FilterError(message) from None
 
 
-def select_runs(index: RunIndex, wanted: RunFilter, *, with_gains: bool = True) -> list[RunRow]:
+def select_runs(index: RunIndex, wanted: RunFilter) -> list[RunRow]:
     """Return the runs that are wanted, the oldest first; raise FilterError."""
     conditions = [_read_condition(text) for text in wanted.where]
     keys = [one.key for one in conditions if one.key not in (*_NUMBERS, *_TEXTS)]
-    rows = index.select(with_gains=with_gains or bool(keys))
+    rows = index.select()
     for one in conditions:
         if one.key in keys and all(read_value(row, one.key) is None for row in rows):
             known = {name for row in rows for name in row.gains}

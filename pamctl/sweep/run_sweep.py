@@ -106,9 +106,9 @@ def find_runs(sweep: SweepPlan, *, whatever_ending: bool = False) -> dict[str, R
 
     Only those that ended well, unless asked for all. Raise SweepError as `run_sweep` does.
     """
-    with RunIndex(sweep.folder) as index:
-        index.refresh()
-        rows = [row for row in index.select() if row.sweep.get("name") == sweep.name]
+    index = RunIndex(sweep.folder)
+    index.refresh()
+    rows = [row for row in index.select() if row.sweep.get("name") == sweep.name]
     if any(row.sweep["base"] != sweep.base for row in rows):
         raise SweepError(
             f"the sweep {sweep.name} in {sweep.folder} was made with other settings or other keys; "

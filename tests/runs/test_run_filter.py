@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from datetime import datetime
 from typing import Any
 
@@ -39,10 +39,10 @@ ROWS = [
 
 
 @pytest.fixture(scope="module")
-def index(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunIndex]:
-    with RunIndex(tmp_path_factory.mktemp("filter")) as index:
-        index.put(ROWS)
-        yield index
+def index(tmp_path_factory: pytest.TempPathFactory) -> RunIndex:
+    index = RunIndex(tmp_path_factory.mktemp("filter"))
+    index.put(ROWS)
+    return index
 
 
 def names(index: RunIndex, **wanted: Any) -> list[str]:

@@ -206,9 +206,9 @@ def test_a_sweep_on_the_daemon_puts_the_gains_back_and_its_logs_stay(tmp_path: P
         made.wait_until(lambda status: status["log"] is None)
         refused = CliRunner().invoke(app, ["sweep", *words[:-2], "--set", "plant.x=1,2"])
         assert refused.exit_code == 2
-    with RunIndex(made.logs) as index:
-        index.refresh()
-        rows = index.select()
+    index = RunIndex(made.logs)
+    index.refresh()
+    rows = index.select()
     assert [row.gains.get(KEY) for row in rows][:2] == [20.0, 30.0]
     assert [row.sweep.get("name") for row in rows] == ["trial", "trial", None, None]
     assert rows[0].max_um is not None

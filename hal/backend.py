@@ -17,9 +17,10 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any, Generic, Literal, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 from hal.calibration import CalibrationSettings, Configured, Output
+from hal.problem import Level, Problem
 from hal.rig import Edge, Rig, RigError
 
 GROUP = "pamctl.rigs"
@@ -92,13 +93,13 @@ class ProbeRequest(Generic[S]):
 class DeviceProbe(NamedTuple, Generic[S]):
     """Checks of a device for `pamctl doctor`, done without `Rig`."""
 
-    examine: Callable[[ProbeRequest[S]], Iterable[DoctorFinding]]
+    examine: Callable[[ProbeRequest[S]], Iterable[Problem]]
     """Looks at driver and device and moves nothing. Faults are findings, not exceptions."""
     required: frozenset[str] = frozenset()
     """Names of findings whose fault means that the rig cannot be opened."""
-    examine_clock: Callable[[ProbeRequest[S]], DoctorFinding] | None = None
+    examine_clock: Callable[[ProbeRequest[S]], Problem] | None = None
     """Tries the device's own sample clock with the safe voltage on the output."""
-    examine_output: Callable[[ProbeRequest[S]], Iterable[DoctorFinding]] | None = None
+    examine_output: Callable[[ProbeRequest[S]], Iterable[Problem]] | None = None
     """Takes the output for a moment, and puts nothing but the safe voltage on it."""
 
 
@@ -231,35 +232,23 @@ def hint_at_missing(name: str) -> str:
     return f"if a package provides '{name}', install it (its entry point is in the group {GROUP})"
 
 
-Level = Literal["ok", "warning", "fault"]
-"""fault: a run would fail or would not be safe. warning: a run would work, but worse."""
+def report_check(
+    name: str,
+    level: Level,
+    found: str,
+    wanted: str = "",
+    fix: str = "",
+    data: Mapping[str, object] | None = None,
+) -> Problem:
+    """Return a check of `pamctl doctor` and its result; `name` is stable between versions."""
+    return Problem("", name, found, level, wanted, fix, data or {})
 
 
-class DoctorFinding(NamedTuple):
-    """One check and its result; `name` is stable between versions."""
-
-    name: str
-    level: Level
-    found: str
-    wanted: str = ""
-    """What it should be."""
-    fix: str = ""
-    """What to do where it is not, as a command where there is one."""
-    data: Mapping[str, object] = {}
-    """The figures behind the words, in SI, units in the names."""
-
-
-def report_rig_error(name: str, error: RigError, wanted: str) -> DoctorFinding:
+def report_rig_error(name: str, error: RigError, wanted: str) -> Problem:
     """Return a check that ended in an error of the device, with the fix that the error names."""
-    return DoctorFinding(name, "fault", describe_rig_error(error), wanted, error.fix)
+    return report_check(name, "fault", describe_rig_error(error), wanted, error.fix)
 
 
 def describe_rig_error(error: RigError) -> str:
     """Return what the device reports, with its error number and without the fix."""
     return error.what if error.code is None else f"{error.what} (device error {error.code})"
-
-
-def worst_level(findings: Iterable[DoctorFinding]) -> Level:
-    """Return the level of the worst finding; without findings all is well."""
-    levels = {finding.level for finding in findings}
-    return "fault" if "fault" in levels else "warning" if "warning" in levels else "ok"

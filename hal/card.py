@@ -18,8 +18,9 @@ from typing import Annotated, Any, Generic, Literal, NamedTuple, Self, TypeVar
 
 from pydantic import Field, model_validator
 
-from hal.backend import DoctorFinding, ProbeRequest, describe_rig_error
+from hal.backend import ProbeRequest, describe_rig_error, report_check
 from hal.calibration import Configured, Converter, Output, make_output, nearest_output_v
+from hal.problem import Problem
 from hal.rig import RigError
 
 
@@ -266,31 +267,31 @@ def read_line(path: Path) -> str:
 
 def judge_holder(
     cards: Sequence[PciCard], wanted: str, is_right: Callable[[str], bool], fix: str
-) -> DoctorFinding:
+) -> Problem:
     """Say which kernel driver holds NI's cards: only one of NI's own and comedi's can."""
     name, wanted = "card.kernel_driver", f"a card held by {wanted}"
     if not cards:
         found = "no card of NI's on the PCI bus (a card on USB is not listed there)"
-        return DoctorFinding(name, "warning", found, wanted, NO_CARD_FIX)
+        return report_check(name, "warning", found, wanted, NO_CARD_FIX)
     found = "; ".join(
         f"{card.slot} ({card.device_id}) is held by {card.driver or 'no driver'}" for card in cards
     )
     data = {"cards": [card._asdict() for card in cards]}
     if any(is_right(card.driver) for card in cards):
-        return DoctorFinding(name, "ok", found, data=data)
-    return DoctorFinding(name, "fault", found, wanted, fix, data)
+        return report_check(name, "ok", found, data=data)
+    return report_check(name, "fault", found, wanted, fix, data)
 
 
 def judge_parts(
     busy: Mapping[str, RigError], holders: str, more: Mapping[str, object] = {}
-) -> DoctorFinding:
+) -> Problem:
     """Say which parts of the card could not be taken; `holders` is the fix where all are held."""
     name = "card.reservations"
     if not busy:
-        return DoctorFinding(name, "ok", "input, counter and output are free")
+        return report_check(name, "ok", "input, counter and output are free")
     found = "; ".join(describe_rig_error(error) for error in busy.values())
     data = {"channels": sorted(busy), **more}
-    return DoctorFinding(name, "fault", found, "free", holders, data)
+    return report_check(name, "fault", found, "free", holders, data)
 
 
 VoltRange = tuple[float, float]
@@ -298,7 +299,7 @@ VoltRange = tuple[float, float]
 
 def judge_input_range(
     section: str, requested: VoltRange, ranges: tuple[VoltRange, ...], request: ProbeRequest[Any]
-) -> DoctorFinding:
+) -> Problem:
     """Check the range that a 16-bit card takes; `section` is the section of the rig file."""
     name, least = "card.input_range", request.sensor_range_v
     taken = min(
@@ -312,7 +313,7 @@ def judge_input_range(
     if taken is None:
         wanted = f"within one of {', '.join(map(format_range, ranges))}"
         fix = f"correct {section}.input_low_v and {section}.input_high_v"
-        return DoctorFinding(name, "fault", found, wanted, fix)
+        return report_check(name, "fault", found, wanted, fix)
     resolution_pa = (taken[1] - taken[0]) / 65536 * request.sensor_pa_per_v
     data = {"low_v": taken[0], "high_v": taken[1], "step_pa": resolution_pa}
     if not holds(requested, least) or not holds(taken, least):
@@ -321,8 +322,8 @@ def judge_input_range(
             "are not watched"
         )
         fix = f"set {section}.input_low_v to -5 and {section}.input_high_v to 5"
-        return DoctorFinding(name, "fault", found, wanted, fix, data)
-    return DoctorFinding(name, "ok", f"{found}: {resolution_pa:.0f} Pa a code", data=data)
+        return report_check(name, "fault", found, wanted, fix, data)
+    return report_check(name, "ok", f"{found}: {resolution_pa:.0f} Pa a code", data=data)
 
 
 def holds(outer: VoltRange, inner: VoltRange) -> bool:

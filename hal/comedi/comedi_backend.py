@@ -16,10 +16,10 @@ from hal.backend import (
     Backend,
     BuiltRig,
     DeviceProbe,
-    DoctorFinding,
     ProbeRequest,
     RigKeys,
     RigRequest,
+    report_check,
     report_rig_error,
 )
 from hal.card import (
@@ -47,6 +47,7 @@ from hal.comedi.libcomedi import (
     load_library,
     read_calibration,
 )
+from hal.problem import Problem
 from hal.rig import RigError
 
 
@@ -89,7 +90,7 @@ REQUIRED = frozenset(
 _PFI_LINES_OF_37_PINS = 8
 
 
-def examine_comedi(request: ProbeRequest[ComediSettings]) -> Iterator[DoctorFinding]:
+def examine_comedi(request: ProbeRequest[ComediSettings]) -> Iterator[Problem]:
     """Check library and driver, then the card and its parts, as far as each step allows."""
     from hal.comedi.comedi_rig import require_card
 
@@ -100,7 +101,7 @@ def examine_comedi(request: ProbeRequest[ComediSettings]) -> Iterator[DoctorFind
     except RigError as error:
         yield report_rig_error("card.driver", error, "libcomedi loaded")
         return
-    yield DoctorFinding("card.driver", "ok", f"libcomedi ({find_library_path()})")
+    yield report_check("card.driver", "ok", f"libcomedi ({find_library_path()})")
     yield from check_permission(Path(settings.device))
     try:
         require_card(settings)
@@ -112,13 +113,13 @@ def examine_comedi(request: ProbeRequest[ComediSettings]) -> Iterator[DoctorFind
     with file:
         told = file.describe()
         found = f"{settings.device}: {told['product_type']}, driver {told['driver_name']}"
-        yield DoctorFinding("card.device", "ok", found, data=told)
+        yield report_check("card.device", "ok", found, data=told)
         yield from _examine_parts(file, request, str(told["product_type"]))
 
 
 def _examine_parts(
     file: ComediFile, request: ProbeRequest[ComediSettings], product: str
-) -> Iterator[DoctorFinding]:
+) -> Iterator[Problem]:
     from hal.comedi.comedi_rig import (
         find_counter,
         find_pfi_lines,
@@ -151,7 +152,7 @@ def _examine_parts(
     )
 
 
-def judge_kernel_driver(cards: Sequence[PciCard]) -> DoctorFinding:
+def judge_kernel_driver(cards: Sequence[PciCard]) -> Problem:
     """Say which kernel driver holds NI's cards, and how to get the kernel's own."""
     held = next((card.driver for card in cards if card.driver), "")
     fix = (
@@ -163,12 +164,12 @@ def judge_kernel_driver(cards: Sequence[PciCard]) -> DoctorFinding:
     return judge_holder(cards, COMEDI_DRIVER, lambda driver: driver == COMEDI_DRIVER, fix)
 
 
-def check_permission(device: Path) -> Iterator[DoctorFinding]:
+def check_permission(device: Path) -> Iterator[Problem]:
     """Check that this user may use the device file, where there is one."""
     if not device.exists():
         return
     if os.access(device, os.R_OK | os.W_OK):
-        yield DoctorFinding("card.permission", "ok", f"access to {device}")
+        yield report_check("card.permission", "ok", f"access to {device}")
         return
     try:
         group = device.group()
@@ -176,10 +177,10 @@ def check_permission(device: Path) -> Iterator[DoctorFinding]:
         group = str(device.stat().st_gid)
     found = f"no access to {device}, of the group {group}"
     fix = PERMIT.format(device=device).replace("GROUP", group)
-    yield DoctorFinding("card.permission", "fault", found, "read and write", fix)
+    yield report_check("card.permission", "fault", found, "read and write", fix)
 
 
-def judge_pfi_lines(settings: ComediSettings, product: str) -> DoctorFinding:
+def judge_pfi_lines(settings: ComediSettings, product: str) -> Problem:
     """Check that the card has terminals for the encoder's lines."""
     lines = (settings.encoder_a_pfi, settings.encoder_b_pfi)
     found = (
@@ -188,29 +189,29 @@ def judge_pfi_lines(settings: ComediSettings, product: str) -> DoctorFinding:
     )
     if "37pin" in product and max(lines) >= _PFI_LINES_OF_37_PINS:
         fix = "wire A and B to two of PFI 0 to 7, and set comedi.encoder_a_pfi and encoder_b_pfi"
-        return DoctorFinding("card.channels", "fault", found, "PFI 0 to 7 on this card", fix)
-    return DoctorFinding("card.channels", "ok", found)
+        return report_check("card.channels", "fault", found, "PFI 0 to 7 on this card", fix)
+    return report_check("card.channels", "ok", found)
 
 
 def judge_calibration(
     file: ComediFile, settings: ComediSettings, sensor: AnalogChannel, valve: AnalogChannel
-) -> DoctorFinding:
+) -> Problem:
     """Check that the calibration file knows both converters."""
     name, wanted = "card.calibration", "a file from comedi_soft_calibrate"
     if settings.calibration_file == UNCALIBRATED:
         found = "comedi.calibration_file: none: nominal ranges, wrong by some 5 %"
         fix = CALIBRATE.format(device=settings.device).partition(";")[0]
-        return DoctorFinding(name, "warning", found, wanted, fix)
+        return report_check(name, "warning", found, wanted, fix)
     try:
         with read_calibration(file, settings.calibration_file) as calibration:
             calibration.get_polynomial(file, sensor, TO_PHYSICAL)
             calibration.get_polynomial(file, valve, FROM_PHYSICAL)
     except RigError as error:
         return report_rig_error(name, error, wanted)
-    return DoctorFinding(name, "ok", calibration.path)
+    return report_check(name, "ok", calibration.path)
 
 
-def judge_locks(file: ComediFile, parts: dict[str, int]) -> DoctorFinding:
+def judge_locks(file: ComediFile, parts: dict[str, int]) -> Problem:
     """Take each part of the card for a moment; say which of them another program holds."""
     busy: dict[str, RigError] = {}
     for part, subdevice in parts.items():

@@ -17,11 +17,11 @@ from hal.backend import (
     Backend,
     BuiltRig,
     DeviceProbe,
-    DoctorFinding,
     ProbeRequest,
     RigKeys,
     RigRequest,
     describe_rig_error,
+    report_check,
     report_rig_error,
 )
 from hal.card import (
@@ -37,6 +37,7 @@ from hal.card import (
     read_line,
 )
 from hal.nidaq.card_settings import BUSY_CODES, ON_DEMAND, PACKAGE_BROKEN, NidaqSettings
+from hal.problem import Problem
 from hal.rig import RigError
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ _MISSED_OFTEN = 0.25
 _GOOD_WAIT = "WAIT_FOR_INTERRUPT"
 
 
-def examine_card(request: ProbeRequest[NidaqSettings]) -> Iterator[DoctorFinding]:
+def examine_card(request: ProbeRequest[NidaqSettings]) -> Iterator[Problem]:
     """Check the driver, then the card, then its parts, as far as each step allows the next."""
     settings = request.settings
     nodes = check_device_nodes(Path("/dev"))
@@ -65,7 +66,7 @@ def examine_card(request: ProbeRequest[NidaqSettings]) -> Iterator[DoctorFinding
     # Any exception at all: the package reads every `.env` file from this directory upwards.
     except Exception as error:
         found = f"the package nidaqmx cannot be imported: {error}"
-        yield DoctorFinding("card.driver", "fault", found, "nidaqmx imported", PACKAGE_BROKEN)
+        yield report_check("card.driver", "fault", found, "nidaqmx imported", PACKAGE_BROKEN)
         return
     try:
         driver = probe.identify_driver()
@@ -74,7 +75,7 @@ def examine_card(request: ProbeRequest[NidaqSettings]) -> Iterator[DoctorFinding
         yield from nodes
         return
     found = f"NI-DAQmx {driver.version} ({driver.library}), package nidaqmx {driver.package}"
-    yield DoctorFinding("card.driver", "ok", found, data=driver._asdict())
+    yield report_check("card.driver", "ok", found, data=driver._asdict())
     yield from nodes
     try:
         card = probe.identify_card(settings.device)
@@ -82,7 +83,7 @@ def examine_card(request: ProbeRequest[NidaqSettings]) -> Iterator[DoctorFinding
     except RigError as error:
         there = f"the driver lists {', '.join(driver.devices) or 'no device'}"
         wanted = f"{settings.device}, as nidaq.device of the rig file says"
-        yield DoctorFinding(
+        yield report_check(
             "card.device", "fault", f"{describe_rig_error(error)}; {there}", wanted, error.fix
         )
         return
@@ -99,11 +100,11 @@ def examine_card(request: ProbeRequest[NidaqSettings]) -> Iterator[DoctorFinding
     yield (
         report_rig_error("timing.on_demand", failure, "a read on demand")
         if failure
-        else DoctorFinding("timing.on_demand", "ok", "works")
+        else report_check("timing.on_demand", "ok", "works")
     )
 
 
-def examine_card_clock(request: ProbeRequest[NidaqSettings]) -> DoctorFinding:
+def examine_card_clock(request: ProbeRequest[NidaqSettings]) -> Problem:
     """Try the card's own clock with the safe voltage on the output; the caller holds the device."""
     from hal.nidaq.probe import try_hardware_timing
 
@@ -116,7 +117,7 @@ def examine_card_clock(request: ProbeRequest[NidaqSettings]) -> DoctorFinding:
     return judge_hardware_timing(trial, 1.0 / request.rate_hz, is_wanted)
 
 
-def examine_output(request: ProbeRequest[NidaqSettings]) -> Iterator[DoctorFinding]:
+def examine_output(request: ProbeRequest[NidaqSettings]) -> Iterator[Problem]:
     """Check what the output does at a start, and what becomes of it when its process is killed.
 
     The caller holds the device. The start is seen where a loop-back wire is declared.
@@ -136,27 +137,27 @@ def examine_output(request: ProbeRequest[NidaqSettings]) -> Iterator[DoctorFindi
         yield _report_unmeasured("card.release", error)
 
 
-def _report_unmeasured(name: str, error: RigError) -> DoctorFinding:
+def _report_unmeasured(name: str, error: RigError) -> Problem:
     found = f"not measured: {describe_rig_error(error)}"
-    return DoctorFinding(name, "warning", found, "", error.fix)
+    return report_check(name, "warning", found, "", error.fix)
 
 
-def judge_output_start(start: OutputStart, safe_v: float) -> DoctorFinding:
+def judge_output_start(start: OutputStart, safe_v: float) -> Problem:
     """Say whether the output leaves the safe voltage while its task starts."""
     name, data = "card.output_start", start._asdict()
     if abs(start.rest_v - safe_v) > _LOOPBACK_V:
         found = f"{start.rest_v:.3f} V at the safe voltage of {safe_v:g} V"
         fix = "is nidaq.loopback_channel really wired to nidaq.valve_channel, and to AI GND?"
-        return DoctorFinding(name, "fault", found, "the safe voltage", fix, data)
+        return report_check(name, "fault", found, "the safe voltage", fix, data)
     if start.outside_s:
         found = f"{start.worst_v:+.3f} V from the safe voltage, for {start.outside_s * 1e6:.0f} us"
         fix = "the valve sees this pulse at every start: keep the supply shut until a run is ready"
-        return DoctorFinding(name, "warning", found, "no pulse", fix, data)
+        return report_check(name, "warning", found, "no pulse", fix, data)
     found = f"stays within {abs(start.worst_v) * 1e3:.0f} mV of the safe voltage"
-    return DoctorFinding(name, "ok", found, data=data)
+    return report_check(name, "ok", found, data=data)
 
 
-def judge_release(free_after_s: float | None) -> DoctorFinding:
+def judge_release(free_after_s: float | None) -> Problem:
     """Say whether the driver frees what a killed process held: the guardian relies on it."""
     name, data = "card.release", {"free_after_s": free_after_s}
     if free_after_s is None:
@@ -166,21 +167,21 @@ def judge_release(free_after_s: float | None) -> DoctorFinding:
             "(`nidaqmx` Device.reset_device, which puts 0 V out), update NI-DAQmx, or use "
             "--backend comedi, where the kernel frees the card"
         )
-        return DoctorFinding(name, "fault", found, "the output is free at once", fix, data)
+        return report_check(name, "fault", found, "the output is free at once", fix, data)
     found = f"the output of a killed process was free after {free_after_s * 1e3:.0f} ms"
     if free_after_s <= _RELEASE_S:
-        return DoctorFinding(name, "ok", found, data=data)
+        return report_check(name, "ok", found, data=data)
     wanted = f"at most {_RELEASE_S * 1e3:.0f} ms"
     fix = "after a crash of the loop the muscle stays filled for so long: fit a hardware vent"
-    return DoctorFinding(name, "warning", found, wanted, fix, data)
+    return report_check(name, "warning", found, wanted, fix, data)
 
 
-def check_device_nodes(directory: Path) -> Iterator[DoctorFinding]:
+def check_device_nodes(directory: Path) -> Iterator[Problem]:
     """Check that this user may use the driver's device nodes, where there are any."""
     nodes = sorted([*directory.glob("nidaq*"), *directory.glob("nipal*")])
     barred = [node for node in nodes if not os.access(node, os.R_OK | os.W_OK)]
     if barred:
-        yield DoctorFinding(
+        yield report_check(
             "card.permission",
             "fault",
             f"no access to {', '.join(map(str, barred))}",
@@ -188,20 +189,20 @@ def check_device_nodes(directory: Path) -> Iterator[DoctorFinding]:
             f"ls -l {barred[0]} shows its group: sudo usermod -aG GROUP $USER, and log in again",
         )
     elif nodes:
-        yield DoctorFinding("card.permission", "ok", f"access to {', '.join(map(str, nodes))}")
+        yield report_check("card.permission", "ok", f"access to {', '.join(map(str, nodes))}")
 
 
-def judge_device(name: str, card: Card) -> DoctorFinding:
+def judge_device(name: str, card: Card) -> Problem:
     """Say which card it is."""
     found = f"{name}: {card.product_type}, serial {card.serial_number:X}, bus {card.bus}"
     data = card._asdict()
     if card.is_simulated:
         fix = "a device simulated by NI's driver: its encoder never counts; use --backend sim"
-        return DoctorFinding("card.device", "fault", found, "a card", fix, data)
-    return DoctorFinding("card.device", "ok", found, data=data)
+        return report_check("card.device", "fault", found, "a card", fix, data)
+    return report_check("card.device", "ok", found, data=data)
 
 
-def judge_channels(settings: NidaqSettings, card: Card) -> DoctorFinding:
+def judge_channels(settings: NidaqSettings, card: Card) -> Problem:
     """Check that the card has the terminals that the rig file names."""
     asked = {
         "pressure_channel": (settings.pressure_channel, card.inputs),
@@ -218,25 +219,25 @@ def judge_channels(settings: NidaqSettings, card: Card) -> DoctorFinding:
     found = ", ".join(f"{channel}" for channel, _ in asked.values())
     missing = {key: there for key, (channel, there) in asked.items() if channel not in there}
     if not missing:
-        return DoctorFinding("card.channels", "ok", found)
+        return report_check("card.channels", "ok", found)
     there = "; ".join(f"nidaq.{key}: {', '.join(names)}" for key, names in missing.items())
     fix = f"correct {' and '.join(f'nidaq.{key}' for key in missing)} in the rig file"
-    return DoctorFinding("card.channels", "fault", found, f"one of {there}", fix)
+    return report_check("card.channels", "fault", found, f"one of {there}", fix)
 
 
-def judge_output_range(settings: NidaqSettings, card: Card) -> DoctorFinding:
+def judge_output_range(settings: NidaqSettings, card: Card) -> Problem:
     """Check that the card can put out what the rig file allows."""
     asked = (settings.output_low_v, settings.output_high_v)
     found = (
         f"{format_range(asked)} of the card's {', '.join(map(format_range, card.output_ranges))}"
     )
     if any(holds(one, asked) for one in card.output_ranges):
-        return DoctorFinding("card.output_range", "ok", found)
+        return report_check("card.output_range", "ok", found)
     fix = "correct nidaq.output_low_v and nidaq.output_high_v"
-    return DoctorFinding("card.output_range", "fault", found, "within the card's range", fix)
+    return report_check("card.output_range", "fault", found, "within the card's range", fix)
 
 
-def judge_reservations(busy: dict[str, RigError], users: list[DriverUser]) -> DoctorFinding:
+def judge_reservations(busy: dict[str, RigError], users: list[DriverUser]) -> Problem:
     """Say which parts of the card another program holds, and which programs use the driver."""
     first = next(iter(busy.values()), None)
     if first is None or any(error.code not in BUSY_CODES for error in busy.values()):
@@ -246,7 +247,7 @@ def judge_reservations(busy: dict[str, RigError], users: list[DriverUser]) -> Do
     return judge_parts(busy, fix, {"users": [user._asdict() for user in users]})
 
 
-def judge_hardware_timing(trial: ClockTrial, period_s: float, is_wanted: bool) -> DoctorFinding:
+def judge_hardware_timing(trial: ClockTrial, period_s: float, is_wanted: bool) -> Problem:
     """Say whether the card's own clock can pace the loop."""
     name, data = "timing.hardware", trial._asdict()
     found = f"{trial.edges} edges, {trial.missed} missed"
@@ -254,9 +255,9 @@ def judge_hardware_timing(trial: ClockTrial, period_s: float, is_wanted: bool) -
         # The PC misses an edge now and then. A clock that is wrong misses them regularly.
         wanted = f"a sample every {period_s * 1e3:g} ms"
         fix = f"is rig.loop.rate_hz too fast for card or PC? {ON_DEMAND}"
-        return DoctorFinding(name, "fault" if is_wanted else "ok", found, wanted, fix, data)
+        return report_check(name, "fault" if is_wanted else "ok", found, wanted, fix, data)
     if trial.wait_mode != _GOOD_WAIT:
-        return DoctorFinding(
+        return report_check(
             name,
             "warning" if is_wanted else "ok",
             f"{found}; a read waits by {trial.wait_mode or 'a mode that the driver hides'}",
@@ -266,19 +267,17 @@ def judge_hardware_timing(trial: ClockTrial, period_s: float, is_wanted: bool) -
         )
     if trial.missed:
         fix = "is the PC busy? See pc.wakeup"
-        return DoctorFinding(
-            name, "warning" if is_wanted else "ok", found, "none missed", fix, data
-        )
-    return DoctorFinding(name, "ok", f"works: {found}", data=data)
+        return report_check(name, "warning" if is_wanted else "ok", found, "none missed", fix, data)
+    return report_check(name, "ok", f"works: {found}", data=data)
 
 
-def report_no_hardware_timing(failure: RigError, is_wanted: bool) -> DoctorFinding:
+def report_no_hardware_timing(failure: RigError, is_wanted: bool) -> Problem:
     """Say why the card's own clock cannot pace the loop."""
     name = "timing.hardware"
     if is_wanted:
         return report_rig_error(name, failure, "as nidaq.timing says")
     found = f"not available, and not needed: {describe_rig_error(failure)}"
-    return DoctorFinding(name, "ok", found)
+    return report_check(name, "ok", found)
 
 
 DKMS_TREE = Path("/var/lib/dkms")
@@ -302,7 +301,7 @@ class Module(NamedTuple):
 
 def examine_kernel(
     pci: Path = PCI_DEVICES, dkms: Path = DKMS_TREE, *, is_clocked: bool
-) -> Iterator[DoctorFinding]:
+) -> Iterator[Problem]:
     """Check who holds the card, whether NI's modules are built, and the IOMMU."""
     cards, release = find_pci_cards(pci), platform.release()
     fix = (
@@ -323,14 +322,14 @@ def examine_kernel(
         yield judge_iommu(types, is_clocked)
 
 
-def judge_modules(modules: Sequence[Module], release: str) -> DoctorFinding:
+def judge_modules(modules: Sequence[Module], release: str) -> Problem:
     """Check that DKMS has built NI's modules for the running kernel."""
     name, data = "card.modules", {"modules": [module._asdict() for module in modules]}
     missing = [module.name for module in modules if not module.is_built]
     if not missing:
         found = f"{len(modules)} modules of NI's are built for kernel {release}"
-        return DoctorFinding(name, "ok", found, data=data)
-    return DoctorFinding(
+        return report_check(name, "ok", found, data=data)
+    return report_check(
         name,
         "fault",
         f"not built for kernel {release}: {', '.join(missing)}",
@@ -341,17 +340,17 @@ def judge_modules(modules: Sequence[Module], release: str) -> DoctorFinding:
     )
 
 
-def judge_iommu(types: dict[str, str], is_clocked: bool) -> DoctorFinding:
+def judge_iommu(types: dict[str, str], is_clocked: bool) -> Problem:
     """Say whether the IOMMU stands between card and memory: clocked tasks failed on such PCs."""
     name, data = "card.iommu", {"types": types}
     translated = [slot for slot, kind in types.items() if kind.startswith(_TRANSLATED)]
     if not translated:
-        return DoctorFinding(name, "ok", "not between card and memory", data=data)
+        return report_check(name, "ok", "not between card and memory", data=data)
     found = f"translates the addresses of {', '.join(translated)}"
     wanted = "no IOMMU between card and memory, for nidaq.timing: hardware_timed"
     if is_clocked:
-        return DoctorFinding(name, "warning", found, wanted, _IOMMU_FIX, data)
-    return DoctorFinding(name, "ok", f"{found}; on demand needs no transfers", data=data)
+        return report_check(name, "warning", found, wanted, _IOMMU_FIX, data)
+    return report_check(name, "ok", f"{found}; on demand needs no transfers", data=data)
 
 
 def _require(settings: NidaqSettings) -> None:

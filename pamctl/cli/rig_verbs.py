@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from hal.backend import DoctorFinding, worst_level
+from hal.problem import Problem, worst_level
 from pamctl.cli.failure import Failed, print_error
 from pamctl.cli.options import (
     MAY_MOVE,
@@ -28,7 +28,7 @@ from pamctl.cli.settings_from_options import (
     read_file_gains,
     resolve_options,
 )
-from pamctl.errors import ConfigError, Problem
+from pamctl.errors import ConfigError
 from pamctl.exit_codes import ExitCode
 from pamctl.settings.resolve import RunSettings
 
@@ -208,7 +208,7 @@ def doctor(asked: DoctorOptions) -> None:
     from pamctl.processes.interrupts import SignalInterrupt
     from pamctl.report.report import Problems, format_part
 
-    findings: list[DoctorFinding] = []
+    findings: list[Problem] = []
     interrupt: SignalInterrupt | None = None
     # A simulated carriage cannot be moved by hand.
     may_ask = not asked.as_json and sys.stdin.isatty() and not settings.rig.record.is_simulated
@@ -219,7 +219,7 @@ def doctor(asked: DoctorOptions) -> None:
             for finding in work:
                 findings.append(finding)
                 if not asked.as_json:
-                    typer.echo(format_part(Problems([_to_problem(finding)])))
+                    typer.echo(format_part(Problems([finding])))
     except (SignalInterrupt, KeyboardInterrupt) as error:
         interrupt = error if isinstance(error, SignalInterrupt) else SignalInterrupt(2)
     code = _exit_code(findings, interrupt)
@@ -230,7 +230,17 @@ def doctor(asked: DoctorOptions) -> None:
         "backend": settings.rig.backend,
         "device": device_of(settings),
         "actuated": asked.actuate,
-        "findings": [finding._asdict() for finding in findings],
+        "findings": [
+            {
+                "name": finding.key,
+                "level": finding.level,
+                "found": finding.message,
+                "wanted": finding.wanted,
+                "fix": finding.fix,
+                "data": finding.data,
+            }
+            for finding in findings
+        ],
     }
     levels = [finding.level for finding in findings]
     verdict = f"{levels.count('fault')} faults, {levels.count('warning')} warnings"
@@ -238,14 +248,10 @@ def doctor(asked: DoctorOptions) -> None:
     raise typer.Exit(code)
 
 
-def _exit_code(findings: list[DoctorFinding], interrupt: SignalInterrupt | None) -> int:
+def _exit_code(findings: list[Problem], interrupt: SignalInterrupt | None) -> int:
     if interrupt is not None:
         return interrupt.code
     return int(ExitCode.CHECK_FAILED if worst_level(findings) == "fault" else ExitCode.OK)
-
-
-def _to_problem(finding: DoctorFinding) -> Problem:
-    return Problem(finding.name, "", finding.found, finding.level, finding.wanted, finding.fix)
 
 
 # --- calibrate --------------------------------------------------------------------------------

@@ -313,7 +313,7 @@ def calibrate_valve(bench: Bench, span_v: float = 1.0) -> CalibrationOutcome:
     """
     sign = judge_valve_sign(bench, pulse_valve(bench))
     if sign.level != "ok":
-        raise CalibrationError(f"{sign.found}; {sign.fix}")
+        raise CalibrationError(f"{sign.message}; {sign.fix}")
     # Against the sensor's zero of today: the file's zero may be off by more than the supply.
     zero = bench.settle(bench.homing.vent_v)
     supply = bench.settle(bench.homing.fill_v)

@@ -12,7 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
-from hal.backend import DoctorFinding, Level
+from hal.backend import report_check
+from hal.problem import Level, Problem
 from hal.rig import Rig
 from pamctl.processes.keep_awake import MASK, can_sleep, keep_awake
 from pamctl.realtime.clock import Clock
@@ -35,7 +36,7 @@ _RIGHTS = {
 }
 
 
-def examine_pc(shared_memory: Path, log_directory: Path) -> Iterator[DoctorFinding]:
+def examine_pc(shared_memory: Path, log_directory: Path) -> Iterator[Problem]:
     """Check what does not depend on the rig and needs no measurement."""
     yield check_kernel()
     yield check_processors(os.cpu_count() or 1)
@@ -45,11 +46,11 @@ def examine_pc(shared_memory: Path, log_directory: Path) -> Iterator[DoctorFindi
     yield check_log_disk(log_directory)
 
 
-def check_kernel() -> DoctorFinding:
+def check_kernel() -> Problem:
     """Look for PREEMPT_RT."""
     release, version = platform.release(), platform.version()
     is_real_time = "PREEMPT_RT" in version or _read_text(Path("/sys/kernel/realtime")) == "1"
-    return DoctorFinding(
+    return report_check(
         "pc.kernel",
         "ok" if is_real_time else "warning",
         f"{platform.system()} {release}, {'' if is_real_time else 'not '}PREEMPT_RT",
@@ -60,9 +61,9 @@ def check_kernel() -> DoctorFinding:
     )
 
 
-def check_processors(count: int) -> DoctorFinding:
+def check_processors(count: int) -> Problem:
     """Count the processors: the loop needs one for itself."""
-    return DoctorFinding(
+    return report_check(
         "pc.processors",
         "ok" if count > 1 else "warning",
         f"{count}",
@@ -72,15 +73,15 @@ def check_processors(count: int) -> DoctorFinding:
     )
 
 
-def check_governor(cpus: Path) -> DoctorFinding:
+def check_governor(cpus: Path) -> Problem:
     """Check that the processors do not lower their clock rate."""
     files = sorted(cpus.glob("cpu[0-9]*/cpufreq/scaling_governor"))
     governors = sorted({_read_text(file) for file in files})
     if not governors:
         found = "not visible (a virtual machine, or the firmware's own)"
-        return DoctorFinding("pc.governor", "ok", found, data={"governors": []})
+        return report_check("pc.governor", "ok", found, data={"governors": []})
     level: Level = "ok" if governors == ["performance"] else "warning"
-    return DoctorFinding(
+    return report_check(
         "pc.governor",
         level,
         ", ".join(governors),
@@ -90,26 +91,26 @@ def check_governor(cpus: Path) -> DoctorFinding:
     )
 
 
-def check_sleep() -> DoctorFinding:
+def check_sleep() -> Problem:
     """Check that the PC does not go to sleep during a run: the card would hold its voltage."""
     name = "pc.sleep"
     if not can_sleep():
-        return DoctorFinding(name, "ok", "this PC cannot be suspended", data={"may_suspend": False})
+        return report_check(name, "ok", "this PC cannot be suspended", data={"may_suspend": False})
     with keep_awake() as risk:
         data = {"may_suspend": bool(risk)}
     if not risk:
-        return DoctorFinding(name, "ok", "may be suspended, but not during a run", data=data)
-    return DoctorFinding(name, "warning", risk.partition(";")[0], "no sleep in a run", MASK, data)
+        return report_check(name, "ok", "may be suspended, but not during a run", data=data)
+    return report_check(name, "warning", risk.partition(";")[0], "no sleep in a run", MASK, data)
 
 
-def check_shared_memory(directory: Path) -> DoctorFinding:
+def check_shared_memory(directory: Path) -> Problem:
     """Check that shared memory has room for rings and locks."""
     name, wanted = "pc.shared_memory", f"writable, {_RING_BYTES // _MB} MB free for ring and locks"
     if not (directory.is_dir() and os.access(directory, os.W_OK)):
         fix = f"mount -t tmpfs -o mode=1777 tmpfs {directory}"
-        return DoctorFinding(name, "fault", f"{directory} cannot be written", wanted, fix)
+        return report_check(name, "fault", f"{directory} cannot be written", wanted, fix)
     free = _free_bytes(directory)
-    return DoctorFinding(
+    return report_check(
         name,
         "ok" if free >= _RING_BYTES else "fault",
         f"{directory}: {free // _MB} MB free",
@@ -120,12 +121,12 @@ def check_shared_memory(directory: Path) -> DoctorFinding:
     )
 
 
-def check_log_disk(directory: Path) -> DoctorFinding:
+def check_log_disk(directory: Path) -> Problem:
     """Check how long a log may become."""
     place = next(path for path in (directory, *directory.absolute().parents) if path.is_dir())
     if not os.access(place, os.W_OK):
         fix = "change to a directory that you may write, or give --log to each run"
-        return DoctorFinding("pc.log_disk", "fault", f"{place} cannot be written", "writable", fix)
+        return report_check("pc.log_disk", "fault", f"{place} cannot be written", "writable", fix)
     free = _free_bytes(place)
     lasts_s = free / _LOG_BYTES_PER_S
     level: Level = (
@@ -135,7 +136,7 @@ def check_log_disk(directory: Path) -> DoctorFinding:
         if lasts_s < _COMFORTABLE_LOG_S
         else "ok"
     )
-    return DoctorFinding(
+    return report_check(
         "pc.log_disk",
         level,
         f"{place}: {free // _MB} MB free, logs of {lasts_s / 3600:.1f} h",
@@ -145,7 +146,7 @@ def check_log_disk(directory: Path) -> DoctorFinding:
     )
 
 
-def judge_permissions(preparation: Preparation) -> Iterator[DoctorFinding]:
+def judge_permissions(preparation: Preparation) -> Iterator[Problem]:
     """Say which steps of the preparation for real time this user is permitted."""
     for step in preparation.steps:
         if step.name not in _RIGHTS:
@@ -153,7 +154,7 @@ def judge_permissions(preparation: Preparation) -> Iterator[DoctorFinding]:
         # A refusal worsens the timing, never the run. `--rt require` makes it an error.
         level: Level = "ok" if step.done else "warning"
         reason, _, fix = step.detail.partition("; ")
-        yield DoctorFinding(
+        yield report_check(
             f"pc.{step.name}",
             level,
             step.detail if step.done else f"refused: {reason}",
@@ -242,14 +243,14 @@ def measure_wake_ups(clock: Clock, duration_s: float) -> WakeUps:
                 return WakeUps(summarise_latencies(late_ns), missed)
 
 
-def judge_wake_ups(name: str, wake_ups: WakeUps, period_s: float, how: str) -> DoctorFinding:
+def judge_wake_ups(name: str, wake_ups: WakeUps, period_s: float, how: str) -> Problem:
     """Judge a measurement against the loop's period; `how` names the scheduling."""
     late, missed = wake_ups
     ticks = late.samples + missed
     level = _judge_share(late.p99_us * 1e-6 / period_s)
     if missed and level == "ok":
         level = "fault" if missed > 0.01 * ticks else "warning"
-    return DoctorFinding(
+    return report_check(
         name,
         level,
         f"{how}: late by {late}, {missed} of {ticks} ticks missed",
@@ -298,13 +299,13 @@ def measure_calls(
     )
 
 
-def judge_calls(calls: CallCosts, period_s: float) -> Iterator[DoctorFinding]:
+def judge_calls(calls: CallCosts, period_s: float) -> Iterator[Problem]:
     """Judge each call against a third of the time that all three may take of a tick."""
     for name, cost in calls._asdict().items():
         level = _judge_share(3.0 * cost.p99_us * 1e-6 / period_s)
         if level == "ok" and cost.max_us * 1e-6 > period_s:
             level = "warning"
-        yield DoctorFinding(
+        yield report_check(
             f"latency.{name}",
             level,
             f"{cost} of {cost.samples} calls",
@@ -315,7 +316,7 @@ def judge_calls(calls: CallCosts, period_s: float) -> Iterator[DoctorFinding]:
         )
 
 
-def judge_rate(calls: CallCosts, rehearsed_s: float, period_s: float) -> DoctorFinding:
+def judge_rate(calls: CallCosts, rehearsed_s: float, period_s: float) -> Problem:
     """Judge whether the loop can hold its rate: its own work, and the calls of the rig."""
     calls_s = sum(cost.p99_us for cost in calls) * 1e-6
     cost = TickCost.estimate(rehearsed_s, calls_s)
@@ -323,7 +324,7 @@ def judge_rate(calls: CallCosts, rehearsed_s: float, period_s: float) -> DoctorF
     level: Level = "ok" if rate_hz <= cost.held_hz else "warning"
     if cost.live_s > period_s:
         level = "fault"
-    return DoctorFinding(
+    return report_check(
         "latency.rate",
         level,
         f"a tick takes about {cost.live_s * 1e6:.0f} us, {calls_s * 1e6:.0f} us of them in the "

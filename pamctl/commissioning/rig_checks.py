@@ -10,7 +10,8 @@ from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hal.backend import DoctorFinding, Level, ProbeRequest, report_rig_error
+from hal.backend import ProbeRequest, report_check, report_rig_error
+from hal.problem import Level, Problem
 from hal.rig import RigError
 from pamctl.commissioning.bench import (
     Bench,
@@ -61,12 +62,19 @@ def measure_at_rest(bench: Bench) -> SensorStatistics:
     return summarise_samples(bench.hold_unwatched(bench.safe_valve_v, REST_S))
 
 
+def judge_sensors(bench: Bench, rest: SensorStatistics) -> Iterator[Problem]:
+    """Judge the sensors at rest."""
+    yield judge_voltage(bench, rest)
+    yield judge_noise(bench, rest)
+    yield judge_encoder_at_rest(bench, rest)
+
+
 def is_in_range(bench: Bench, rest: SensorStatistics) -> bool:
     """Say whether a connected sensor can give this voltage."""
     return bench.limits.sensor_low_v <= rest.sensor_v <= bench.limits.sensor_high_v
 
 
-def judge_voltage(bench: Bench, rest: SensorStatistics) -> DoctorFinding:
+def judge_voltage(bench: Bench, rest: SensorStatistics) -> Problem:
     """Check that the pressure sensor is connected and reads what a vented muscle should."""
     limits, cal, name = bench.limits, bench.settings, "sensor.voltage"
     absolute_pa = bench.pressure_pa(rest.sensor_v)
@@ -78,13 +86,13 @@ def judge_voltage(bench: Bench, rest: SensorStatistics) -> DoctorFinding:
             "a broken wire, no 5 V supply, or another channel: measure the sensor's output with a "
             f"voltmeter{bench.point_to(bench.keys.pressure_input, bench.keys.pressure_wiring)}"
         )
-        return DoctorFinding(name, "fault", found, wanted, fix, data)
+        return report_check(name, "fault", found, wanted, fix, data)
     found += f", {bench.gauge_kpa(absolute_pa):.1f} kPa gauge"
     if not bench.vents_when_safe:
         held = f"{found}; the safe voltage holds the air, so the zero cannot be checked"
-        return DoctorFinding(name, "ok", held, data=data)
+        return report_check(name, "ok", held, data=data)
     if cal.sensor_zero_lowest_v <= rest.sensor_v <= cal.sensor_zero_highest_v:
-        return DoctorFinding(name, "ok", f"{found}, vented", data=data)
+        return report_check(name, "ok", f"{found}, vented", data=data)
     wanted = f"{cal.sensor_zero_lowest_v:g} to {cal.sensor_zero_highest_v:g} V when vented"
     fix = (
         "the safe voltage does not vent: is the valve reversed, the exhaust blocked, or "
@@ -92,16 +100,16 @@ def judge_voltage(bench: Bench, rest: SensorStatistics) -> DoctorFinding:
         if rest.sensor_v > cal.sensor_zero_highest_v
         else "check the sensor's 5 V supply and its type (gauge, not vacuum)"
     )
-    return DoctorFinding(name, "fault", f"{found} at the safe voltage", wanted, fix, data)
+    return report_check(name, "fault", f"{found} at the safe voltage", wanted, fix, data)
 
 
-def judge_noise(bench: Bench, rest: SensorStatistics) -> DoctorFinding:
+def judge_noise(bench: Bench, rest: SensorStatistics) -> Problem:
     """Check the noise of the pressure sensor."""
     noise_pa = rest.noise_v * bench.settings.sensor_pa_per_v
     stands_still = rest.counts_span <= bench.homing.steady_counts
     if abs(rest.drift_v) > _DRIFT_V and stands_still and bench.vents_when_safe:
         fix = f"is the sensor's wire broken? {OPEN_INPUT[0].upper()}{OPEN_INPUT[1:]}"
-        return DoctorFinding(
+        return report_check(
             "sensor.noise",
             "warning",
             f"the voltage drifts by {rest.drift_v * 1e3:+.0f} mV while the muscle stands still",
@@ -110,7 +118,7 @@ def judge_noise(bench: Bench, rest: SensorStatistics) -> DoctorFinding:
             {"noise_v": rest.noise_v, "noise_pa": noise_pa, "drift_v": rest.drift_v},
         )
     level: Level = "ok" if rest.noise_v <= _LOUD_V else "warning"
-    return DoctorFinding(
+    return report_check(
         "sensor.noise",
         level,
         f"{rest.noise_v * 1e3:.2f} mV, {noise_pa:.0f} Pa, of {rest.samples} samples",
@@ -121,7 +129,7 @@ def judge_noise(bench: Bench, rest: SensorStatistics) -> DoctorFinding:
     )
 
 
-def judge_encoder_at_rest(bench: Bench, rest: SensorStatistics) -> DoctorFinding:
+def judge_encoder_at_rest(bench: Bench, rest: SensorStatistics) -> Problem:
     """Check that the encoder stands still while the muscle does."""
     span, jump = rest.counts_span, rest.counts_jump
     data = {"span_counts": span, "jump_counts": jump, "mean_counts": rest.counts}
@@ -132,13 +140,13 @@ def judge_encoder_at_rest(bench: Bench, rest: SensorStatistics) -> DoctorFinding
     if jump >= _JUMP_COUNTS:
         level, fix = "fault", "a loose or unshielded A or B line: check plugs and shield"
         fix += bench.point_to(bench.keys.encoder_filter)
-    return DoctorFinding("encoder.rest", level, found, wanted, fix, data)
+    return report_check("encoder.rest", level, found, wanted, fix, data)
 
 
-def judge_hand_motion(bench: Bench, counts: int | None) -> DoctorFinding:
+def judge_hand_motion(bench: Bench, counts: int | None) -> Problem:
     """Judge how the encoder counted a motion by hand; one that was not moved is not checked."""
     if counts is None:
-        return DoctorFinding(
+        return report_check(
             "encoder.alive",
             "warning",
             "not checked: an unplugged encoder stands still as well",
@@ -146,7 +154,7 @@ def judge_hand_motion(bench: Bench, counts: int | None) -> DoctorFinding:
             "run `pamctl doctor` at a terminal and move the carriage when asked, or add --actuate",
         )
     alive = counts >= BY_HAND_COUNTS
-    return DoctorFinding(
+    return report_check(
         "encoder.alive",
         "ok" if alive else "fault",
         f"moved by hand over {counts} counts",
@@ -189,19 +197,19 @@ def pulse_valve(bench: Bench) -> ActuationResponse:
     )
 
 
-def examine_actuation(bench: Bench) -> Iterator[DoctorFinding]:
+def examine_actuation(bench: Bench) -> Iterator[Problem]:
     """Move the muscle and judge what it did."""
     try:
         answer = pulse_valve(bench)
     except LimitError as error:
         fix = "repair that first; valve and encoder could not be checked"
-        yield DoctorFinding("valve.sign", "fault", f"stopped: {error}", "within the limits", fix)
+        yield report_check("valve.sign", "fault", f"stopped: {error}", "within the limits", fix)
         return
     yield judge_valve_sign(bench, answer)
     yield judge_encoder_motion(bench, answer)
 
 
-def judge_valve_sign(bench: Bench, answer: ActuationResponse) -> DoctorFinding:
+def judge_valve_sign(bench: Bench, answer: ActuationResponse) -> Problem:
     """Check that filling raises the pressure and exhausting lowers it."""
     name, (fill, exhaust), least_v = "valve.sign", answer, _least_v(bench)
     data = {"fill_rise_v": fill.rise_v, "exhaust_rise_v": exhaust.rise_v}
@@ -213,7 +221,7 @@ def judge_valve_sign(bench: Bench, answer: ActuationResponse) -> DoctorFinding:
     wanted = f"a rise, then a fall, of {least_v:g} V or more"
     fills, exhausts = fill.rise_v >= least_v, exhaust.rise_v <= -least_v
     if fills and exhausts:
-        return DoctorFinding(name, "ok", found, data=data)
+        return report_check(name, "ok", found, data=data)
     if fill.rise_v <= -least_v and exhaust.rise_v >= least_v:
         found = f"reversed: {found}"
         fix = (
@@ -233,10 +241,10 @@ def judge_valve_sign(bench: Bench, answer: ActuationResponse) -> DoctorFinding:
             "open the supply; check the driver's power and its command wire, and with a voltmeter "
             f"that the output follows{bench.point_to(bench.keys.valve_output)}"
         )
-    return DoctorFinding(name, "fault", found, wanted, fix, data)
+    return report_check(name, "fault", found, wanted, fix, data)
 
 
-def judge_encoder_motion(bench: Bench, answer: ActuationResponse) -> DoctorFinding:
+def judge_encoder_motion(bench: Bench, answer: ActuationResponse) -> Problem:
     """Check that the count grows with contraction, which follows from more pressure."""
     name, least = "encoder.alive", bench.homing.fill_counts
     pulse = max(answer, key=lambda pulse: abs(pulse.rise_v))
@@ -246,17 +254,17 @@ def judge_encoder_motion(bench: Bench, answer: ActuationResponse) -> DoctorFindi
     if max(abs(pulse.counts) for pulse in answer) < least:
         if abs(pulse.rise_v) < _least_v(bench):
             fix = "the pressure did not change either: repair the valve first"
-            return DoctorFinding(name, "warning", f"not checked: {found}", wanted, fix, data)
+            return report_check(name, "warning", f"not checked: {found}", wanted, fix, data)
         fix = (
             "unplugged? check the encoder's plug, its 5 V supply, its A and B lines, and that the "
             f"carriage is coupled{bench.point_to(bench.keys.encoder_input)}"
         )
-        return DoctorFinding(name, "fault", found, wanted, fix, data)
+        return report_check(name, "fault", found, wanted, fix, data)
     if pulse.counts * pulse.rise_v < 0:
         sign = -bench.settings.encoder_sign
         fix = f"set calibration.encoder_sign to {sign} in the rig file, or swap A and B"
-        return DoctorFinding(name, "fault", f"reversed: {found}", wanted, fix, data)
-    return DoctorFinding(name, "ok", found, data=data)
+        return report_check(name, "fault", f"reversed: {found}", wanted, fix, data)
+    return report_check(name, "ok", found, data=data)
 
 
 def _least_v(bench: Bench) -> float:
@@ -269,7 +277,7 @@ def _least_v(bench: Bench) -> float:
 
 def examine_all(
     settings: RunSettings, rt_seconds: float, *, actuate: bool, may_ask: bool
-) -> Generator[DoctorFinding, None, None]:
+) -> Generator[Problem, None, None]:
     """Check everything, from the PC to the muscle."""
     yield from examine_pc(SHARED_MEMORY, Path("logs"))
     yield from _measure_timing(settings, rt_seconds)
@@ -278,7 +286,7 @@ def examine_all(
         can_open = True
         for finding in probe.examine(request):
             yield finding
-            can_open &= finding.level != "fault" or finding.name not in probe.required
+            can_open &= finding.level != "fault" or finding.key not in probe.required
         if not can_open:
             return
     try:
@@ -307,7 +315,7 @@ def _examine_rig(
     actuate: bool,
     by_hand: Callable[[Bench], int | None],
     loop_cpu: int | None,
-) -> Iterator[DoctorFinding]:
+) -> Iterator[Problem]:
     """Check sensors and calls at the safe voltage; with `actuate`, move the muscle as well."""
     with prepare("auto", loop_cpu):  # as a run's loop makes these calls
         calls = measure_calls(bench.rig, bench.safe_volts)
@@ -315,16 +323,14 @@ def _examine_rig(
     yield from judge_calls(calls, bench.period_s)
     yield judge_rate(calls, rehearsed_s, bench.period_s)
     rest = measure_at_rest(bench)
-    yield judge_voltage(bench, rest)
-    yield judge_noise(bench, rest)
-    yield judge_encoder_at_rest(bench, rest)
+    yield from judge_sensors(bench, rest)
     if not actuate:
         counts = by_hand(bench)
         yield judge_hand_motion(bench, counts)
     elif is_in_range(bench, rest):
         yield from examine_actuation(bench)
     else:
-        yield DoctorFinding(
+        yield report_check(
             "valve.sign",
             "fault",
             "not tried: without a pressure sensor the pressure cannot be watched",
@@ -349,7 +355,7 @@ def make_probe_request(settings: RunSettings) -> ProbeRequest[Any]:
     )
 
 
-def _measure_timing(settings: RunSettings, rt_seconds: float) -> Iterator[DoctorFinding]:
+def _measure_timing(settings: RunSettings, rt_seconds: float) -> Iterator[Problem]:
     """Measure the loop's clock as an ordinary program, then with all that is permitted."""
     period_s = 1.0 / settings.rig.loop.rate_hz
     plain = measure_wake_ups(build_clock(settings, may_spin=False), rt_seconds)

@@ -166,7 +166,7 @@ def _list_lines(part: Part) -> Iterator[str]:
             )
     elif isinstance(part, Problems):
         said = {""}
-        for where, key, message, level, wanted, fix in part.items:
+        for where, key, message, level, wanted, fix, _ in part.items:
             yield f"{level:<8} {where or key:<22} {message}"
             if wanted and level != "ok":
                 yield f"{'':<31} should be: {wanted}"

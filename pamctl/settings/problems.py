@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pamctl.errors import MISSING
+from hal.problem import MISSING
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails

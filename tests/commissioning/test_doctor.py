@@ -17,7 +17,7 @@ from standin.standin import PERMIT, Card, here
 from support.patience import PATIENCE_S
 from support.runs import AO_STEP_V, MS, parts, run_settings
 
-from hal.backend import DoctorFinding, worst_level
+from hal.backend import report_check
 from hal.faulty import FaultSettings
 from hal.nidaq.nidaq_backend import (
     check_device_nodes,
@@ -27,6 +27,7 @@ from hal.nidaq.nidaq_backend import (
     judge_release,
     judge_reservations,
 )
+from hal.problem import Problem, worst_level
 from hal.rig import RigError
 from hal.sim import peek_v
 from pamctl.commissioning.bench import Bench, LimitError
@@ -52,7 +53,6 @@ from pamctl.commissioning.rig_checks import (
     make_probe_request,
     measure_at_rest,
 )
-from pamctl.errors import Problem
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
 from pamctl.processes.interrupts import Interrupts, SignalInterrupt
@@ -65,10 +65,10 @@ PAMCTL = str(Path(sys.executable).with_name("pamctl"))
 READ_VOLTS = "DAQmxReadAnalogScalarF64"
 
 
-def index_by_name(findings: list[DoctorFinding]) -> dict[str, DoctorFinding]:
+def index_by_name(findings: list[Problem]) -> dict[str, Problem]:
     """Return findings by name, each of them once."""
-    assert len({finding.name for finding in findings}) == len(findings)
-    return {finding.name: finding for finding in findings}
+    assert len({finding.key for finding in findings}) == len(findings)
+    return {finding.key: finding for finding in findings}
 
 
 def bench_of(settings: RunSettings, rig: object, clock: VirtualClock) -> Bench:
@@ -85,7 +85,7 @@ def bench_of(settings: RunSettings, rig: object, clock: VirtualClock) -> Bench:
     )
 
 
-def examine_bench(bench: Bench, *, actuate: bool = True) -> dict[str, DoctorFinding]:
+def examine_bench(bench: Bench, *, actuate: bool = True) -> dict[str, Problem]:
     findings = list(judge_sensors(bench, measure_at_rest(bench)))
     return index_by_name([*findings, *(examine_actuation(bench) if actuate else ())])
 
@@ -180,7 +180,7 @@ def test_a_sensor_that_breaks_during_a_pulse_stops_it_by_the_limits() -> None:
     bench = bench_of(settings, made.whole, made.clock)
     found = index_by_name(list(examine_actuation(bench)))
     assert found["valve.sign"].level == "fault"
-    assert found["valve.sign"].found.startswith("stopped: the pressure sensor gives 0.000 V")
+    assert found["valve.sign"].message.startswith("stopped: the pressure sensor gives 0.000 V")
 
 
 def test_a_bench_keeps_the_limits_of_pressure_and_travel() -> None:
@@ -255,7 +255,7 @@ def wired(card: Card) -> Iterator[Callable[..., Bench]]:
         rig.close()
 
 
-def cards(*overrides: str) -> dict[str, DoctorFinding]:
+def cards(*overrides: str) -> dict[str, Problem]:
     settings = resolve(rig="pci6221", overrides=overrides)
     return index_by_name(list(examine_card(make_probe_request(settings))))
 
@@ -265,8 +265,8 @@ def test_a_sound_card_is_named_with_its_driver_and_writes_nothing_to_its_output(
     found = cards()
     assert found.pop("card.kernel_driver").level == "warning"  # of this PC, which has no card
     assert worst_level(found.values()) == "ok"
-    assert "NI-DAQmx 26.8.0" in found["card.driver"].found
-    assert "PCI-6221, serial DECAF, bus PCI" in found["card.device"].found
+    assert "NI-DAQmx 26.8.0" in found["card.driver"].message
+    assert "PCI-6221, serial DECAF, bus PCI" in found["card.device"].message
     assert found["card.input_range"].data["step_pa"] == pytest.approx(23.7, abs=0.1)
     assert found["timing.on_demand"].level == "ok"
     assert card.registers.ao_v[0] == 3.0
@@ -279,7 +279,7 @@ def test_the_stand_in_is_refused_where_tests_do_not_permit_it(
     monkeypatch.delenv(PERMIT)
     found = cards()
     assert found["card.device"].level == "fault"
-    assert "stand-in" in found["card.device"].found
+    assert "stand-in" in found["card.device"].message
 
 
 @pytest.mark.parametrize(
@@ -337,8 +337,8 @@ def test_the_card_s_clock_is_tried_with_the_safe_voltage_on_the_output(card: Car
     card.registers.ao_v[0] = 3.0
     settings = resolve(rig="pci6221", overrides=["rig.safe_volts=1.25"])
     found = examine_card_clock(make_probe_request(settings))
-    assert (found.name, found.level) == ("timing.hardware", "ok")
-    assert "100 edges" in found.found or "missed" in found.found  # a busy PC misses some
+    assert (found.key, found.level) == ("timing.hardware", "ok")
+    assert "100 edges" in found.message or "missed" in found.message  # a busy PC misses some
     assert max(abs(volts - 1.25) for volts in card.written_v) < AO_STEP_V
 
 
@@ -350,7 +350,7 @@ def test_a_card_whose_clock_cannot_pace_says_why_and_it_matters_where_the_file_a
     settings = resolve(rig="pci6221", overrides=[f"rig.nidaq.timing={timing}"])
     found = examine_card_clock(make_probe_request(settings))
     assert found.level == level
-    assert "-200077" in found.found
+    assert "-200077" in found.message
     assert card.output_v == pytest.approx(0.0, abs=AO_STEP_V)
 
 
@@ -363,7 +363,7 @@ def test_what_the_driver_does_with_a_killed_process_s_output_is_measured(
     for key in ("LD_LIBRARY_PATH", "STANDIN_DEVICE"):
         monkeypatch.setenv(key, card.environment()[key])
     (found,) = examine_output(make_probe_request(resolve(rig="pci6221")))
-    assert found.name == "card.release"
+    assert found.key == "card.release"
     assert card.registers.ao_writes == 0
     if keeps:
         assert found.level == "fault"
@@ -374,7 +374,7 @@ def test_what_the_driver_does_with_a_killed_process_s_output_is_measured(
         assert found.data["free_after_s"] < 1.0
 
 
-def examine_start(card: Card, *overrides: str) -> DoctorFinding:
+def examine_start(card: Card, *overrides: str) -> Problem:
     settings = resolve(rig="pci6221", overrides=["rig.nidaq.loopback_channel=ai1", *overrides])
     return index_by_name(list(examine_output(make_probe_request(settings))))["card.output_start"]
 
@@ -389,7 +389,7 @@ def test_a_pulse_of_the_output_at_its_start_is_seen_through_the_loop_back_wire(
     found = examine_start(card)
     assert found.level == level
     if glitch_ns:
-        assert found.found.startswith("+1.500 V")
+        assert found.message.startswith("+1.500 V")
         assert found.data["outside_s"] == pytest.approx(100e-6, abs=8e-6)
 
 
@@ -402,7 +402,7 @@ def test_a_loop_back_wire_that_is_not_there_is_a_fault(card: Card) -> None:
 
 def test_without_a_declared_wire_nothing_is_said_of_the_start(card: Card) -> None:
     found = examine_output(make_probe_request(resolve(rig="pci6221")))
-    assert [finding.name for finding in found] == ["card.release"]
+    assert [finding.key for finding in found] == ["card.release"]
 
 
 def test_a_slow_release_is_a_warning_and_one_that_could_not_be_measured_too(card: Card) -> None:
@@ -411,7 +411,7 @@ def test_a_slow_release_is_a_warning_and_one_that_could_not_be_measured_too(card
     # The child finds no driver.
     (found,) = examine_output(make_probe_request(resolve(rig="pci6221")))
     assert found.level == "warning"
-    assert found.found.startswith("not measured")
+    assert found.message.startswith("not measured")
 
 
 def test_the_card_s_own_rig_is_found_sound_and_each_of_its_faults(card: Card, wired) -> None:
@@ -435,7 +435,7 @@ def test_an_open_input_that_drifts_is_suspected_to_lack_its_pull_down(
     card.registers.open_drift_v_per_s = drift_v_per_s
     found = examine_bench(bench, actuate=False)
     assert found["sensor.noise"].level == "warning"
-    assert "mV while the muscle stands still" in found["sensor.noise"].found
+    assert "mV while the muscle stands still" in found["sensor.noise"].message
     assert "pull-down of 100 kOhm" in found["sensor.noise"].fix
     assert "nidaq.pressure_channel" in found["sensor.noise"].fix
 
@@ -486,12 +486,12 @@ def test_a_rate_that_the_calls_do_not_allow_is_a_fault_with_the_rate_that_they_d
     calls = CallCosts(*[summarise_latencies([50_000] * 100)] * 3)
     held = judge_rate(calls, 5e-6, 1e-3)
     assert held.level == "ok"
-    assert "a tick takes about 180 us, 150 us of them in the rig's calls (p99)" in held.found
+    assert "a tick takes about 180 us, 150 us of them in the rig's calls (p99)" in held.message
     assert held.data["held_hz"] == pytest.approx(0.5 / 180e-6)
     assert judge_rate(calls, 5e-6, 250e-6).level == "warning"
     lost = judge_rate(calls, 5e-6, 100e-6)
     assert lost.level == "fault"
-    assert "up to 2778 Hz can be held" in lost.found
+    assert "up to 2778 Hz can be held" in lost.message
 
 
 # --- the PC ------------------------------------------------------------------------------
@@ -531,7 +531,7 @@ def test_every_right_that_was_refused_is_a_warning_with_its_fix() -> None:
     found = index_by_name(list(judge_permissions(Preparation("auto", steps, ExitStack()))))
     assert set(found) == {"pc.mlock", "pc.fifo"}
     assert found["pc.fifo"].level == "warning"
-    assert found["pc.fifo"].found == "refused: Operation not permitted"
+    assert found["pc.fifo"].message == "refused: Operation not permitted"
     assert found["pc.fifo"].fix.startswith("RLIMIT_RTPRIO")
 
 
@@ -588,7 +588,7 @@ def command(*arguments: str, backend: str = "sim") -> list[str]:
 
 def run(
     *arguments: str, cwd: Path, backend: str = "sim", env: dict[str, str] | None = None
-) -> tuple[int, dict[str, DoctorFinding]]:
+) -> tuple[int, dict[str, Problem]]:
     done = subprocess.run(
         command(*arguments, "--json", backend=backend),
         cwd=cwd,
@@ -601,9 +601,7 @@ def run(
     told = json.loads(done.stdout)
     assert told["exit_code"] == done.returncode, done.stderr
     assert "Traceback" not in done.stderr
-    return done.returncode, index_by_name(
-        [DoctorFinding(**finding) for finding in told["findings"]]
-    )
+    return done.returncode, index_by_name([report_check(**finding) for finding in told["findings"]])
 
 
 def test_without_a_driver_the_doctor_says_what_to_install_and_exits_with_3(tmp_path: Path) -> None:
@@ -679,7 +677,7 @@ def test_a_device_that_a_run_holds_is_refused_and_left_alone(tmp_path: Path) -> 
         code, found = run("--actuate", cwd=tmp_path)
     assert code == 3
     assert found["rig.device"].level == "fault"
-    assert f"held by process {os.getpid()}" in found["rig.device"].found
+    assert f"held by process {os.getpid()}" in found["rig.device"].message
     assert "valve.sign" not in found
 
 

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 from standin.standin import PERMIT, Card, here_behind_comedi
 
-from hal.backend import DoctorFinding
 from hal.card import PciCard, find_pci_cards
 from hal.comedi import comedi_backend, libcomedi
 from hal.comedi.comedi_backend import (
@@ -22,10 +21,11 @@ from hal.comedi.comedi_backend import (
     judge_pfi_lines,
 )
 from hal.comedi.comedi_rig import ComediRig
+from hal.problem import Problem
 from pamctl.commissioning.rig_checks import make_probe_request
 from pamctl.settings.resolve import resolve
 
-Examine = Callable[..., dict[str, DoctorFinding]]
+Examine = Callable[..., dict[str, Problem]]
 
 
 @pytest.fixture
@@ -55,11 +55,11 @@ def examine(card: Card, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Exam
     make_slot(tmp_path, "0000:05:00.0", "0x1093", "ni_pcimio")
     monkeypatch.setattr(comedi_backend, "PCI_DEVICES", tmp_path / "devices")
 
-    def examine_one(*overrides: str) -> dict[str, DoctorFinding]:
+    def examine_one(*overrides: str) -> dict[str, Problem]:
         settings = resolve(rig="pci6221-comedi", overrides=list(overrides))
         findings = list(examine_comedi(make_probe_request(settings)))
-        assert len({finding.name for finding in findings}) == len(findings)
-        return {finding.name: finding for finding in findings}
+        assert len({finding.key for finding in findings}) == len(findings)
+        return {finding.key: finding for finding in findings}
 
     return examine_one
 
@@ -69,9 +69,9 @@ def test_a_sound_card_has_nothing_but_ok(examine: Examine, card: Card) -> None:
     assert {finding.level for finding in found.values()} == {"ok"}
     assert set(found) == REQUIRED | {"card.kernel_driver", "card.input_range"}
     assert card.written_v == []  # the doctor looks, and writes nothing
-    assert "ni_pcimio" in found["card.kernel_driver"].found
-    assert "PFI 8 and 10" in found["card.channels"].found
-    assert "24 Pa a code" in found["card.input_range"].found
+    assert "ni_pcimio" in found["card.kernel_driver"].message
+    assert "PFI 8 and 10" in found["card.channels"].message
+    assert "24 Pa a code" in found["card.input_range"].message
 
 
 # --- the kernel's driver -----------------------------------------------------------------
@@ -124,7 +124,7 @@ def test_without_the_library_the_doctor_says_what_to_install_and_looks_no_furthe
 def test_a_device_file_that_is_not_there_is_a_fault(examine: Examine) -> None:
     found = examine("rig.comedi.device=/dev/comedi9")
     assert found["card.device"].level == "fault"
-    assert "No such file" in found["card.device"].found
+    assert "No such file" in found["card.device"].message
     assert "card.channels" not in found
 
 
@@ -147,7 +147,7 @@ def test_a_file_without_permission_names_its_group(
 def test_a_channel_that_the_card_does_not_have_is_a_fault(examine: Examine) -> None:
     found = examine("rig.comedi.pressure_channel=ai20")
     assert found["card.channels"].level == "fault"
-    assert "one of the card's 16" in found["card.channels"].found
+    assert "one of the card's 16" in found["card.channels"].message
 
 
 def test_lines_that_the_37_pin_card_does_not_have_are_a_fault() -> None:
@@ -174,7 +174,7 @@ def test_a_missing_calibration_is_a_fault_and_a_disabled_one_a_warning(
     assert "comedi_soft_calibrate" in finding.fix
     finding = examine("rig.comedi.calibration_file=none")["card.calibration"]
     assert finding.level == "warning"
-    assert "5 %" in finding.found
+    assert "5 %" in finding.message
 
 
 def test_a_part_that_another_file_has_locked_is_named(examine: Examine, card: Card) -> None:

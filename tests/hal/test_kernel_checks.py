@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from hal.backend import DoctorFinding
 from hal.nidaq.nidaq_backend import examine_kernel
+from hal.problem import Problem
 
 
 def make_card(pci: Path, driver: str, iommu: str = "") -> None:
@@ -30,9 +30,9 @@ def make_module(dkms: Path, name: str, release: str) -> None:
     (dkms / name / "26.8.0" / release / "x86_64" / "module").mkdir(parents=True)
 
 
-def examine(place: Path, *, is_clocked: bool = True) -> dict[str, DoctorFinding]:
+def examine(place: Path, *, is_clocked: bool = True) -> dict[str, Problem]:
     findings = list(examine_kernel(place / "pci", place / "dkms", is_clocked=is_clocked))
-    return {finding.name: finding for finding in findings}
+    return {finding.key: finding for finding in findings}
 
 
 def test_a_card_that_ni_s_driver_holds_is_well(tmp_path: Path) -> None:
@@ -47,7 +47,7 @@ def test_a_card_that_the_kernel_s_own_driver_took_has_two_ways_out(tmp_path: Pat
     make_card(tmp_path / "pci", "ni_pcimio")
     found = examine(tmp_path)["card.kernel_driver"]
     assert found.level == "fault"
-    assert "0000:05:00.0 (0x70af) is held by ni_pcimio" in found.found
+    assert "0000:05:00.0 (0x70af) is held by ni_pcimio" in found.message
     assert "blacklist ni_pcimio" in found.fix
     assert "--backend comedi" in found.fix
 
@@ -61,7 +61,7 @@ def test_a_card_that_nobody_holds_points_to_the_modules(tmp_path: Path) -> None:
     assert "card.modules" in found["card.kernel_driver"].fix
     modules = found["card.modules"]
     assert modules.level == "fault"
-    assert modules.found == f"not built for kernel {platform.release()}: nikal"
+    assert modules.message == f"not built for kernel {platform.release()}: nikal"
     assert f"linux-headers-{platform.release()}" in modules.fix
 
 

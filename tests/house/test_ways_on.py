@@ -10,7 +10,7 @@ from pamctl.log.check import FIXES
 
 ROOT = Path(__file__).parents[2]
 LEVEL, FIX = 1, 4
-"""Places of two arguments of `DoctorFinding`."""
+"""Places of two arguments of `report_check`."""
 
 
 def list_calls(folder: str) -> Iterator[tuple[str, str, ast.Call]]:
@@ -39,7 +39,7 @@ def test_each_fault_that_the_doctor_finds_has_a_fix() -> None:
         (where, call)
         for folder in ("hal", "pamctl/commissioning")
         for where, name, call in list_calls(folder)
-        if name == "DoctorFinding"
+        if name == "report_check"
     ]
     assert len(findings) > 50
     without = []

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.browser import look
+from support.chromium import look
 from typer.testing import CliRunner
 
 from pamctl.cli.app import app

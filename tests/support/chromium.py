@@ -1,11 +1,17 @@
-"""A browser that is told what to do: Chromium's own protocol, over a pair of pipes."""
+"""A browser that is told what to do: Chromium's own protocol, over a pair of pipes.
+
+Where the tests run as root it is installed with apt, and in continuous integration it must
+be there; anywhere else the tests that need it are skipped with the reason.
+"""
 
 from __future__ import annotations
 
 import base64
+import functools
 import json
 import os
 import select
+import shutil
 import subprocess
 import time
 from collections.abc import Iterator
@@ -13,7 +19,47 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from support.browser import PATIENCE_S, browser
+import pytest
+
+from support.installing import alone, apt_install
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
+PATIENCE_S = 120
+
+MEASURE = """(() => {
+  const root = document.documentElement, box = (e) => e.getBoundingClientRect();
+  const scrolls = (e) => e && (getComputedStyle(e).overflowX != "visible" ||
+    scrolls(e.parentElement));
+  const outside = [...document.querySelectorAll("main *")].filter(
+    (e) => box(e).right > root.clientWidth + 1 && !scrolls(e.parentElement));
+  return {
+    width: root.clientWidth, needed: root.scrollWidth,
+    outside: outside.map((e) => e.outerHTML.slice(0, 80)),
+    plots: document.querySelectorAll("svg.data path").length,
+    smallest: Math.min(...[...document.querySelectorAll("svg text")].map(
+      (e) => parseFloat(getComputedStyle(e).fontSize) * e.getScreenCTM().d)),
+    title: document.title};
+})()"""
+"""What is measured of a page that lies still."""
+IS_SHOWN = "document.readyState === 'complete' && document.querySelector('main') !== null"
+
+
+@functools.cache
+def browser() -> str:
+    """The browser's command."""
+    with alone():
+        if _installed() is None:
+            apt_install("chromium", "fonts-dejavu-core")
+    if found := _installed():
+        return found
+    reason = "no Chromium, and none could be installed (apt-get install chromium, as root)"
+    if os.environ.get("CI"):
+        pytest.fail(reason)
+    pytest.skip(reason)
+
+
+def _installed() -> str | None:
+    return next((path for name in NAMES if (path := shutil.which(name))), None)
 
 
 class Page:
@@ -122,6 +168,10 @@ class Page:
         feature = {"name": "prefers-color-scheme", "value": scheme}
         self._call("Emulation.setEmulatedMedia", features=[feature])
 
+    def print(self) -> bytes:
+        """Return the page as a PDF."""
+        return base64.b64decode(self._call("Page.printToPDF")["data"])
+
     def screenshot(self, path: Path) -> None:
         path.write_bytes(base64.b64decode(self._call("Page.captureScreenshot")["data"]))
 
@@ -164,3 +214,21 @@ def page(folder: Path) -> Iterator[Page]:
         process.wait(PATIENCE_S)
         os.close(our_output)
         os.close(our_input)
+
+
+def look(file: Path, folder: Path, *, width: int) -> tuple[dict[str, Any], list[str], list[str]]:
+    """Show a page; return what was measured, what the console said, and what was asked for."""
+    with page(folder) as tab:
+        tab.open(file.as_uri(), width=width, height=900)
+        tab.wait_for(IS_SHOWN)
+        found = tab.value(MEASURE)
+        asked = [address for address in tab.asked if not address.startswith("data:")]
+        return found, tab.complaints, asked
+
+
+def printed(file: Path, folder: Path) -> bytes:
+    """Return a page as a PDF."""
+    with page(folder) as tab:
+        tab.open(file.as_uri(), width=1280, height=900)
+        tab.wait_for(IS_SHOWN)
+        return tab.print()

@@ -70,10 +70,6 @@ ROOMS = (
 Kernel = Callable[..., Any]
 
 
-class TooLong(BaseException):
-    """Plain Python runs for so long that no test can wait."""
-
-
 # --- what runs ---------------------------------------------------------------------------------
 
 TABLE = tuple(0.5 * sign * (i / CELLS) for sign in (1.0, -1.0) for i in range(CELLS + 1))

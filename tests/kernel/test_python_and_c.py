@@ -494,10 +494,6 @@ def test_a_loop_ends_where_python_would_have_raised():
     assert agree(count_up, 2**16 - 1)
 
 
-class Base(NamedTuple):
-    x: float = 3.0
-
-
 def shift(x, by=0.5, *, factor=2.0):
     return (x + by) * factor
 

@@ -8,14 +8,13 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from hal.sim import SimRig, sensor_chain
-from pamctl.plant import drive, effects
+from pamctl.plant import effects
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.drive import drive_coupled, drive_mechanics, drive_pressure
 from pamctl.plant.effects.description import EffectParameter
@@ -105,30 +104,6 @@ def test_a_small_effect_has_a_small_result(name: str) -> None:
     assert full > 0.05
     # The root of a share: how a flow answers near equal pressures, or friction at a standstill.
     assert change(1e-3) < 0.06 * full
-
-
-# --- twins --------------------------------------------------------------------------------------
-
-
-def assert_twins_agree(p: PlantParameters, monkeypatch: pytest.MonkeyPatch) -> None:
-    some_v = COMMAND_V[100:420]
-    compiled = drive_coupled(p, some_v, TICK_S)
-    pressure = drive_pressure(p, some_v, compiled.position_m, TICK_S)
-    mechanics = drive_mechanics(p, compiled.pressure_pa, TICK_S)
-    assert np.isfinite(np.array(compiled)).all()
-    monkeypatch.setattr(
-        drive, "machine", lambda kernel: SimpleNamespace(fill_until_it_fails=kernel)
-    )
-    for plain, twin in (
-        (drive_coupled(p, some_v, TICK_S), compiled),
-        (drive_pressure(p, some_v, compiled.position_m, TICK_S), pressure),
-        (drive_mechanics(p, compiled.pressure_pa, TICK_S), mechanics),
-    ):
-        np.testing.assert_array_equal(np.array(plain), np.array(twin))
-
-
-def test_compiled_and_plain_agree_with_all_effects_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert_twins_agree(parameters_of(ALL_ON), monkeypatch)
 
 
 # --- the blocks, and the ways to use them -------------------------------------------------------

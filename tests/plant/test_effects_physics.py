@@ -82,8 +82,6 @@ PRESSURE_CASES = {
 MECHANICS_CASES = {
     "paper": {},
     "presliding": {"compliance_m_per_n": 1e-5},
-    "presliding/soft": {"compliance_m_per_n": 1e-4},
-    "presliding/stiff": {"compliance_m_per_n": 3e-7},
     "presliding/dahl": {"compliance_m_per_n": 1e-5, "form": 1.0},
     "presliding/lugre": {
         "compliance_m_per_n": 1e-5,
@@ -161,7 +159,7 @@ def test_the_mechanics_solve_the_effects_equations(case: str) -> None:
     effect_um = float(np.abs(plain.position_m - exact_m).max() * 1e6)
     if case != "paper":
         assert effect_um > 2.0
-    assert error_um(2) < 8.0  # most below 0.3 um, bristles 0.5 to 1.2 um, the softest 5.8 um
+    assert error_um(2) < 8.0  # most below 0.3 um, bristles 0.5 to 1.2 um
     # Springs on sliders are held against small steps, good to 0.6 um.
     form = MECHANICS_CASES[case].get("form", 0.0)
     small_steps = case.startswith("presliding") and form in (0.0, 3.0)

@@ -65,12 +65,6 @@ def own(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Daemon]:
         yield made
 
 
-def test_the_daemon_starts_idle_with_the_valve_safe(own: Daemon) -> None:
-    status = own.ask("status")
-    assert (status["state"], status["tick"], status["log"]) == ("idle", None, None)
-    assert own.is_safe()
-
-
 def holding(made: Daemon) -> Path:
     """Bring the muscle under pressure, so that the safe voltage is a change."""
     log = made.ask("goto", position_m=8e-3, within_s=0.5)["log"]
@@ -107,8 +101,7 @@ def test_a_daemon_that_is_restarted_remembers_its_fault_until_it_is_acknowledged
         with pytest.raises(DaemonDeclinedError, match="acknowledge"):
             again.ask("start", experiment=SQUARE, name="square")
         again.ask("ack")
-    with daemon(tmp_path, "latch", NOT_HOMED) as third:
-        assert third.state() == "idle"
+        assert Latch(ao_path(again.device).with_suffix(".fault")).reason == ""
 
 
 @as_root
@@ -302,15 +295,11 @@ def test_a_slow_stuck_or_gone_reader_of_events_delays_nobody() -> None:
 
 
 @pytest.mark.long
-def test_a_session_that_is_idle_for_long_ends(tmp_path: Path) -> None:
-    with daemon(tmp_path, "idle", NOT_HOMED, options=["--idle-after", "1"]) as made:
-        run_to_its_end(made, SQUARE)
-        assert made.wait_for("idle")["pids"] == {}
-
-
-@pytest.mark.long
-def test_the_option_keep_leaves_only_its_newest_logs(tmp_path: Path) -> None:
-    with daemon(tmp_path, "keep", NOT_HOMED, options=["--keep", "1"]) as made:
+def test_only_the_newest_logs_are_kept_and_a_session_that_is_idle_for_long_ends(
+    tmp_path: Path,
+) -> None:
+    options = ["--keep", "1", "--idle-after", "1"]
+    with daemon(tmp_path, "keep", NOT_HOMED, options=options) as made:
         others = [made.logs / "20250101-000000-qsmc-tracking-1.mcap", made.logs / "mine.csv"]
         for path in others:
             path.touch()
@@ -325,6 +314,7 @@ def test_the_option_keep_leaves_only_its_newest_logs(tmp_path: Path) -> None:
         assert made.finished_logs() == sorted([others[0], second])
         assert others[1].exists()
         assert not beside.exists()
+        assert made.wait_for("idle")["pids"] == {}
 
 
 def _lives(pid: int) -> bool:
@@ -335,10 +325,14 @@ def _lives(pid: int) -> bool:
         return False
 
 
-def test_the_socket_of_a_dead_daemon_is_replaced(tmp_path: Path) -> None:
+def test_a_dead_daemons_socket_is_replaced_by_one_that_is_idle_and_safe(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "control.sock"
     dead = socket.socket(socket.AF_UNIX)
     dead.bind(str(path))
     dead.close()
     with daemon(tmp_path, "stale") as made:
-        assert made.state() == "idle"
+        status = made.ask("status")
+        assert (status["state"], status["tick"], status["log"]) == ("idle", None, None)
+        assert made.is_safe()

@@ -61,8 +61,10 @@ def left_out(done: Outcome) -> list[str]:
 # The mark of fractions.
 
 
-@pytest.mark.parametrize(("decimal", "group"), [(".", ","), (",", "."), (",", " "), (".", "'")])
-@pytest.mark.parametrize("apart", ["\t", ";"])
+@pytest.mark.parametrize(
+    ("decimal", "group", "apart"),
+    [(".", ",", "\t"), (",", ".", ";"), (",", " ", "\t"), (".", "'", ";")],
+)
 def test_a_grouping_mark_is_no_decimal_one(tmp_path, decimal, group, apart):
     def spell(value: float) -> str:
         text = f"{value:,}".replace(",", "G").replace(".", decimal)
@@ -143,8 +145,9 @@ def test_elapsed_times_of_excel_beyond_a_day_are_exact(tmp_path):
 # Cells and columns.
 
 
-@pytest.mark.parametrize("word", ["N/A", "", "#DIV/0!", "nan", "-"])
-@pytest.mark.parametrize("row", [0, 30, 59])
+@pytest.mark.parametrize(
+    ("word", "row"), [("N/A", 0), ("", 59), ("#DIV/0!", 30), ("nan", 0), ("-", 59)]
+)
 def test_one_cell_never_decides_over_its_column(tmp_path, word, row):
     cells = [str(x) for x in BAR]
     cells[row] = word
@@ -249,8 +252,9 @@ def test_equal_time_columns_count_as_one_and_others_do_not(tmp_path):
     assert "may each be t_s" in Outcome(write(tmp_path, table(head, other), "b.csv")).stderr
 
 
-@pytest.mark.parametrize("mark", ["# ", "#", "% ", "// ", "#  "])
-@pytest.mark.parametrize("apart", [",", "\t", " "])
+@pytest.mark.parametrize(
+    ("mark", "apart"), [("# ", ","), ("#", "\t"), ("% ", " "), ("// ", "\t"), ("#  ", " ")]
+)
 def test_a_line_of_names_may_be_a_comment(tmp_path, mark, apart):
     head = ("t_s", "valve_v", "pressure_gauge_bar", "position_mm")
     text = "# recorded by Kim\n" + mark + table(head, apart=apart)

@@ -22,7 +22,7 @@ from pamctl.log.file_index import IndexCheck
 from pamctl.log.framing import LogError
 from pamctl.log.measured_signals import SignalPieces, describe_unknown_phase, find_unknown_phase
 from pamctl.log.reader import Scan
-from pamctl.log.record_problems import FIRST_TICKS, judge_first_tick
+from pamctl.log.record_problems import find_tick_period_s, judge_first_tick
 from pamctl.log.record_walk import Hole, Loaded
 from pamctl.log.schema import CUT, EVENT_TOPIC, SCHEMA_VERSION, TICK_TOPIC, unit_of_column
 from pamctl.log.wire import SEQUENCE, TickBatch, UnknownLayout
@@ -207,7 +207,7 @@ class _TickCheck:
         now = {name: np.asarray(batch.columns[name]) for name in _NEEDED}
         now["time_ns"] = batch.log_time_ns.astype(np.int64)
         if first == 0:
-            self._period_s = float(np.median(now["dt_s"][:FIRST_TICKS]))
+            self._period_s = find_tick_period_s(now["tick"], now["t_s"])
             for problem in judge_first_tick(now["tick"], now["t_s"]):
                 self._findings.error("tick-order", problem.describe())
         ticks = {

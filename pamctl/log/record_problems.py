@@ -155,7 +155,7 @@ def find_record_problems(
 MOST_OFF_TICKS = 100.0
 """Ticks by which number and time may differ: a card's clock is not the computer's."""
 FIRST_TICKS = 100
-"""Ticks whose median step is taken as the period."""
+"""Ticks whose median time for a tick is taken as the period."""
 
 
 def judge_schema(topic: str, label: str, version: str) -> Iterator[RecordProblem]:
@@ -170,12 +170,19 @@ def judge_schema(topic: str, label: str, version: str) -> Iterator[RecordProblem
 
 def judge_first_tick(tick: NDArray[Any], t_s: Floats) -> Iterator[RecordProblem]:
     """Yield that the first tick has a number far from its time; arrays of shape (n,)."""
-    with np.errstate(invalid="ignore"):  # a time may be infinite
-        period_s = float(np.median(np.diff(t_s[:FIRST_TICKS]))) if len(t_s) > 1 else 0.0
+    period_s = find_tick_period_s(tick, t_s)
     by_time = float(t_s[0]) / period_s if period_s > 0.0 else np.nan
     if abs(float(tick[0]) - by_time) > MOST_OFF_TICKS + 0.05 * abs(by_time):
         text = f"has the number {tick[0]} at {t_s[0]:g} s: by its time it is tick {by_time:.0f}"
         yield _make_of_all("misnumbered", "the first tick", text)
+
+
+def find_tick_period_s(tick: NDArray[Any], t_s: Floats) -> float:
+    """Return the time for a tick, s, by the first ticks, however many are missed; else NaN."""
+    step = np.diff(tick[:FIRST_TICKS])
+    with np.errstate(invalid="ignore"):  # a time may be infinite
+        times_s = np.diff(t_s[:FIRST_TICKS])[step > 0] / step[step > 0]
+        return float(np.median(times_s)) if len(times_s) else float("nan")
 
 
 def _make_of_all(kind: ProblemKind, what: str, text: str) -> RecordProblem:

@@ -86,10 +86,14 @@ def test_an_imported_log_passes_and_is_called_one(tmp_path):
     assert kinds(report, Severity.NOTE) == {"imported"}
 
 
-def test_ticks_that_were_missed_and_counted_are_a_note_and_no_error(tmp_path):
-    at = np.concatenate([np.arange(20), np.arange(23, 53)])
-    missed = np.where(at == 23, 3, 0)
-    dt_s = np.diff(at * 1e-3, prepend=-1e-3)
+@pytest.mark.parametrize(
+    "at",
+    [np.concatenate([np.arange(20), np.arange(23, 53)]), 8278 + np.cumsum([4, 5] * 25)],
+    ids=["one gap", "a busy machine, most are missed"],
+)
+def test_ticks_that_were_missed_and_counted_are_a_note_and_no_error(tmp_path, at):
+    missed = np.diff(at, prepend=at[0] - 1) - 1
+    dt_s = np.diff(at * 1e-3, prepend=(at[0] - 1) * 1e-3)
     changes = {"tick": at, "t_s": at * 1e-3, "dt_s": dt_s, "missed": missed}
     report = check_log(write_ticks(tmp_path / "a.mcap", {**changes, "time_ns": at * 1_000_000}))
     assert report.ok

@@ -388,7 +388,8 @@ def _calibrate(
     from pamctl.processes.interrupts import SignalInterrupt
 
     try:
-        made = calibrate_rig(task, answers, may_move=asked.yes)
+        outcome, failure = calibrate_rig(task, answers, may_move=asked.yes)
     except SignalInterrupt as error:
         raise Failed(error.code, str(error)) from error
-    print_report(report_calibration(made), as_json=asked.as_json, failure=made.failure)
+    report = report_calibration(task, outcome, saved=failure is None)
+    print_report(report, as_json=asked.as_json, failure=failure)

@@ -72,21 +72,12 @@ class CalibrationTask(NamedTuple):
     work: Callable[[Bench, Operator], CalibrationOutcome]
 
 
-class CalibratedRig(NamedTuple):
-    """What a calibration found, and what became of it."""
-
-    settings: RunSettings
-    """Before the calibration."""
-    outcome: CalibrationOutcome
-    out: Path
-    failure: NewFileError | None
-    """Why the file could not be written; None where it was."""
-
-
 def calibrate_rig(
     task: CalibrationTask, answers: Sequence[float] | None, *, may_move: bool
-) -> CalibratedRig:
+) -> tuple[CalibrationOutcome, NewFileError | None]:
     """Calibrate, and write the new rig file; an error leaves no file behind.
+
+    Returns what was found, and why the file could not be written.
 
     The person is asked where `answers` are missing, and whether the rig may move unless
     `may_move`. Raises `ConfigError`, `NewFileError`, `NoAnswer`, `CalibrationError`,
@@ -111,7 +102,7 @@ def calibrate_rig(
         write_files({task.out: text})
     except NewFileError as error:  # the values must not be lost with the file
         failure = error
-    return CalibratedRig(settings, outcome, task.out, failure)
+    return outcome, failure
 
 
 def _require_within_limit(points_kpa: Sequence[float], settings: RunSettings) -> None:
@@ -132,9 +123,11 @@ def _make_rig_file(out: Path, source: Path, outcome: CalibrationOutcome, what: s
     return text
 
 
-def report_calibration(made: CalibratedRig) -> Report:
+def report_calibration(
+    task: CalibrationTask, outcome: CalibrationOutcome, *, saved: bool
+) -> Report:
     """Return what was found: each value beside the one before; the document has the file's keys."""
-    outcome, before = made.outcome, settings_to_data(made.settings.rig)
+    before = settings_to_data(task.settings.rig)
     found = {}
     for value in outcome.values:
         section, key = value.keys
@@ -147,11 +140,11 @@ def report_calibration(made: CalibratedRig) -> Report:
         "exit_code": int(ExitCode.OK),
         "reason": "",
         "values": [{**v._asdict(), "keys": ".".join(v.keys)} for v in outcome.values],
-        "rig_file": None if made.failure else str(made.out),
+        "rig_file": str(task.out) if saved else None,
         "notes": list(outcome.notes),
         "figures": dict(outcome.figures),
     }
-    verdict = "no rig file" if made.failure else f"rig file: {shorten_path(made.out)}"
+    verdict = f"rig file: {shorten_path(task.out)}" if saved else "no rig file"
     report = Report("Calibration", verdict, document=document)
     return report.add(Facts(found), *map(Text, outcome.notes))
 

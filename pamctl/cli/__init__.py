@@ -1,4 +1,4 @@
-"""The command line: one file a verb. No work is done here.
+"""The command line: each verb is one record and one function. No work is done here.
 
-Read `app.py` first.
+Read `verbs.py` first, then `app.py`.
 """

@@ -81,7 +81,7 @@ def _show_progress(done: int, of: int) -> None:
 
 
 class TagOptions(Options):
-    """`pamctl runs tag`."""
+    """`pamctl runs tag` and `pamctl runs untag`."""
 
     tag: str = argument("TAG", "One word, such as good")
     paths: list[Path] = argument("LOG...", "Finished logs")
@@ -94,16 +94,9 @@ def tag_logs(asked: TagOptions) -> None:
     _edit(asked.paths, lambda said: said.add_tag(asked.tag), as_json=asked.as_json)
 
 
-class UntagOptions(Options):
-    """`pamctl runs untag`."""
-
-    tag: str = argument("TAG", "Tag to take away")
-    paths: list[Path] = argument("LOG...", "Finished logs")
-
-
 @runs_app.command("untag")
 @verb
-def untag_logs(asked: UntagOptions) -> None:
+def untag_logs(asked: TagOptions) -> None:
     """Take a tag away from logs."""
     from pamctl.log.annotation import check_tag
 

@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple, Protocol
 
 from pamctl.daemon.client import Client, DaemonDeclinedError
@@ -233,12 +232,7 @@ class DaemonRunner:
         """Return itself."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Put the gains back."""
         with suppress(DaemonDeclinedError):
             params = {"controller": self._gains, "name": self._names["controller"], "ramp_s": 0.0}

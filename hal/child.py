@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import os
 import runpy
+import select
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -19,6 +21,25 @@ from importlib import import_module
 def child_command(module: str, *arguments: object) -> list[str]:
     """Return the command that runs a module of `hal` or `pamctl` in a process of its own."""
     return [sys.executable, "-P", os.path.abspath(__file__), module, *map(str, arguments)]
+
+
+class ParentPipe:
+    """The process that started this one, seen through the pipe that it holds open."""
+
+    def __init__(self, fd: int) -> None:
+        """`fd` is the reading end, such as that of standard input."""
+        self._poll = select.poll()
+        self._poll.register(fd, select.POLLHUP | select.POLLERR)
+        self.gone = False
+        """The end of the pipe has been seen: the parent is dead, or has let go."""
+
+    def wait(self, seconds: float = 0.0) -> bool:
+        """Sleep, but wake up at the end of the parent; return whether it has come."""
+        if self.gone:
+            time.sleep(seconds)
+        else:
+            self.gone = bool(self._poll.poll(seconds * 1e3))
+        return self.gone
 
 
 @contextmanager

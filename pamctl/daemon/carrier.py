@@ -2,36 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 from pamctl.exit_codes import Ending
 from pamctl.log.run_meta import RunMeta
-from pamctl.processes.front import FrontReport
-from pamctl.recording.ring import Ring
+from pamctl.recording.recorded_run import LogReport, RecordedRun
 from pamctl.settings.resolve import RunSettings
 from pamctl.signals import Phase
-
-
-class CarriedRun(Protocol):
-    """One run."""
-
-    @property
-    def name(self) -> str:
-        """What was asked for."""
-
-    @property
-    def log(self) -> Path:
-        """The file."""
-
-    @property
-    def ring(self) -> Ring:
-        """Where its ticks go through."""
-
-    @property
-    def is_over(self) -> bool:
-        """The loop has put its last row."""
 
 
 class Carrier(Protocol):
@@ -40,7 +18,7 @@ class Carrier(Protocol):
     runs_begun: int
 
     @property
-    def run(self) -> CarriedRun | None:
+    def run(self) -> RecordedRun | None:
         """The current run; its log is whole once there is none."""
 
     @property
@@ -84,7 +62,7 @@ class Carrier(Protocol):
     def stop_now(self) -> None:
         """Demand the emergency stop; the loop ends."""
 
-    def finish_run(self) -> FrontReport | None:
+    def finish_run(self) -> LogReport | None:
         """Finish the log of a run that is over."""
 
     def begin_end(self) -> None:
@@ -100,10 +78,6 @@ class CarrierMaker(Protocol):
     @property
     def device(self) -> str:
         """The name of the device."""
-
-    @property
-    def meta(self) -> Callable[[RunSettings, Mapping[str, str], Path], RunMeta]:
-        """Describes a run for its log."""
 
     def begin(self, settings: RunSettings, names: Mapping[str, str]) -> Carrier:
         """Start a loop; raise `RequestRefusedError` if it does not start."""

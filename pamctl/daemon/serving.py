@@ -15,7 +15,6 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, NamedTuple
 
-from hal.rig import Rig
 from pamctl import __version__
 from pamctl.daemon.announcements import Announcements, notify, watchdog_period_s
 from pamctl.daemon.protocol import methods_of
@@ -26,15 +25,16 @@ from pamctl.daemon.session_life import RigState
 from pamctl.daemon.shelf import Latch, Shelf
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.plant.model import PlantSettings
-from pamctl.processes.backends import SHARED_MEMORY, device_of, require_backend, require_open_files
-from pamctl.processes.interrupts import STOP_SIGNALS, ignore_signals
-from pamctl.processes.keep_awake import keep_awake
-from pamctl.processes.run_once import (
-    build_machine_code,
-    make_run_meta,
-    new_ring_path,
+from pamctl.processes.backends import (
+    SHARED_MEMORY,
+    device_of,
+    require_backend,
+    require_open_files,
     secure_device,
 )
+from pamctl.processes.interrupts import STOP_SIGNALS, ignore_signals
+from pamctl.processes.keep_awake import keep_awake
+from pamctl.processes.run_once import build_machine_code
 from pamctl.recording.recorder import finish_orphans
 from pamctl.settings.resolve import RunSettings
 
@@ -91,7 +91,7 @@ def serve_daemon(
             service = RigSession(
                 settings,
                 names,
-                _make_workshop(settings, device, readers=find_group(options.group)),
+                Workshop(device, device_of(settings), find_group(options.group)),
                 shelf,
                 Latch(SHARED_MEMORY / f"pamctl-{device_of(settings)}.fault"),
                 file_gains=options.file_gains,
@@ -123,16 +123,6 @@ def _announce_nothing(event: Mapping[str, object]) -> None:
 
 def _make_event(event: str, **details: object) -> dict[str, object]:
     return {"event": event, "time_s": time.time(), **details}
-
-
-def _make_workshop(settings: RunSettings, rig: Rig, readers: int) -> Workshop:
-    return Workshop(
-        rig=rig,
-        meta=make_run_meta,
-        device=device_of(settings),
-        ring_path=new_ring_path,
-        readers=readers,
-    )
 
 
 async def _serve(service: RigSession, path: Path, group: str | None, tell: Tell) -> Ending:

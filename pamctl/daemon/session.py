@@ -10,7 +10,6 @@ The loop sees the daemon's death as the end of a pipe; the guardian sees the loo
 from __future__ import annotations
 
 import signal
-import subprocess
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -23,13 +22,14 @@ from hal.rig import Rig
 from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log.run_meta import RunMeta
-from pamctl.processes.front import FrontReport, close_log, read_ending
-from pamctl.processes.guardian_handle import start_loop
+from pamctl.processes.backends import new_ring_path
+from pamctl.processes.front import LoopTree
 from pamctl.processes.loop_supervisor import STARTS_WITHIN_S
+from pamctl.processes.run_once import make_run_meta
 from pamctl.realtime.orders import SESSION_SLOT_BYTES, OrderError, Orders
-from pamctl.recording.journal import end_for_dead_loop
-from pamctl.recording.recorder import RecorderError, await_recorder, spawn_recorder
-from pamctl.recording.ring import LoopStage, RecorderFlag, Ring
+from pamctl.recording.recorded_run import LogReport, ProcessRecordedRun
+from pamctl.recording.recorder import RecorderError, await_recorder
+from pamctl.recording.ring import LoopStage, Ring
 from pamctl.settings.resolve import RunSettings
 from pamctl.signals import Phase
 
@@ -47,11 +47,8 @@ class Workshop:
 
     rig: Rig
     """Not opened here: made safe when neither loop nor guardian is left to do it."""
-    meta: Callable[[RunSettings, Mapping[str, str], Path], RunMeta]
     device: str
     """The name of the device."""
-    ring_path: Callable[[], Path]
-    """Returns a new name in shared memory; the next start recovers a ring that is left behind."""
     readers: int | None = None
     """Group, by number, that may read the ring of a run: those who may steer; None is nobody."""
 
@@ -64,33 +61,15 @@ class Workshop:
         self.rig.make_safe()
 
 
-@dataclass(frozen=True)
-class DaemonRun:
-    """One run: its log, and the recorder that writes it."""
-
-    name: str
-    log: Path
-    ring: Ring
-    recorder: subprocess.Popen[bytes]
-
-    @property
-    def is_over(self) -> bool:
-        """The loop has put its last row."""
-        with suppress(ValueError):  # just closed
-            return bool(self.ring.loop_done)
-        return True
-
-
-class Session:
+class Session(LoopTree):
     """A living loop, and the current run in it."""
 
     def __init__(self, workshop: Workshop, settings: RunSettings, names: Mapping[str, str]) -> None:
         """Start loop and guardian; raise `RequestRefusedError` if they do not start."""
         self._workshop = workshop
-        self.run: DaemonRun | None = None
         self.runs_begun = 0
-        meta = workshop.meta(settings, names, Path("/nonexistent"))
-        path = workshop.ring_path().with_suffix(".session")
+        meta = make_run_meta(settings, names, Path("/nonexistent"))
+        path = new_ring_path().with_suffix(".session")
         self._ring = Ring.create(path, meta, _SESSION_ROWS, slot_bytes=SESSION_SLOT_BYTES)
         self._orders = Orders(self._ring.slot)
         self._open_rings = [self._ring]
@@ -100,7 +79,7 @@ class Session:
         self._may_signal = threading.Lock()
         """Taken once, by whoever ends the loop."""
         pace = settings.rig.loop
-        self._loop, self._guardian = start_loop(self._ring, workshop.rig, pace, is_session=True)
+        super().__init__(self._ring, workshop.rig, pace)
         self._await_ticks()
         self._ring.unlink()  # processes that hold it keep it; nothing is left behind
 
@@ -115,21 +94,11 @@ class Session:
 
     # --- status ---------------------------------------------------------------
 
-    @property
-    def is_alive(self) -> bool:
-        """The loop process lives."""
-        return self._loop.poll() is None
-
     def look(self) -> None:
         """See whether guardian, loop and recorder live; any thread may, every `LOOK_EVERY_S`."""
         with self._reading:
             if self._ring in self._open_rings:
-                self._guardian.look(self._loop)
-            run = self.run
-            if run is not None and run.ring in self._open_rings:
-                has_ended = run.recorder.poll() is not None  # asked first: it ends after a run
-                if has_ended and not run.is_over:
-                    run.ring.raise_flag(RecorderFlag.FAILED)
+                super().look()
 
     def latest_tick(self) -> dict[str, float] | None:
         """Return the newest tick's columns by name."""
@@ -178,7 +147,7 @@ class Session:
     @property
     def pids(self) -> dict[str, int]:
         """Process ids, by role."""
-        run = {} if self.run is None else {"recorder": self.run.recorder.pid}
+        run = {} if self.run is None else {"recorder": self.run.recorder_pid}
         return {"loop": self._loop.pid, **run}
 
     # --- orders ---------------------------------------------------------------------------
@@ -201,11 +170,11 @@ class Session:
 
         Raises `RequestRefusedError` if the log cannot be written.
         """
-        ring = Ring.create(self._workshop.ring_path(), meta, rows, course)
+        ring = Ring.create(new_ring_path(), meta, rows, course)
         if self._workshop.readers is not None:
             ring.admit_readers(self._workshop.readers)
         self._open_rings.append(ring)
-        run = DaemonRun(name, Path(meta.log_path), ring, spawn_recorder(ring.path))
+        run = ProcessRecordedRun(name, ring)
         ring.loop_stage = LoopStage.SETTING_UP
         before, self.run = self.run, run
         self.runs_begun += 1
@@ -216,8 +185,7 @@ class Session:
             self.order({"do": "run", "ring": str(ring.path), "meta": short})
         except (RecorderError, RequestRefusedError) as error:
             self.run = before
-            ring.loop_done = 1
-            close_log(ring, run.recorder, Ending(ExitCode.UNEXPECTED, str(error)))
+            run.finish(Ending(ExitCode.UNEXPECTED, str(error)))
             if not ring.head:
                 run.log.unlink(missing_ok=True)  # it holds no tick
             self._close_ring(ring)
@@ -233,7 +201,7 @@ class Session:
 
     # --- ends -------------------------------------------------------------------------------
 
-    def finish_run(self) -> FrontReport | None:
+    def finish_run(self) -> LogReport | None:
         """Finish the log of a run that is over; wait for its recorder."""
         return None if self.run is None else self._finish(self.run, Ending(ExitCode.OK, ""))
 
@@ -247,9 +215,8 @@ class Session:
                 self._loop.kill()
             time.sleep(5e-3)
 
-    def _finish(self, run: DaemonRun, ending: Ending) -> FrontReport:
-        end_for_dead_loop(run.ring, ending)
-        report = close_log(run.ring, run.recorder, ending)
+    def _finish(self, run: ProcessRecordedRun, ending: Ending) -> LogReport:
+        report = run.finish(ending)
         if self.run is run:
             self.run = None  # only now: its log is whole
         self._close_ring(run.ring)
@@ -259,21 +226,16 @@ class Session:
         """Begin to end the loop smoothly; return at once. Any thread may call it, any often."""
         # A second signal would cut the smooth stop short.
         if self._may_signal.acquire(blocking=False):
-            self._loop.send_signal(signal.SIGTERM)
+            self.send_signal(signal.SIGTERM)
 
     def close(self) -> Ending:
         """End the loop smoothly if it lives; return how it ended. The valve is safe afterwards."""
         self.begin_end()
         self._wait_for_loop("end", lambda: False)
-        ending = read_ending(self._loop)
-        if self._failing:
-            ending = ending._replace(reason=self._failing)
-        ending = self._guardian.judge_ending(ending)
-        self._ring.loop_done = 1
-        self._guardian.dismiss()
-        run = self.run
+        ending, _ = self.conclude(self._failing)
+        run, self.run = self.run, None
         if run is not None:
-            self._finish(run, ending)
+            self._close_ring(run.ring)
         self._ring.unlink()
         self._orders.close()
         self._close_ring(self._ring)

@@ -20,11 +20,12 @@ from pamctl.daemon.protocol import Order, OrderTaker, RequestRefusedError
 from pamctl.exit_codes import Ending, ExitCode
 
 if TYPE_CHECKING:
-    from pamctl.daemon.carrier import CarriedRun, Carrier, CarrierMaker
+    from pamctl.daemon.carrier import Carrier, CarrierMaker
     from pamctl.daemon.shelf import Latch, Shelf
     from pamctl.log.annotation import Annotation
     from pamctl.plant.model import PlantSettings
     from pamctl.processes.keep_awake import SleepInhibitor
+    from pamctl.recording.recorded_run import RecordedRun
     from pamctl.settings.resolve import RunSettings
 
 _RECENT_EVENTS = 50
@@ -111,7 +112,7 @@ class SessionLife(OrderTaker):
         self._holds = False
         self.run_has_end = True
         """Whether the current run ends by itself."""
-        self._stopping: CarriedRun | None = None
+        self._stopping: RecordedRun | None = None
         self._parked_since_s = 0.0
         self._began_s = time.monotonic()
         self._busy = threading.RLock()
@@ -235,6 +236,7 @@ class SessionLife(OrderTaker):
         )
         from pamctl.log.annotation import NOTHING_SAID, annotate_meta
         from pamctl.log.run_meta import bare_name
+        from pamctl.processes.run_once import make_run_meta
 
         settings = load_experiment(self._settings, experiment, name, duration_s)
         require_feasible(settings)
@@ -245,7 +247,7 @@ class SessionLife(OrderTaker):
         # An emergency stop may have come meanwhile.
         self._require(RigState.READY, RigState.RUNNING)
         with self._shelf.new_path(f"{bare_name(self._names['controller'])}-{name}") as path:
-            meta = self._maker.meta(settings, {**self._names, "experiment": name}, path)
+            meta = make_run_meta(settings, {**self._names, "experiment": name}, path)
             meta = annotate_meta(meta, said or NOTHING_SAID, records)
             try:
                 carrier.begin(name, meta, rows, packed)
@@ -306,7 +308,7 @@ class SessionLife(OrderTaker):
     def _is_parked_too_long(self) -> bool:
         return time.monotonic() - self._parked_since_s > self._idle_after_s
 
-    def _conclude_run(self, carrier: Carrier, run: CarriedRun) -> None:
+    def _conclude_run(self, carrier: Carrier, run: RecordedRun) -> None:
         self._stopping = run
         report = carrier.finish_run()
         self._holds = False

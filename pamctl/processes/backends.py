@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -124,11 +125,31 @@ def device_of(settings: RunSettings) -> str:
 
 
 @contextmanager
+def secure_device(settings: RunSettings) -> Iterator[Rig]:
+    """Hold the device within the block, and make it safe before anything else is done.
+
+    The run before may have died with the valve open. The rig is not opened. Raises `RigError`
+    where the device cannot be had.
+    """
+    rig = build_rig(settings, build_clock(settings, may_spin=False)).rig
+    with hold_device(settings):
+        rig.make_safe()
+        if rig.safe_failure is not None:
+            raise rig.safe_failure
+        yield rig
+
+
+@contextmanager
 def hold_device(settings: RunSettings) -> Iterator[None]:
     """Hold the device of a run within the block; raise `RigError` if another process does."""
     device = device_of(settings)
     with hold_reservation(SHARED_MEMORY / f"pamctl-{device}.lock", device):
         yield
+
+
+def new_ring_path() -> Path:
+    """Return a new name in shared memory; the next start looks there for runs that died."""
+    return SHARED_MEMORY / f"pamctl-{os.getpid()}-{time.time_ns()}.ring"
 
 
 def make_plant(settings: RunSettings) -> SimulatedPlant | None:

@@ -1,154 +1,128 @@
-"""The front: starts the processes of a run, watches them, and finishes what one leaves undone.
+"""The tree of processes of one loop, and the front, which starts it and finishes what it leaves.
 
-    front - recorder
-          - guardian    (none in a run without a clock)
+    front - guardian
           - loop
+          - recorder  one for each run
 
-Each child sees the front's death as the end of a pipe. Ctrl-C reaches the front only, which
-passes it on to the loop only.
+A run of `pamctl run` has a tree of its own; a daemon's loop outlives its runs, as
+`daemon/session.py` has it. Each child sees the front's death as the end of a pipe. Ctrl-C reaches
+the front only, which passes it on to the loop only.
 """
 
 from __future__ import annotations
 
 import json
-import os
-import select
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Callable, Mapping
 from types import FrameType
-from typing import NamedTuple
 
+from hal.child import child_command
 from hal.rig import Rig
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.processes.guardian_handle import LOOK_EVERY_S, Guardianship, start_loop
+from pamctl.processes.guardian_handle import LOOK_EVERY_S, Guardianship
 from pamctl.processes.interrupts import STOP_SIGNALS, block_signals
 from pamctl.realtime.clock import LoopSettings
 from pamctl.realtime.scheduling import Mode, raise_front_priority
-from pamctl.recording.journal import end_for_dead_loop
-from pamctl.recording.recorder import RECORDER_PATIENCE_S, spawn_recorder
-from pamctl.recording.ring import RecorderFlag, Ring
+from pamctl.recording.recorded_run import LogReport, ProcessRecordedRun
+from pamctl.recording.ring import Ring
 
-_POLL_S = 0.05
-_FINISH_PATIENCE_S = 60.0
-"""A recorder that writes nothing for this time after the last row is killed."""
+_SHOW_EVERY_S = 0.05
 
 Progress = Callable[[Mapping[str, float], float], None]
 """Called with the newest tick's columns and the worst lateness (s) so far."""
 
 
-class FrontReport(NamedTuple):
-    """How a run ended, and what became of its log."""
+class LoopTree:
+    """A loop process, its guardian, and the run that is recorded now."""
 
-    ending: Ending
-    log_is_whole: bool
-    note: str
-    """What the user must know about the log; empty where all is well."""
+    def __init__(
+        self, ring: Ring, rig: Rig, pace: LoopSettings, run: ProcessRecordedRun | None = None
+    ) -> None:
+        """Start the loop of `run` on its ring; without a run, the loop of a session.
+
+        `rig` is not open: it is made safe where neither loop nor guardian is left to do it. `pace`
+        says how long the loop may be silent.
+        """
+        self.run = run
+        words = [ring.path, *(["session"] if run is None else [])]
+        # The loop inherits the block and lifts it when it has handlers: a signal that comes while
+        # it starts waits, instead of killing it.
+        with block_signals():
+            guardian = _spawn("pamctl.processes.guardian_main", ring.path)
+            self._loop = _spawn("pamctl.processes.loop_main", *words)
+            self._guardian = Guardianship(ring, guardian, rig, pace)
+            ring.loop_pid = self._loop.pid
+
+    @property
+    def is_alive(self) -> bool:
+        """The loop process lives."""
+        return self._loop.poll() is None
+
+    def send_signal(self, number: int, frame: FrameType | None = None) -> None:
+        """Pass a signal on to the loop if it lives; also as a handler of the signal."""
+        if self.is_alive:
+            self._loop.send_signal(number)
+
+    def look(self) -> None:
+        """See whether guardian, loop and recorder live; call it every `LOOK_EVERY_S`."""
+        self._guardian.look(self._loop)
+        if self.run is not None:
+            self.run.look()
+
+    def conclude(self, failing: str = "") -> tuple[Ending, LogReport | None]:
+        """Return how a dead loop ended, and what became of the log of its run.
+
+        The valve is safe afterwards. `failing` says why the loop was killed, if it was.
+        """
+        ending = _read_ending(self._loop)
+        ending = self._guardian.judge_ending(ending._replace(reason=failing or ending.reason))
+        try:
+            return ending, None if self.run is None else self.run.finish(ending)
+        finally:
+            # Only now: if the front dies here, the guardian finishes the log.
+            self._guardian.dismiss()
 
 
 def conduct_run(
-    ring: Ring,
-    rig: Rig,
-    progress: Progress,
-    mode: Mode,
-    pace: LoopSettings,
-    *,
-    is_guarded: bool = True,
-) -> FrontReport:
+    ring: Ring, rig: Rig, progress: Progress, mode: Mode, pace: LoopSettings
+) -> LogReport:
     """Run the loop on a fresh ring to its end; return when the log is on disk.
 
     Takes over the signals that end a run, and leaves them without effect: call it within
-    `restore_signals`. `rig` is not opened here: it is made safe
-    where neither loop nor guardian is left to do it. `mode` is for this process alone: it
-    says whether the front may be scheduled in real time while it watches. `pace` says
-    how long the loop may be silent. A run without a clock is not guarded.
+    `restore_signals`. `mode` is for this process alone: it says whether the front may be scheduled
+    in real time while it watches. For `rig` and `pace` see `LoopTree`.
     """
-    with _SignalForwarder() as signals:
-        with block_signals():
-            recorder = spawn_recorder(ring.path)
-            loop, guardian = start_loop(ring, rig, pace, is_guarded=is_guarded)
-        signals.start_forwarding(loop)
-        with raise_front_priority(mode):
-            _watch(ring, loop, recorder, guardian, progress)
-        ending = guardian.judge_ending(read_ending(loop))
-        end_for_dead_loop(ring, ending)
-        try:
-            return close_log(ring, recorder, ending)
-        finally:
-            guardian.dismiss()  # only now: if the front dies here, the guardian finishes the log
-
-
-class _SignalForwarder:
-    """Passes this process's signals on to the loop, also those that came before the loop."""
-
-    def __init__(self) -> None:
-        self._loop: subprocess.Popen[bytes] | None = None
-        self._early: list[int] = []
-
-    def __enter__(self) -> _SignalForwarder:
+    with block_signals():
+        tree = LoopTree(ring, rig, pace, ProcessRecordedRun("run", ring))
         for number in STOP_SIGNALS:
             if signal.getsignal(number) is not signal.SIG_IGN:  # ignored under nohup
-                signal.signal(number, self._forward)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Leave the handlers: without a loop they do nothing."""
-
-    def start_forwarding(self, loop: subprocess.Popen[bytes]) -> None:
-        self._loop = loop
-        for number in self._early:
-            self._forward(number, None)
-
-    def _forward(self, number: int, frame: FrameType | None) -> None:
-        if self._loop is None:
-            self._early.append(number)
-        elif self._loop.poll() is None:
-            self._loop.send_signal(number)
-
-
-def _watch(
-    ring: Ring,
-    loop: subprocess.Popen[bytes],
-    recorder: subprocess.Popen[bytes],
-    guardian: Guardianship,
-    progress: Progress,
-) -> None:
-    """Return when the loop has ended; end it when the recorder has."""
+                signal.signal(number, tree.send_signal)
     shown_s = 0.0
-    with closing(_Deaths([loop.pid, recorder.pid, guardian.pid])) as deaths:
-        while loop.poll() is None:
-            if recorder.poll() is not None:
-                ring.raise_flag(RecorderFlag.FAILED)
-            guardian.look(loop)
+    with raise_front_priority(mode):
+        while tree.is_alive:
+            tree.look()
             now_s = time.monotonic()
-            if now_s - shown_s >= _POLL_S and (tick := ring.latest_tick()) is not None:
+            if now_s - shown_s >= _SHOW_EVERY_S and (tick := ring.latest_tick()) is not None:
                 shown_s = now_s
                 progress(tick, ring.worst_late_ns * 1e-9)
-            deaths.wait(_POLL_S if guardian.pid is None else LOOK_EVERY_S)
+            time.sleep(LOOK_EVERY_S)
+    _, report = tree.conclude()
+    assert report is not None
+    return report
 
 
-class _Deaths:
-    """Sleeps until one of the processes dies; each death ends one sleep."""
-
-    def __init__(self, pids: Sequence[int | None]) -> None:
-        self._poll = select.poll()
-        # They are children that nobody has waited for: their ids cannot belong to others yet.
-        self._fds = [os.pidfd_open(pid) for pid in pids if pid is not None]
-        for fd in self._fds:
-            self._poll.register(fd, select.POLLIN)
-
-    def wait(self, seconds: float) -> None:
-        for fd, _ in self._poll.poll(seconds * 1e3):
-            self._poll.unregister(fd)
-
-    def close(self) -> None:
-        for fd in self._fds:
-            os.close(fd)
+def _spawn(module: str, *arguments: object) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
+        child_command(module, *arguments),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        process_group=0,
+    )
 
 
-def read_ending(loop: subprocess.Popen[bytes]) -> Ending:
+def _read_ending(loop: subprocess.Popen[bytes]) -> Ending:
     """Return what a dead loop process said last, or how it died."""
     said, _ = loop.communicate()
     try:
@@ -158,60 +132,3 @@ def read_ending(loop: subprocess.Popen[bytes]) -> Ending:
         code = loop.returncode
         how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"left with {code}"
         return Ending(ExitCode.UNEXPECTED, f"the loop process {how}")
-
-
-def close_log(ring: Ring, recorder: subprocess.Popen[bytes], ending: Ending) -> FrontReport:
-    """Wait for the recorder; where it is dead, start it again: it goes on where the file ends."""
-    complaint = _await_recorder(recorder, ring)
-    if not complaint:
-        ring.unlink()
-        return FrontReport(ending, True, "")
-    if not ring.recorder_flags & RecorderFlag.READY:
-        # The recorder never began: there is no log to finish and no tick to save.
-        ring.unlink()
-        return FrontReport(Ending(ExitCode.UNEXPECTED, complaint), False, "")
-    worst = ending if ending.code else Ending(ExitCode.UNEXPECTED, complaint)
-    note = complaint
-    if not ring.recorder_flags & RecorderFlag.FINISHED:
-        problem = _await_recorder(spawn_recorder(ring.path), ring)
-        if not ring.recorder_flags & RecorderFlag.FINISHED:
-            note += f"; the log could not be finished ({problem}). Its last ticks are kept in "
-            note += f"{ring.path}: make room, and the next `pamctl run` finishes it"
-            return FrontReport(worst, False, note)
-    # The front's recorder did so, or the one that a loop leaves behind when it misses the first.
-    if ring.recorder_pid != recorder.pid:
-        note += f"; the log was finished from the ring: {ring.meta.log_path}"
-    ring.unlink()
-    return FrontReport(worst, not ring.recorder_flags & RecorderFlag.GAPS, note)
-
-
-def _await_recorder(recorder: subprocess.Popen[bytes], ring: Ring) -> str:
-    """Let the recorder finish; return why it did not, be it killed here.
-
-    It must show life all the time, and get on with its rows within a minute, or read on in the
-    file that it goes on with.
-    """
-    fault = ""
-    seen, beaten_s = (ring.recorder_beats, ring.tail), time.monotonic()
-    moved_s = beaten_s
-    while recorder.poll() is None:
-        now, now_s = (ring.recorder_beats, ring.tail), time.monotonic()
-        if now[0] != seen[0]:
-            beaten_s = now_s
-        if now[1] != seen[1]:
-            moved_s = now_s
-        seen = now
-        if now_s - beaten_s > RECORDER_PATIENCE_S:
-            fault = f"the recorder gave no sign of life for {RECORDER_PATIENCE_S:g} s"
-        elif now_s - moved_s > _FINISH_PATIENCE_S:
-            fault = f"the recorder did not finish the log within {_FINISH_PATIENCE_S:g} s"
-        if fault:
-            recorder.kill()
-            recorder.wait()
-            break
-        time.sleep(_POLL_S)
-    _, said = recorder.communicate()
-    if recorder.returncode == 0:
-        return ""
-    complaint = said.decode(errors="replace").strip().removeprefix("recorder: ")
-    return complaint or fault or f"the recorder died with {recorder.returncode}"

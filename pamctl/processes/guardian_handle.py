@@ -11,13 +11,10 @@ import json
 import select
 import subprocess
 import time
-from collections.abc import Sequence
 
-from hal.child import child_command
 from hal.rig import Rig
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.guardian import POLL_MS, Silence, Takeover, read_state, take_over
-from pamctl.processes.interrupts import block_signals
 from pamctl.realtime.clock import LoopSettings
 from pamctl.recording.journal import put_event_for_dead_loop
 from pamctl.recording.ring import Ring
@@ -33,12 +30,12 @@ _LEAVE_PATIENCE_S = 2.0
 
 
 class Guardianship:
-    """The guardian of one run. Without a `command` there is none, as in a run without a clock."""
+    """The guardian of one loop."""
 
     def __init__(
-        self, ring: Ring, command: Sequence[str] | None, rig: Rig, pace: LoopSettings
+        self, ring: Ring, process: subprocess.Popen[bytes], rig: Rig, pace: LoopSettings
     ) -> None:
-        """Start the guardian of a run.
+        """`process` is the guardian; its input and output are pipes.
 
         `rig` is not open: the front makes it safe where nobody else can. `pace` says how long
         a loop may be silent: then the guardian kills it, and the front a little later.
@@ -46,7 +43,7 @@ class Guardianship:
         self._ring = ring
         self._rig = rig
         self._pace = pace
-        self._process = None if command is None else _spawn([*command, str(ring.path)])
+        self._process = process
         self._silence: Silence | None = None
         self._reason = ""
 
@@ -56,8 +53,6 @@ class Guardianship:
         A loop that lives stops by itself when its guardian is gone or frozen. A loop that is
         frozen cannot: it is killed here if the guardian has not done it.
         """
-        if not self._process:
-            return
         if self._process.poll() is not None:
             self._ring.guardian_lost = 1
         if self._silence is None:
@@ -70,18 +65,11 @@ class Guardianship:
             self._reason = f"{fault}, its guardian did nothing, and the front killed it"
             loop.kill()
 
-    @property
-    def pid(self) -> int | None:
-        """The guardian's process, where there is one."""
-        return None if self._process is None else self._process.pid
-
     def judge_ending(self, ending: Ending) -> Ending:
         """Return how the run of a dead loop ended, the valve included.
 
         A loop that had to be killed while it released its device has told its ending before.
         """
-        if not self._process:
-            return ending
         if self._reason:
             ending = ending._replace(reason=_join_reasons(ending, self._reason))
         noticed_ns = time.monotonic_ns()
@@ -94,16 +82,15 @@ class Guardianship:
 
     def dismiss(self) -> None:
         """Let the guardian leave, once the log is finished: it would finish it otherwise."""
-        if self._process:
-            assert self._process.stdin
-            assert self._process.stdout
-            self._process.stdin.close()
-            try:
-                self._process.wait(_LEAVE_PATIENCE_S)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
-            self._process.stdout.close()
+        assert self._process.stdin
+        assert self._process.stdout
+        self._process.stdin.close()
+        try:
+            self._process.wait(_LEAVE_PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._process.stdout.close()
 
     def _await_report(self, guardian: subprocess.Popen[bytes]) -> bytes:
         """Return the guardian's last line; nothing if it is dead or frozen.
@@ -132,38 +119,6 @@ class Guardianship:
             return ending
         put_event_for_dead_loop(self._ring, {**takeover.event(), "event": "front_takeover"})
         return _ending_of_takeover(takeover, ending, "the front")
-
-
-def start_loop(
-    ring: Ring,
-    rig: Rig,
-    pace: LoopSettings,
-    *,
-    is_guarded: bool = True,
-    is_session: bool = False,
-) -> tuple[subprocess.Popen[bytes], Guardianship]:
-    """Start the loop on a ring, and its guardian; see `Guardianship` for `rig` and `pace`.
-
-    A session goes on without a run, until it is stopped.
-    """
-    words = [ring.path, *(["session"] if is_session else [])]
-    command = child_command("pamctl.processes.guardian_main") if is_guarded else None
-    # The loop inherits the block and lifts it when it has handlers: a signal that comes while it
-    # starts waits, instead of killing it.
-    with block_signals():
-        guardian = Guardianship(ring, command, rig, pace)
-        loop = subprocess.Popen(
-            child_command("pamctl.processes.loop_main", *words),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            process_group=0,
-        )
-        ring.loop_pid = loop.pid
-    return loop, guardian
-
-
-def _spawn(command: Sequence[str]) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=0)
 
 
 def _ending_of_takeover(takeover: Takeover, ending: Ending, who: str = "the guardian") -> Ending:

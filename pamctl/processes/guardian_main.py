@@ -20,7 +20,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from hal.child import child_command
+from hal.child import ParentPipe, child_command
 from hal.rig import Rig, RigError
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.backends import build_clock, build_rig, require_backend
@@ -43,9 +43,10 @@ def main() -> int:
     if len(sys.argv) < 2:
         return _watch_person()
     keep_single_threaded()
+    front = ParentPipe(sys.stdin.fileno())
     with Ring.attach(sys.argv[1]) as ring:
         try:
-            takeover = _guard(ring)
+            takeover = _guard(ring, front)
         except RigError as error:
             print(f"guardian: {error}", file=sys.stderr)
             return int(ExitCode.UNAVAILABLE)
@@ -53,13 +54,13 @@ def main() -> int:
             put_event_for_dead_loop(ring, takeover.event())
         with suppress(BrokenPipeError):  # the front may be dead
             print(json.dumps(takeover and takeover._asdict()), flush=True)
-        while not _front_is_gone(within_ms=1000):
+        while not front.wait(1.0):
             pass
         _end_log(ring, takeover)
     return int(ExitCode.OK)
 
 
-def _guard(ring: Ring) -> Takeover | None:
+def _guard(ring: Ring, front: ParentPipe) -> Takeover | None:
     settings = from_resolved(json.dumps(ring.meta.config))
     rig = build_rig(settings, build_clock(settings, may_spin=False)).rig
     # A rehearsal before the loop opens the rig: a guardian that cannot make it safe now cannot do
@@ -67,28 +68,22 @@ def _guard(ring: Ring) -> Takeover | None:
     failure = drive_safe(rig, patience_s=1.0)
     if failure is not None:
         raise failure
-    loop = LoopProcess(_await_loop_pid(ring))
+    loop = LoopProcess(_await_loop_pid(ring, front))
     prepare_guardian(settings.rt, settings.rig.loop.cpu)
     ring.guardian_ready = 1
     pace = settings.rig.loop
     return guard(ring, loop, rig, round(pace.heartbeat_ms * 1e6), round(pace.starved_ms * 1e6))
 
 
-def _await_loop_pid(ring: Ring) -> int:
+def _await_loop_pid(ring: Ring, front: ParentPipe) -> int:
     """Wait for the front to start the loop."""
     deadline_s = time.monotonic() + STARTS_WITHIN_S
     while not ring.loop_pid:
         # A loop without a guardian that is ready never opens the rig: leaving is safe.
-        if _front_is_gone() or time.monotonic() > deadline_s:
+        if front.wait() or time.monotonic() > deadline_s:
             raise RigError("there is no loop to guard")
         time.sleep(1e-3)
     return ring.loop_pid
-
-
-def _front_is_gone(within_ms: int = 0) -> bool:
-    front = select.poll()
-    front.register(sys.stdin.fileno(), select.POLLHUP | select.POLLERR)
-    return bool(front.poll(within_ms))
 
 
 def _end_log(ring: Ring, takeover: Takeover | None) -> None:

@@ -29,7 +29,6 @@ from pamctl.recording.journal import (
     SessionJournal,
     make_outcome_event,
     put_last_event,
-    wait_for_recorder,
 )
 from pamctl.recording.recorder import leave_recorder
 from pamctl.recording.ring import RecorderFlag, Ring, RingError, RingFull
@@ -43,11 +42,11 @@ def main() -> NoReturn:
         settings = from_resolved(json.dumps(ring.meta.config))
         orders = slot if ring.slot_bytes else None
         pace, front = settings.rig.loop, sys.stdin.fileno()
-        supervisor = LoopSupervisor(ring, front, pace, patient=settings.fast, orders=orders)
+        supervisor = LoopSupervisor(ring, front, pace, orders=orders)
         session = SessionJournal(ring, supervisor.watch_recording) if sys.argv[2:] else None
         journal = session or RingJournal(ring)
         ending = supervisor.name_cause(
-            _run_to_ending(partial(_run, ring, settings, supervisor, journal, orders))
+            run_to_ending(partial(_run, ring, settings, supervisor, journal, orders))
         )
         recorded: Ring | None = ring
         if session is None:
@@ -71,7 +70,7 @@ def tell_parent(ending: Ending) -> None:
         print(json.dumps({"code": int(ending.code), "reason": ending.reason}), flush=True)
 
 
-def _run_to_ending(work: Callable[[], Ending]) -> Ending:
+def run_to_ending(work: Callable[[], Ending]) -> Ending:
     """Do the work; turn every exception into an ending."""
     try:
         return work()
@@ -113,11 +112,9 @@ def _run(
         return ending
     # Before this process is scheduled in real time: loading a driver takes long.
     require_backend(settings)
-    if not settings.fast and (ending := _await_guardian(ring, supervisor)) is not None:
+    if (ending := _await_guardian(ring, supervisor)) is not None:
         return ending
-    with prepare("off" if settings.fast else settings.rt, settings.rig.loop.cpu) as preparation:
-        if settings.fast:
-            wait_for_recorder(ring)
+    with prepare(settings.rt, settings.rig.loop.cpu) as preparation:
         return compose_loop(settings, journal, supervisor, orders, preparation, tell_parent).run()
 
 

@@ -8,12 +8,12 @@ Nor does a PC that has slept: nobody knows what muscle and card did meanwhile.
 from __future__ import annotations
 
 import math
-import select
 import signal
 import time
 from collections.abc import Callable
 from types import FrameType
 
+from hal.child import ParentPipe
 from pamctl.exit_codes import EMERGENCY_STOP, LOG_DISK_FULL, Ending, ExitCode
 from pamctl.processes.interrupts import STOP_SIGNALS
 from pamctl.realtime.clock import LoopSettings, SleepWatch
@@ -43,8 +43,8 @@ class LoopSupervisor:
     ) -> None:
         """`front_fd` is a pipe that the front holds open: the pipe's end is the front's death.
 
-        A `patient` run waits for a slow recorder instead of giving up on it. An emergency stop
-        comes through `orders`.
+        A `patient` run has no clock, no front and no guardian, and waits for a slow recorder
+        instead of giving up on it. An emergency stop comes through `orders`.
         """
         self._orders = orders
         self._ring = ring
@@ -60,15 +60,13 @@ class LoopSupervisor:
         self._guardian = _Heartbeat(max(2, silent_looks))
         self._is_time_to_look = False
         # A sleep is a silence too, on a clock that the loop does not see.
-        self._sleep = SleepWatch()
+        self._sleep = None if patient else SleepWatch()
         self._longest_sleep_ns = round(pace.heartbeat_ms * 1e6)
         self._loss: Ending | None = None
         self._signals: list[int] = []
         self._beats = -1
         self._beat_s = time.monotonic()
-        self._front = select.poll()
-        if front_fd is not None:
-            self._front.register(front_fd, select.POLLHUP | select.POLLERR)
+        self._front = None if front_fd is None else ParentPipe(front_fd)
 
     def watch_recording(self, ring: Ring | None) -> None:
         """Watch the recorder of this ring from now on; None: nothing is recorded."""
@@ -78,8 +76,11 @@ class LoopSupervisor:
     def listen(self) -> None:
         """Take over the signals that end a run: the first stops smoothly, the second at once."""
         for number in STOP_SIGNALS:
-            signal.signal(number, self._on_signal)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
+            # Ignored under nohup. A front passes on what its loop shall obey, whatever it inherits.
+            if self._front is not None or signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self._on_signal)
+        if self._front is not None:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         self._signals.append(number)
@@ -136,14 +137,14 @@ class LoopSupervisor:
 
     def is_front_gone(self) -> bool:
         """Tell whether the process that started this one is dead."""
-        return bool(self._front.poll(0))
+        return self._front is not None and self._front.wait()
 
     def may_be_last(self) -> bool:
         """Tell whether another process is gone: the rest may die before the log is finished."""
         return self._loss is not None or self.is_front_gone()
 
     def _find_sleep(self) -> Ending | None:
-        if self._patient or (slept_ns := self._sleep.slept_ns()) <= self._longest_sleep_ns:
+        if self._sleep is None or (slept_ns := self._sleep.slept_ns()) <= self._longest_sleep_ns:
             return None
         slept_s = slept_ns * 1e-9
         return Ending(ExitCode.SAFETY_TRIP, f"{_SLEPT} for {slept_s:.1f} s during the run")

@@ -1,22 +1,20 @@
-"""A run from its settings to its figures: the front's work, which needs Linux but for `--fast`."""
+"""A run from its settings to its figures; it needs Linux, but for `--fast`."""
 
 from __future__ import annotations
 
 import json
-import os
 import sys
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, nullcontext, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from hal.backend import find_backends
 from hal.calibration import Zero, calibration
-from hal.rig import Rig
 from pamctl.control.filters import warp_cutoff
 from pamctl.control.law_registry import describe_law, law_of
-from pamctl.exit_codes import LOG_DISK_FULL, Ending, ExitCode
+from pamctl.exit_codes import Ending, ExitCode
 from pamctl.kernel import build
 from pamctl.log.annotation import NOTHING_SAID, Annotation, annotate_meta
 from pamctl.log.run_meta import RunMeta, bare_name, make_dated_path
@@ -25,16 +23,18 @@ from pamctl.processes.backends import (
     SHARED_MEMORY,
     build_clock,
     build_rig,
-    hold_device,
     make_plant,
+    new_ring_path,
     require_backend,
     require_open_files,
+    secure_device,
 )
-from pamctl.processes.front import FrontReport, conduct_run
+from pamctl.processes.front import conduct_run
 from pamctl.processes.keep_awake import keep_awake
 from pamctl.realtime.orders import MARK_SLOT_BYTES
 from pamctl.realtime.tick import first_state, keyframe_fields
 from pamctl.realtime.tick_runner import TickRunner
+from pamctl.recording.recorded_run import LogReport
 from pamctl.recording.recorder import finish_orphans
 from pamctl.recording.ring import Ring
 from pamctl.report.progress_line import ProgressLine
@@ -82,67 +82,34 @@ def run_once(
     build_machine_code(settings, quiet=quiet)
     path = choose_log_path(log, names["controller"], names["experiment"])
     meta = annotate_meta(make_run_meta(settings, names, path), said, records)
-    if settings.fast and sys.platform != "linux":
+    if settings.fast:
         from pamctl.processes.run_here import run_here  # numpy, which the daemon does without
 
-        ending = run_here(meta, settings, lambda tick: progress(tick, 0.0))
-        progress.end_line()
-        done = FrontReport(ending, True, "")
-        return _conclude_run(settings, names, path, done, is_usual_place=log is None)
-    with secure_device(settings) as rig:
         finish_orphans(SHARED_MEMORY, quiet=quiet)
-        with (
-            Ring.create(
-                new_ring_path(),
-                meta,
-                settings.rig.loop.ring_rows,
-                # Without a clock there is no moment to mark.
-                slot_bytes=0 if settings.fast else MARK_SLOT_BYTES,
-            ) as ring,
-            nullcontext("") if settings.fast else keep_awake() as risk,
-        ):
-            if risk and not quiet:
-                print(f"note: {risk}", file=sys.stderr, flush=True)
-            report = _conduct_run(ring, rig, progress, settings)
+        report = run_here(meta, settings, lambda tick: progress(tick, 0.0))
+    else:
+        report = _run_guarded(meta, settings, progress, quiet=quiet)
     progress.end_line()
     return _conclude_run(settings, names, path, report, is_usual_place=log is None)
 
 
-@contextmanager
-def secure_device(settings: RunSettings) -> Iterator[Rig]:
-    """Hold the device for this run alone, and make it safe before anything else is done.
-
-    The run before may have died with the valve open. Raises `RigError` where the device cannot
-    be had.
-    """
-    rig = build_rig(settings, build_clock(settings, may_spin=False)).rig
-    if settings.fast:  # simulated inside the loop's process: there is no shared device
-        yield rig
-        return
-    with hold_device(settings):
-        rig.make_safe()
-        if rig.safe_failure is not None:
-            raise rig.safe_failure
-        yield rig
-
-
-def _conduct_run(
-    ring: Ring, rig: Rig, progress: ProgressLine, settings: RunSettings
-) -> FrontReport:
-    try:
-        # Without a clock no valve depends on the front: it needs no priority.
-        mode = "off" if settings.fast else settings.rt
-        pace, is_guarded = settings.rig.loop, not settings.fast
-        return conduct_run(ring, rig, progress, mode, pace, is_guarded=is_guarded)
-    except BaseException:
-        if not ring.head:
-            ring.unlink()
-        raise
-
-
-def new_ring_path() -> Path:
-    """Return a new name in shared memory; the next start looks there for runs that died."""
-    return SHARED_MEMORY / f"pamctl-{os.getpid()}-{time.time_ns()}.ring"
+def _run_guarded(
+    meta: RunMeta, settings: RunSettings, progress: ProgressLine, *, quiet: bool
+) -> LogReport:
+    """Run on the clock, in processes that watch each other."""
+    pace = settings.rig.loop
+    with secure_device(settings) as rig:
+        finish_orphans(SHARED_MEMORY, quiet=quiet)
+        ring_of_run = Ring.create(new_ring_path(), meta, pace.ring_rows, slot_bytes=MARK_SLOT_BYTES)
+        with ring_of_run as ring, keep_awake() as risk:
+            if risk and not quiet:
+                print(f"note: {risk}", file=sys.stderr, flush=True)
+            try:
+                return conduct_run(ring, rig, progress, settings.rt, pace)
+            except BaseException:
+                if not ring.head:
+                    ring.unlink()
+                raise
 
 
 def make_run_meta(settings: RunSettings, names: Mapping[str, str], path: Path) -> RunMeta:
@@ -185,7 +152,7 @@ def _conclude_run(
     settings: RunSettings,
     names: dict[str, str],
     path: Path,
-    report: FrontReport,
+    report: LogReport,
     *,
     is_usual_place: bool,
 ) -> FinishedRun:
@@ -211,9 +178,8 @@ def _conclude_run(
             index_quietly(path, make_index=is_usual_place)
     code = int(ending.code or (ExitCode.OK if report.log_is_whole else ExitCode.CHECK_FAILED))
     reason, note = ending.reason if ending.code else "", report.note
-    if reason == LOG_DISK_FULL:  # the recorder says the same of its log: once is enough
-        note = note.removeprefix("the disk is full: ")
-        reason, note = f"{reason}: {note}; make room, or give another place with --log", ""
+    if reason and note.startswith(reason):  # the recorder says the same, and of which log
+        reason, note = f"{note}; make room, or give another place with --log", ""
     return FinishedRun(code, reason, note, document, "\n".join(lines))
 
 

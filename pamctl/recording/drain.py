@@ -55,7 +55,7 @@ _MESSAGE_BYTES = 31 + 16
 class Owner(Protocol):
     """The process that started the recorder."""
 
-    def wait(self, seconds: float) -> None:
+    def wait(self, seconds: float) -> object:
         """Sleep, but wake up when the owner ends."""
 
     @property

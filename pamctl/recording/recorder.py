@@ -15,18 +15,21 @@ Exit codes: 0 the log is complete, 3 the disk was full and the log ends early, 1
 from __future__ import annotations
 
 import os
-import select
 import signal
 import subprocess
 import sys
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from hal.child import child_command
+from hal.child import ParentPipe, child_command
+from pamctl.exit_codes import LOG_DISK_FULL, ExitCode
 from pamctl.kept_memory import keep_freed_memory
 from pamctl.recording.ring import LOOP_DEAD_NS, RecorderFlag, Ring, RingError
+
+if TYPE_CHECKING:
+    from pamctl.recording.drain import Owner
 
 RECORDER_PATIENCE_S = 5.0
 """A recorder without a heartbeat for this time, whose loop has ended, is killed."""
@@ -37,7 +40,9 @@ _ALONE_PATIENCE_S = 600.0
 
 
 class RecorderError(Exception):
-    """The recorder did not start; the message is the recorder's own."""
+    """The log cannot be written; the message is the recorder's own."""
+
+    exit_code = ExitCode.UNEXPECTED
 
 
 class Orphan(NamedTuple):
@@ -144,20 +149,6 @@ def _record_alone(ring_path: Path) -> str:
 # --- the process ----------------------------------------------------------------------------------
 
 
-class _Pipe:
-    """The owner, seen from the reading end of a pipe."""
-
-    def __init__(self, fd: int) -> None:
-        self._fd = fd
-        self.gone = False
-
-    def wait(self, seconds: float) -> None:
-        if self.gone:
-            time.sleep(seconds)
-        elif select.select([self._fd], [], [], seconds)[0]:
-            self.gone = os.read(self._fd, 4096) == b""
-
-
 def outlive_signals() -> None:
     """Ignore the signals that end the other processes of a run, whose work this one completes."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -170,7 +161,7 @@ def main(arguments: list[str]) -> int:
     keep_freed_memory()
     try:
         ring_path, *alone = arguments
-        owner = _Pipe(sys.stdin.fileno())
+        owner = ParentPipe(sys.stdin.fileno())
         if alone:
             owner.gone = True
             # The CPU of the loop that started it is not the only one that it may use.
@@ -180,8 +171,13 @@ def main(arguments: list[str]) -> int:
             if not _await_turn(ring):
                 return 0
             ring.hold()
-            ring.recorder_pid = os.getpid()
-            return _record(ring, owner)
+            complaint = record(ring, owner)
+            if owner.gone and ring.recorder_flags & RecorderFlag.FINISHED:
+                ring.unlink()
+            if not complaint:
+                return 0
+            print(f"recorder: {complaint}", file=sys.stderr)
+            return 3 if ring.recorder_flags & RecorderFlag.DISK_FULL else 1
     except (ValueError, RingError) as error:
         print(f"recorder: {error}", file=sys.stderr)
         return 1
@@ -216,28 +212,25 @@ def _kill_recorder(ring: Ring) -> None:
             os.close(process)
 
 
-def _record(ring: Ring, owner: _Pipe) -> int:
-    whole = True
+def record(ring: Ring, owner: Owner) -> str:
+    """Write the log of a ring to its end; return why it is not whole, nothing where it is.
+
+    After a failure the loop knows it by the ring's flags, and the ring keeps what is not written.
+    """
+    ring.recorder_pid = os.getpid()
     try:
-        if not ring.recorder_flags & RecorderFlag.FINISHED:
-            # Slow imports: only after the signals are ignored and the ring is held.
-            from pamctl.recording.drain import record_run
+        # Slow imports: only after the signals are ignored and the ring is held.
+        from pamctl.recording.drain import is_full, record_run
 
-            whole = record_run(ring, owner)
-    # After any failure the loop must know, and the user gets one line.
+        if ring.recorder_flags & RecorderFlag.FINISHED or record_run(ring, owner):
+            return ""
     except Exception as error:
-        from pamctl.recording.drain import is_full
-
         full = isinstance(error, OSError) and is_full(error)
         ring.raise_flag(RecorderFlag.FAILED | (RecorderFlag.DISK_FULL if full else 0))
-        kept = f"; {ring.pending} rows are kept in {ring.path}" if ring.pending else ""
-        print(f"recorder: {_describe_error(error)}{kept}", file=sys.stderr)
-        return 3 if ring.recorder_flags & RecorderFlag.DISK_FULL else 1
-    if owner.gone:
-        ring.unlink()
-    if not whole:
-        print(f"recorder: the disk is full: {ring.meta.log_path} ends early", file=sys.stderr)
-    return 0 if whole else 3
+        why = f"{LOG_DISK_FULL}: {_describe_error(error)}" if full else _describe_error(error)
+        is_kept = ring.pending and ring.is_file
+        return f"{why}; {ring.pending} rows are kept in {ring.path}" if is_kept else why
+    return f"{LOG_DISK_FULL}: {ring.meta.log_path} ends early"
 
 
 def _describe_error(error: Exception) -> str:

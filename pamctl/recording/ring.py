@@ -550,9 +550,14 @@ class Ring:
             return False
         return True
 
+    @property
+    def is_file(self) -> bool:
+        """Other processes can attach to it."""
+        return self._fd >= 0
+
     def unlink(self) -> None:
         """Remove the file if it exists; processes that mapped it keep their memory."""
-        if self._fd >= 0:
+        if self.is_file:
             self.path.unlink(missing_ok=True)
 
     def close(self) -> None:

@@ -16,13 +16,13 @@ from typing import Any
 
 from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.exit_codes import EMERGENCY_STOP, Ending, ExitCode
-from pamctl.log.framing import LogError
 from pamctl.log.run_meta import RunMeta
-from pamctl.processes.backends import require_backend
+from pamctl.processes.backends import new_ring_path, require_backend
 from pamctl.processes.compose_loop import compose_loop
-from pamctl.processes.run_once import make_run_meta, new_ring_path
-from pamctl.recording.journal import SessionJournal, end_for_dead_loop, wait_for_recorder
-from pamctl.recording.recorder_thread import RecordedRun
+from pamctl.processes.run_once import make_run_meta
+from pamctl.recording.journal import SessionJournal, wait_for_recorder
+from pamctl.recording.recorded_run import LogReport, ThreadRecordedRun
+from pamctl.recording.recorder import RecorderError
 from pamctl.recording.ring import Ring, RingError, RingFull
 from pamctl.session.pamctl_error import hold_back_ctrl_c
 from pamctl.settings.resolve import RunSettings
@@ -36,7 +36,6 @@ class InProcessMaker:
     """How a simulated rig's loop is started."""
 
     device = "simulated here"
-    meta = staticmethod(make_run_meta)
 
     def begin(self, settings: RunSettings, names: Mapping[str, str]) -> InProcessLoop:
         """Start a loop, from the vented muscle on."""
@@ -55,7 +54,7 @@ class InProcessLoop:
         """Begin parked and not homed."""
         require_backend(settings)
         self._settings = settings
-        self.run: RecordedRun | None = None
+        self.run: ThreadRecordedRun | None = None
         self.runs_begun = 0
         self.pids: dict[str, int] = {}
         self._ending: Ending | None = None
@@ -154,8 +153,8 @@ class InProcessLoop:
         """Begin a run with its own log."""
         ring = Ring.create(new_ring_path(), meta, rows, course)
         try:
-            run = RecordedRun(name, ring)
-        except (LogError, OSError) as error:
+            run = ThreadRecordedRun(name, ring)
+        except RecorderError as error:
             raise RequestRefusedError(str(error)) from error
         before, self.run = self.run, run
         self.runs_begun += 1
@@ -164,7 +163,7 @@ class InProcessLoop:
         order = {"do": "run", "ring": str(ring.path), "meta": short}
         self._advance_whole(lambda: self.log == path, order)
         if before is not None:
-            before.finish()
+            _finish(before, Ending(ExitCode.OK, "another run has begun"))
 
     def look(self) -> None:
         """Let a loop end that shall end at once."""
@@ -176,11 +175,10 @@ class InProcessLoop:
         self._wants_abort = True
 
     @hold_back_ctrl_c()
-    def finish_run(self) -> None:
-        """Wait until the log of a run that is over is whole."""
+    def finish_run(self) -> LogReport | None:
+        """Finish the log of a run that is over; raise `RecorderError` if it is not whole."""
         run, self.run = self.run, None
-        if run is not None:
-            run.finish()
+        return None if run is None else _finish(run, self._ending or Ending(ExitCode.OK, ""))
 
     def begin_end(self) -> None:
         """Let the loop end smoothly from its next tick on."""
@@ -192,8 +190,6 @@ class InProcessLoop:
         self.begin_end()
         self._advance_whole(_NEVER)
         assert self._ending is not None
-        if self.run is not None:
-            end_for_dead_loop(self.run.ring, self._ending)  # it may not have taken the run
         self.finish_run()
         if self._thread.is_alive():
             self._thread.join()
@@ -251,3 +247,11 @@ class _TickedJournal(SessionJournal):
     def put_row(self, row: bytearray, late_s: float, missed: int) -> None:
         self._loop.note_tick(row)
         super().put_row(row, late_s, missed)
+
+
+def _finish(run: ThreadRecordedRun, ending: Ending) -> LogReport:
+    report = run.finish(ending)
+    run.ring.close()
+    if not report.log_is_whole:
+        raise RecorderError(report.note or report.ending.reason)
+    return report

@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 import pamctl.log
 from pamctl.cli.app import app
 from pamctl.exit_codes import ExitCode
+from pamctl.processes.interrupts import restore_signals
 from pamctl.processes.run_here import run_here
 from pamctl.processes.run_once import make_run_meta
 from pamctl.settings.config_files import DEFAULT_NAMES
@@ -250,8 +251,10 @@ def test_ctrl_c_ends_a_run_in_one_process_with_a_whole_log(count, tmp_path):
             for _ in range(count):
                 signal.raise_signal(signal.SIGINT)
 
-    ending = run_here(meta, settings, interrupt)
-    assert ending.code == ExitCode.SIGINT
+    with restore_signals():
+        report = run_here(meta, settings, interrupt)
+    assert report.ending.code == ExitCode.SIGINT
+    assert report.log_is_whole
     assert CliRunner().invoke(app, ["log", "check", str(path)]).exit_code == 0
     log = pamctl.log.read(path)
     after = log["tick"][-1] - told[0]

@@ -14,8 +14,9 @@ from support.processes.daemons import NOT_HOMED, daemon
 
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log import read
-from pamctl.processes import front
-from pamctl.processes.run_once import make_run_meta, new_ring_path
+from pamctl.processes.backends import new_ring_path
+from pamctl.processes.run_once import make_run_meta
+from pamctl.recording import recorded_run
 from pamctl.recording.ring import Ring
 from pamctl.settings.resolve import resolve
 
@@ -57,7 +58,7 @@ def test_a_loop_that_dies_over_an_order_is_a_fault_and_the_daemon_still_ends(
 def test_a_recorder_that_never_finishes_is_killed_and_the_note_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(front, "_FINISH_PATIENCE_S", 0.3)
+    monkeypatch.setattr(recorded_run, "_FINISH_PATIENCE_S", 0.3)
     names = {"controller": "qsmc", "experiment": "tracking-1", "rig": "sim"}
     meta = make_run_meta(resolve(experiment="tracking-1"), names, tmp_path / "run.mcap")
     recorder = subprocess.Popen(["sleep", "1000"], stdin=subprocess.PIPE, stderr=subprocess.PIPE)
@@ -73,7 +74,8 @@ def test_a_recorder_that_never_finishes_is_killed_and_the_note_says_so(
         ring.loop_done = 1
         beating = threading.Thread(target=beat)
         beating.start()
-        report = front.close_log(ring, recorder, Ending(ExitCode.OK, ""))
+        monkeypatch.setattr(recorded_run, "spawn_recorder", lambda path: recorder)
+        report = recorded_run.ProcessRecordedRun("run", ring).finish(Ending(ExitCode.OK, ""))
         is_over.set()
         beating.join()
     assert recorder.returncode == -signal.SIGKILL

@@ -207,14 +207,19 @@ def test_what_cannot_be_made_safe_says_why_when_patience_ends() -> None:
     assert "reserved" in str(failure)
 
 
+def start_guardian() -> subprocess.Popen[bytes]:
+    """Start a process that stays until its front lets it go."""
+    return subprocess.Popen(["cat"], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+
+
 def test_a_guardian_that_dies_is_lost_when_the_front_looks(ring: Ring) -> None:
-    front = Guardianship(ring, ["sh", "-c", "read line", "guardian"], StubRig(), LoopSettings())  # type: ignore[arg-type]
+    guardian = start_guardian()
+    front = Guardianship(ring, guardian, StubRig(), LoopSettings())  # type: ignore[arg-type]
     with sleeper() as loop:
         front.look(loop)
         assert not ring.guardian_lost
-        assert front.pid
-        os.kill(front.pid, signal.SIGKILL)
-        os.waitid(os.P_PID, front.pid, os.WEXITED | os.WNOWAIT)
+        os.kill(guardian.pid, signal.SIGKILL)
+        os.waitid(os.P_PID, guardian.pid, os.WEXITED | os.WNOWAIT)
         front.look(loop)
         assert ring.guardian_lost
         assert loop.poll() is None
@@ -223,7 +228,8 @@ def test_a_guardian_that_dies_is_lost_when_the_front_looks(ring: Ring) -> None:
 
 def kill_silent_loop(ring: Ring, rig: StubRig, told: Ending) -> Ending:
     """Let the front kill a silent loop whose guardian is frozen; return its judgement."""
-    front = Guardianship(ring, ["sh", "-c", "read line", "guardian"], rig, LoopSettings())  # type: ignore[arg-type]
+    guardian = start_guardian()
+    front = Guardianship(ring, guardian, rig, LoopSettings())  # type: ignore[arg-type]
     ring.loop_stage = LoopStage.TICKING
     with frozen_loop() as loop:
         deadline_s = time.monotonic() + PATIENCE_S
@@ -231,8 +237,7 @@ def kill_silent_loop(ring: Ring, rig: StubRig, told: Ending) -> Ending:
             assert time.monotonic() < deadline_s
             front.look(loop)
             time.sleep(1e-3)
-    assert front.pid
-    os.kill(front.pid, signal.SIGSTOP)
+    os.kill(guardian.pid, signal.SIGSTOP)
     ending = front.judge_ending(told)
     front.dismiss()
     return ending

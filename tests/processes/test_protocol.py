@@ -171,9 +171,7 @@ def test_the_front_looks_as_the_model_does(
 def make_handle(ring: Ring, rig: StubRig, life: Life) -> Guardianship:
     """Return the front's side of a guardian that is a stub."""
     pace = LoopSettings(heartbeat_ms=HEARTBEAT_MS)
-    handle = Guardianship(ring, None, rig, pace)  # type: ignore[arg-type]
-    handle._process = StubProcess(life)  # type: ignore[assignment]
-    return handle
+    return Guardianship(ring, StubProcess(life), rig, pace)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("has_reported", [True, False])

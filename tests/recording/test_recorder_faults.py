@@ -27,8 +27,8 @@ from pamctl.log.check import check_log
 from pamctl.log.framing import FileRecord
 from pamctl.log.record_walk import find_records
 from pamctl.log.recover import recover_file, resume_log
-from pamctl.processes.front import close_log
 from pamctl.recording.drain import record_run
+from pamctl.recording.recorded_run import ProcessRecordedRun
 from pamctl.recording.recorder import (
     RecorderError,
     await_recorder,
@@ -118,12 +118,15 @@ def test_a_recorder_killed_before_it_had_a_file_costs_nothing(log):
 
 
 def test_a_front_whose_loop_has_had_the_log_finished_still_says_that_its_recorder_died(log):
-    with new_ring(log) as ring, recording(ring) as process:
+    with new_ring(log) as ring:
+        run = ProcessRecordedRun("run", ring)
+        await_recorder(ring, run.recorder)
         put_with_events(ring, range(300))
-        process.kill()
-        process.wait()
+        run.recorder.kill()
+        run.recorder.wait()
+        ring.loop_done = 1
         finish(ring.path)  # the recorder of the loop comes before the front looks
-        report = close_log(ring, process, Ending(ExitCode.OK, ""))
+        report = run.finish(Ending(ExitCode.OK, ""))
     assert report.log_is_whole
     assert report.ending.code == ExitCode.UNEXPECTED
     assert report.note.endswith(f"died with -9; the log was finished from the ring: {log}")
@@ -398,7 +401,7 @@ def test_on_a_full_disk_the_log_is_whole_to_the_last_tick_of_the_stop(small_disk
         ticks = put_until_told_to_stop(ring)
         code, said = end(rec)
     assert code == 3
-    assert "the disk is full" in said
+    assert f"the log's disk is full: {log} ends early" in said
     assert read(log)["tick"].tolist() == list(range(ticks))
     assert info(log)["complete"]
     assert log.stat().st_blocks * 512 < log.stat().st_size + (64 << 10), "the reserve is given back"

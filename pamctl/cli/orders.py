@@ -182,11 +182,9 @@ def print_settings(settings: Mapping[str, Any], *, as_json: bool) -> None:
 def _read_section(section: str, name: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
     """Read and check a file here, where its lines can be named; raise `ConfigError`."""
     from pamctl.cli.settings_from_options import find_argument_file
-    from pamctl.settings.config_files import read_tables
-    from pamctl.settings.resolve import read_section_file, settings_to_data
+    from pamctl.settings.config_files import read_section
 
-    path = find_argument_file(section, name)
-    return settings_to_data(read_section_file(section, path, overrides, read_tables))
+    return read_section(section, find_argument_file(section, name), overrides)
 
 
 # --- verbs that do more ----------------------------------------------------------------------

@@ -62,8 +62,9 @@ def run(asked: RunOptions) -> None:
     if not settings.fast:
         require_linux()
     from pamctl.control.experiment import plan_experiment
-    from pamctl.processes.interrupts import ignore_signals, restore_signals
+    from pamctl.processes.interrupts import restore_signals
     from pamctl.processes.run_once import run_once
+    from pamctl.recording.recorder import ignore_signals
     from pamctl.report.progress_line import ProgressLine
 
     length_s = plan_experiment(settings.experiment).duration_s

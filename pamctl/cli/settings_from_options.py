@@ -12,12 +12,17 @@ from hal.backend import find_backends, hint_at_missing
 from pamctl.cli.options import CONTROLLER, CONTROLLER_FROM, NO_CHANGES, PLANT, Options, flag, option
 from pamctl.errors import ConfigError, Problem
 from pamctl.log.run_meta import CHANGES, describe_changes
-from pamctl.settings.config_files import DEFAULT_NAMES, find_config_file, list_shipped, read_tables
+from pamctl.settings.config_files import (
+    DEFAULT_NAMES,
+    find_config_file,
+    list_shipped,
+    read_section,
+    read_tables,
+)
 from pamctl.settings.envelope import find_excesses
 from pamctl.settings.resolve import (
     SECTIONS,
     RunSettings,
-    read_section_file,
     resolve,
     settings_to_data,
 )
@@ -126,8 +131,7 @@ def read_file_gains(settings: RunSettings, controller: str) -> dict[str, Any]:
     """Return the gains of the file a controller is named after, or those in use if none was."""
     if controller == settings.controller.law not in list_shipped("controller"):
         return settings_to_data(settings.controller)  # gains of a law file, without a file
-    path = find_config_file("controller", controller)
-    return settings_to_data(read_section_file("controller", path, (), read_tables))
+    return read_section("controller", find_config_file("controller", controller))
 
 
 def _choose_rig(backend: str | None, rig: str | None) -> str | None:

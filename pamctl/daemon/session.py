@@ -158,9 +158,7 @@ class Session(LoopTree):
         Raises `RequestRefusedError` if the loop does not take it.
         """
         try:
-            self._orders.wait_until_taken(_ORDER_PATIENCE_S, lambda: self.is_alive)
-            self._orders.send(order)
-            self._orders.wait_until_taken(_ORDER_PATIENCE_S, lambda: self.is_alive)
+            self._orders.give(order, _ORDER_PATIENCE_S, lambda: self.is_alive)
         except OrderError as error:
             why = str(error) if self.is_alive else f"{error}; `pamctl status` says why"
             raise RequestRefusedError(why) from error

@@ -13,7 +13,6 @@ import threading
 from collections import deque
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from concurrent.futures import wait as wait_for_any
 from functools import cache
 from http import HTTPStatus
 from pathlib import Path
@@ -26,8 +25,7 @@ from pamctl.daemon.rig_session import RigSession
 from pamctl.errors import ConfigError, Problem
 from pamctl.runs.run_index import RunIndex, RunsError
 from pamctl.runs.run_list import RunFilter, select_runs
-from pamctl.settings.config_files import config_dir, list_shipped
-from pamctl.settings.resolve import read_section_file, settings_to_data
+from pamctl.settings.config_files import config_dir, list_shipped, read_section
 from pamctl.signals import TICK_FIELDS, Phase
 
 _MOST_RUNS = 100
@@ -35,6 +33,16 @@ _RUN_COLUMNS = (
     "path", "when_s", "controller", "experiment", "ending", "duration_s", "max_um", "rms_um",
     "steady_um", "operator", "note",
 )  # fmt: skip
+
+
+class PageRefusal(Exception):
+    """What a page asked for is refused, with the status of the answer."""
+
+    def __init__(self, message: str, status: HTTPStatus = HTTPStatus.BAD_REQUEST) -> None:
+        """`message` is for people."""
+        super().__init__(message)
+        self.status = status
+
 
 Form = dict[str, Any]
 _KEY = re.compile(r"[a-z][a-z0-9_]{0,60}")
@@ -111,7 +119,7 @@ def load_shipped_experiment(name: str, changes: tuple[str, ...] = ()) -> dict[st
     if name not in list_shipped("experiment"):  # a path is not opened for a browser
         raise ConfigError([Problem(name, "", "there is no such experiment")])
     path = config_dir() / "experiment" / f"{name}.yaml"
-    return settings_to_data(read_section_file("experiment", path, changes))
+    return read_section("experiment", path, changes)
 
 
 def _numbers_of(experiment: Mapping[str, Any]) -> dict[str, float]:
@@ -122,12 +130,8 @@ def _numbers_of(experiment: Mapping[str, Any]) -> dict[str, float]:
     }
 
 
-class OrderNotUnderstood(ValueError):
-    """The order is not one of the page's. The message says what is."""
-
-
 def translate_order(asked: dict[str, Any]) -> tuple[str, dict[str, Any]]:
-    """Return an order and its parameters, checked by its signature; raise `OrderNotUnderstood`.
+    """Return an order and its parameters, checked by its signature; raise `PageRefusal`.
 
     The page gives `{"do": ORDER, ...}` in its own units: millimetres, gains by name, a shipped
     experiment with some of its numbers.
@@ -137,7 +141,7 @@ def translate_order(asked: dict[str, Any]) -> tuple[str, dict[str, Any]]:
     orders = {name: told for name, told in list_orders(RigSession).items() if told.on_page}
     told = orders.get(name) if isinstance(name, str) else None
     if told is None:
-        raise OrderNotUnderstood(f"do: the page gives {', '.join(orders)}")
+        raise PageRefusal(f"do: the page gives {', '.join(orders)}")
     try:
         match told.name:
             case "goto":
@@ -152,13 +156,13 @@ def translate_order(asked: dict[str, Any]) -> tuple[str, dict[str, Any]]:
                 given["experiment"] = load_shipped_experiment(given["name"], changes)
         check_params(told.params, given)
     except (ConfigError, RequestError) as error:
-        raise OrderNotUnderstood(str(error)) from None
+        raise PageRefusal(str(error)) from None
     return told.name, given
 
 
 def _read_numbers(numbers: object) -> dict[str, float]:
     if not isinstance(numbers, dict) or not all(map(_KEY.fullmatch, numbers)):
-        raise OrderNotUnderstood("give numbers by their keys")
+        raise PageRefusal("give numbers by their keys")
     return {key: _read_number(value) for key, value in numbers.items()}
 
 
@@ -170,7 +174,7 @@ def _read_number(value: object) -> float:
                 return number
     except OverflowError:
         pass
-    raise OrderNotUnderstood(f"{value!r:.50} is no number")
+    raise PageRefusal(f"{value!r:.50} is no number")
 
 
 def _spell(value: float) -> str:
@@ -188,15 +192,6 @@ _MOST_WAITING = 8
 _KEPT_OUTCOMES = 32
 
 
-class OrderFailure(Exception):
-    """An order that was not carried out, with the status of its answer."""
-
-    def __init__(self, status: HTTPStatus, message: str) -> None:
-        """`message` is for people."""
-        super().__init__(message)
-        self.status = status
-
-
 class PageOrders:
     """Gives orders to the daemon, and keeps the outcome of those that take longer."""
 
@@ -212,36 +207,31 @@ class PageOrders:
     def give(self, method: str, params: Mapping[str, object]) -> int | None:
         """Carry out an order; return its number if it has not ended yet, else None.
 
-        Raises `OrderFailure`.
+        Raises `PageRefusal`.
         """
         if method == "estop":
             self._call(method, params, _ESTOP_PATIENCE_S)
             return None
         if not self._waiting.acquire(blocking=False):
-            raise OrderFailure(HTTPStatus.TOO_MANY_REQUESTS, "too many orders are waiting")
+            raise PageRefusal("too many orders are waiting", HTTPStatus.TOO_MANY_REQUESTS)
         number = next(self._numbers)
         outcome = self._worker.submit(self._carry_out, number, method, params)
-        if not wait_for_any([outcome], _CONFIRMED_WITHIN_S).done:
+        try:
+            outcome.result(_CONFIRMED_WITHIN_S)
+        except TimeoutError:
             return number
-        failure = outcome.result()
-        if failure is not None:
-            raise failure
         return None
 
-    def _carry_out(
-        self, number: int, method: str, params: Mapping[str, object]
-    ) -> OrderFailure | None:
-        failure: OrderFailure | None = None
+    def _carry_out(self, number: int, method: str, params: Mapping[str, object]) -> None:
+        outcome = {"order": number, "do": method, "error": ""}
         try:
             self._call(method, params)
-        except OrderFailure as error:
-            failure = error
+        except PageRefusal as refusal:
+            outcome["error"] = str(refusal)
+            raise
         finally:
             self._waiting.release()
-        self._outcomes.append(
-            {"order": number, "do": method, "error": "" if failure is None else str(failure)}
-        )
-        return failure
+            self._outcomes.append(outcome)
 
     def _call(
         self, method: str, params: Mapping[str, object], patience_s: float = _PATIENCE_S
@@ -250,9 +240,9 @@ class PageOrders:
             with Client(self._socket, patience_s) as client:
                 client.call(method, params)
         except DaemonDeclinedError as error:
-            raise OrderFailure(HTTPStatus.CONFLICT, str(error)) from None
+            raise PageRefusal(str(error), HTTPStatus.CONFLICT) from None
         except DaemonUnreachableError as error:
-            raise OrderFailure(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
+            raise PageRefusal(str(error), HTTPStatus.SERVICE_UNAVAILABLE) from None
 
     def outcomes(self) -> list[dict[str, Any]]:
         """Return how the last orders ended, oldest first."""

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from pamctl.live.page_orders import PageRefusal
 from pamctl.live.tick_memory import TickMemory
 from pamctl.log.edit import cut_log
 from pamctl.log.framing import LogError
@@ -86,15 +87,6 @@ MOST_VALUES = 20_000_000
 """In one answer, 160 MB: two minutes of fourteen columns at 10 kHz are 17 million."""
 
 
-class ScopeRefusal(Exception):
-    """A question that cannot be answered, with the status of its answer."""
-
-    def __init__(self, status: HTTPStatus, message: str) -> None:
-        """`message` is for people."""
-        super().__init__(message)
-        self.status = status
-
-
 class TickRange(NamedTuple):
     """Ticks of one log, from the first to the last, both included."""
 
@@ -126,12 +118,12 @@ class TickSource:
     def read_columns(
         self, stretch: TickRange, names: Sequence[str], every: int = 1
     ) -> Mapping[str, NDArray[np.float64]]:
-        """Return columns of every `every`th tick of a stretch. Raises `ScopeRefusal`."""
+        """Return columns of every `every`th tick of a stretch. Raises `PageRefusal`."""
         columns = self._read_all(stretch, names, every)
         if sum(map(len, columns.values())) > MOST_VALUES:
-            raise ScopeRefusal(
-                HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+            raise PageRefusal(
                 f"more than {MOST_VALUES} values: choose a shorter time or fewer fields",
+                HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
             )
         return columns
 
@@ -146,7 +138,7 @@ class TickSource:
                     names, stretch.first_tick, stretch.last_tick, every
                 )
             except KeyError as error:
-                raise ScopeRefusal(HTTPStatus.BAD_REQUEST, f"no field {error.args[0]}") from None
+                raise PageRefusal(f"no field {error.args[0]}") from None
         return self._read_file(stretch, names, every)
 
     def _read_file(
@@ -158,16 +150,16 @@ class TickSource:
             part = slice(start, np.searchsorted(log["tick"], stretch.last_tick, "right"), every)
             return {name: log[name][part].astype(np.float64) for name in names}
         except (LogError, OSError) as error:
-            raise ScopeRefusal(HTTPStatus.CONFLICT, str(error)) from None
+            raise PageRefusal(str(error), HTTPStatus.CONFLICT) from None
 
     def read_events(self, log: str) -> list[dict[str, Any]]:
-        """Return the events of a log, oldest first, each with its `tick`. Raises `ScopeRefusal`."""
+        """Return the events of a log, oldest first, each with its `tick`. Raises `PageRefusal`."""
         if self._memory.state().log == log:
             return self._memory.events()
         try:
             events = read(self._require_log(log), fields=("tick",)).events
         except (LogError, OSError) as error:
-            raise ScopeRefusal(HTTPStatus.CONFLICT, str(error)) from None
+            raise PageRefusal(str(error), HTTPStatus.CONFLICT) from None
         return [clean_document(event) for event in events]
 
     def search(
@@ -180,7 +172,7 @@ class TickSource:
         hysteresis: float = 0.0,
         armed: Armed | None = None,
     ) -> Search:
-        """Search the ticks behind `after_tick` for the first crossing. Raises `ScopeRefusal`."""
+        """Search the ticks behind `after_tick` for the first crossing. Raises `PageRefusal`."""
         stretch = TickRange(log, after_tick + 1, 1 << 62)
         columns = self.read_columns(stretch, ("tick", "t_s", field))
         crossing: Crossing = find_crossing(columns[field], level, slope, hysteresis, armed)
@@ -191,11 +183,11 @@ class TickSource:
         return Search(int(ticks[at]), float(columns["t_s"][at]), searched, crossing.armed)
 
     def cut(self, stretch: TickRange) -> bytes:
-        """Return a stretch of a finished log as a log of its own. Raises `ScopeRefusal`."""
+        """Return a stretch of a finished log as a log of its own. Raises `PageRefusal`."""
         source = self._require_log(stretch.log)
         if self._memory.is_following(stretch.log):
-            raise ScopeRefusal(
-                HTTPStatus.CONFLICT, "the run goes on: its log can be cut when it is over"
+            raise PageRefusal(
+                "the run goes on: its log can be cut when it is over", HTTPStatus.CONFLICT
             )
         try:
             ticks = read(source, fields=("tick",))["tick"]
@@ -206,19 +198,19 @@ class TickSource:
                 cut_log(source, piece, from_row=first, to_row=end)
                 return piece.read_bytes()
         except (LogError, OSError) as error:
-            raise ScopeRefusal(HTTPStatus.CONFLICT, str(error)) from None
+            raise PageRefusal(str(error), HTTPStatus.CONFLICT) from None
 
     def _find_log(self, name: str) -> Path:
         """Return the path of a log of the daemon's folder; names with a folder are refused."""
         if self.folder is None or Path(name).name != name or not name.endswith(".mcap"):
-            raise ScopeRefusal(HTTPStatus.NOT_FOUND, "there is no such log")
+            raise PageRefusal("there is no such log", HTTPStatus.NOT_FOUND)
         return self.folder / name
 
     def _require_log(self, name: str) -> Path:
         path = self._find_log(name)
         if not path.is_file():
-            raise ScopeRefusal(
-                HTTPStatus.NOT_FOUND, "there is no such log yet: it is whole when the run is over"
+            raise PageRefusal(
+                "there is no such log yet: it is whole when the run is over", HTTPStatus.NOT_FOUND
             )
         return path
 
@@ -280,7 +272,7 @@ class ScopeQuestions:
         self._source = source
 
     def answer(self, path: str, query: dict[str, str]) -> ScopeAnswer:
-        """Answer one question. Raises `ScopeRefusal`."""
+        """Answer one question. Raises `PageRefusal`."""
         try:
             match path:
                 case "/scope/state":
@@ -298,8 +290,8 @@ class ScopeQuestions:
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(map(str, first["loc"]))
-            raise ScopeRefusal(HTTPStatus.BAD_REQUEST, f"{where}: {first['msg']}") from None
-        raise ScopeRefusal(HTTPStatus.NOT_FOUND, "there is no such page")
+            raise PageRefusal(f"{where}: {first['msg']}") from None
+        raise PageRefusal("there is no such page", HTTPStatus.NOT_FOUND)
 
     def _tell_state(self) -> ScopeAnswer:
         held = self._memory.state()

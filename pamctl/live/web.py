@@ -39,14 +39,13 @@ from urllib.parse import parse_qs, urlsplit
 from pamctl.daemon.server import Allowance
 from pamctl.live.feed import COLUMNS, EVERY, LOOKS_PER_S, DaemonFeed, Glimpse, describe_glimpses
 from pamctl.live.page_orders import (
-    OrderFailure,
-    OrderNotUnderstood,
     PageOrders,
+    PageRefusal,
     describe_bench,
     list_runs,
     translate_order,
 )
-from pamctl.live.scope import ScopeQuestions, ScopeRefusal, TickSource
+from pamctl.live.scope import ScopeQuestions, TickSource
 from pamctl.live.tick_memory import TickMemory
 from pamctl.report.html_page import COLOURS
 
@@ -238,14 +237,6 @@ class PageServer(ThreadingHTTPServer):
         self.orders.end()
 
 
-class _RequestRefusal(Exception):
-    """A request is refused, with this status and message."""
-
-    def __init__(self, status: HTTPStatus, message: str) -> None:
-        super().__init__(message)
-        self.status = status
-
-
 class _Handler(BaseHTTPRequestHandler):
     """One connection."""
 
@@ -271,8 +262,8 @@ class _Handler(BaseHTTPRequestHandler):
             elif self.path in _PAGE:
                 self._answer(HTTPStatus.OK, self.server.pages[self.path], _PAGE[self.path][1])
             else:
-                raise _RequestRefusal(HTTPStatus.NOT_FOUND, "there is no such page")
-        except _RequestRefusal as refusal:
+                raise PageRefusal("there is no such page", HTTPStatus.NOT_FOUND)
+        except PageRefusal as refusal:
             self._refuse(refusal)
 
     def do_POST(self) -> None:
@@ -280,10 +271,10 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             self._require_own_page()
             if self.path != "/do":
-                raise _RequestRefusal(HTTPStatus.NOT_FOUND, "there is no such page")
+                raise PageRefusal("there is no such page", HTTPStatus.NOT_FOUND)
             status, outcome = self._give_order(self._read_order())
             self._answer(status, json.dumps(outcome).encode(), "application/json")
-        except _RequestRefusal as refusal:
+        except PageRefusal as refusal:
             self._refuse(refusal)
 
     # --- who may ask what ------------------------------------------------------------------
@@ -291,17 +282,15 @@ class _Handler(BaseHTTPRequestHandler):
     def _require_own_page(self) -> None:
         """Refuse other sites: those that use our address as theirs, and cross-site requests."""
         if self.headers.get("Host") not in self.server.hosts:
-            raise _RequestRefusal(
-                HTTPStatus.MISDIRECTED_REQUEST, "this is not the host you asked for"
-            )
+            raise PageRefusal("this is not the host you asked for", HTTPStatus.MISDIRECTED_REQUEST)
         origin = self.headers.get("Origin")
         if origin is not None and origin.removeprefix("http://") not in self.server.hosts:
-            raise _RequestRefusal(HTTPStatus.FORBIDDEN, "other sites may not ask here")
+            raise PageRefusal("other sites may not ask here", HTTPStatus.FORBIDDEN)
         if self.headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin"):
-            raise _RequestRefusal(HTTPStatus.FORBIDDEN, "other sites may not ask here")
+            raise PageRefusal("other sites may not ask here", HTTPStatus.FORBIDDEN)
 
     def _read_order(self) -> dict[str, Any]:
-        """Read an order; raise `_RequestRefusal` if it is not permitted or not understood."""
+        """Read an order; raise `PageRefusal` if it is not permitted or not understood."""
         body = self._read_body()
         token = self.headers.get("Authorization", "").removeprefix("Bearer ")
         is_known = hmac.compare_digest(token.encode(), self.server.token.encode())
@@ -309,36 +298,28 @@ class _Handler(BaseHTTPRequestHandler):
         # The emergency stop is granted after any number of requests.
         is_estop = bool(self.server.token) and is_known and order.get("do") == "estop"
         if not is_estop and not self.server.spend_request():
-            raise _RequestRefusal(HTTPStatus.TOO_MANY_REQUESTS, "too many requests")
+            raise PageRefusal("too many requests", HTTPStatus.TOO_MANY_REQUESTS)
         if not self.server.token:
-            raise _RequestRefusal(HTTPStatus.FORBIDDEN, "read-only: start it with --allow-control")
+            raise PageRefusal("read-only: start it with --allow-control", HTTPStatus.FORBIDDEN)
         if not is_known:
-            raise _RequestRefusal(
-                HTTPStatus.UNAUTHORIZED, "open the page by its whole address, with #..."
+            raise PageRefusal(
+                "open the page by its whole address, with #...", HTTPStatus.UNAUTHORIZED
             )
         return order
 
     def _read_body(self) -> bytes:
         if self.headers.get_content_type() != "application/json":
-            raise _RequestRefusal(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "an order is application/json")
+            raise PageRefusal("an order is application/json", HTTPStatus.UNSUPPORTED_MEDIA_TYPE)
         length = self.headers.get("Content-Length", "")
         if not (length.isascii() and length.isdecimal()):
-            raise _RequestRefusal(HTTPStatus.LENGTH_REQUIRED, "an order has a length")
+            raise PageRefusal("an order has a length", HTTPStatus.LENGTH_REQUIRED)
         digits = length.lstrip("0") or "0"
         if len(digits) > len(str(LARGEST_BODY)) or int(digits) > LARGEST_BODY:
-            raise _RequestRefusal(
-                HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"at most {LARGEST_BODY} bytes"
-            )
+            raise PageRefusal(f"at most {LARGEST_BODY} bytes", HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
         return self.rfile.read(int(digits))
 
     def _give_order(self, order: dict[str, Any]) -> tuple[HTTPStatus, dict[str, Any]]:
-        try:
-            method, params = translate_order(order)
-            number = self.server.orders.give(method, params)
-        except OrderNotUnderstood as error:
-            raise _RequestRefusal(HTTPStatus.BAD_REQUEST, str(error)) from None
-        except OrderFailure as failure:
-            raise _RequestRefusal(failure.status, str(failure)) from None
+        number = self.server.orders.give(*translate_order(order))
         if number is None:
             return HTTPStatus.OK, {}
         return HTTPStatus.ACCEPTED, {"order": number}
@@ -364,16 +345,13 @@ class _Handler(BaseHTTPRequestHandler):
     def _ask_scope(self) -> tuple[bytes, str]:
         asked = urlsplit(self.path)
         query = {name: values[0] for name, values in parse_qs(asked.query).items()}
-        try:
-            return self.server.scope.answer(asked.path, query)
-        except ScopeRefusal as refusal:
-            raise _RequestRefusal(refusal.status, str(refusal)) from None
+        return self.server.scope.answer(asked.path, query)
 
     def _answer(self, status: HTTPStatus, body: bytes, kind: str) -> None:
         self._begin(status, kind, len(body))
         self.wfile.write(body)
 
-    def _refuse(self, refusal: _RequestRefusal) -> None:
+    def _refuse(self, refusal: PageRefusal) -> None:
         self.close_connection = True  # the body may not have been read
         body = json.dumps({"error": str(refusal)}).encode()
         with suppress(ConnectionError, TimeoutError):
@@ -404,7 +382,7 @@ def _parse_order(body: bytes) -> dict[str, Any]:
     try:
         order = json.loads(body)
     except (ValueError, RecursionError):
-        raise _RequestRefusal(HTTPStatus.BAD_REQUEST, "not JSON") from None
+        raise PageRefusal("not JSON") from None
     if not isinstance(order, dict):
-        raise _RequestRefusal(HTTPStatus.BAD_REQUEST, 'an order is {"do": ...}')
+        raise PageRefusal('an order is {"do": ...}')
     return order

@@ -28,7 +28,7 @@ from pamctl.processes.guardian import LoopProcess, Takeover, drive_safe, guard
 from pamctl.processes.loop_supervisor import STARTS_WITHIN_S
 from pamctl.realtime.scheduling import keep_single_threaded, prepare_guardian
 from pamctl.recording.journal import end_for_dead_loop, put_event_for_dead_loop
-from pamctl.recording.recorder import leave_recorder, outlive_signals
+from pamctl.recording.recorder import ignore_signals, leave_recorder
 from pamctl.recording.ring import Ring, RingError
 from pamctl.settings.resolve import RunSettings, from_resolved, settings_to_json
 
@@ -39,7 +39,7 @@ _END_PATIENCE_S = 20.0
 
 def main() -> int:
     """Guard the loop of the ring that the first argument names, or else a person's work."""
-    outlive_signals()
+    ignore_signals()
     if len(sys.argv) < 2:
         return _watch_person()
     keep_single_threaded()

@@ -98,9 +98,3 @@ def restore_signals() -> Iterator[None]:
     yield
     for number, handler in before.items():
         signal.signal(number, handler)
-
-
-def ignore_signals() -> None:
-    """Let a process that a signal has ended go in its own way: further ones say nothing new."""
-    for number in STOP_SIGNALS:
-        signal.signal(number, signal.SIG_IGN)

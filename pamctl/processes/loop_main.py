@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import json
 import sys
-import time
 from collections.abc import Callable
 from contextlib import closing, suppress
 from functools import partial
@@ -27,11 +26,9 @@ from pamctl.realtime.scheduling import SchedulingError, keep_single_threaded, pr
 from pamctl.recording.journal import (
     RingJournal,
     SessionJournal,
-    make_outcome_event,
-    put_last_event,
 )
 from pamctl.recording.recorder import leave_recorder
-from pamctl.recording.ring import RecorderFlag, Ring, RingError, RingFull
+from pamctl.recording.ring import RecorderFlag, Ring, RingError
 from pamctl.settings.resolve import RunSettings, from_resolved
 
 
@@ -48,15 +45,8 @@ def main() -> NoReturn:
         ending = supervisor.name_cause(
             run_to_ending(partial(_run, ring, settings, supervisor, journal, orders))
         )
-        recorded: Ring | None = ring
-        if session is None:
-            # If the ring has no room, the front puts it there once the recorder has made room.
-            ring.loop_done = _put_outcome(ring, ending)
-        else:
-            recorded = session.run
-            with suppress(RingFull):
-                session.end_last_run(ending)
-            ring.loop_done = 1
+        recorded = journal.run
+        journal.end_last_run(ending)
         if recorded is not None and supervisor.may_be_last():
             leave_recorder(recorded.path)
     tell_parent(ending)
@@ -83,19 +73,6 @@ def run_to_ending(work: Callable[[], Ending]) -> Ending:
 
         traceback.print_exc()
         return Ending(ExitCode.UNEXPECTED, f"{type(error).__name__}: {error}")
-
-
-def _put_outcome(ring: Ring, ending: Ending) -> bool:
-    """Put the last event into the ring; wait a moment where the ring is full."""
-    deadline_s = time.monotonic() + 1.0
-    while time.monotonic() < deadline_s:
-        try:
-            put_last_event(ring, make_outcome_event(ending))
-        except RingFull:
-            time.sleep(5e-3)
-        else:
-            return True
-    return False
 
 
 def _run(

@@ -53,9 +53,7 @@ def mark_run(run: RunningRun, text: str) -> None:
     try:
         with Ring.attach(run.ring, populate=False) as ring, closing(Orders(ring.slot)) as orders:
             _await_slot(ring)
-            orders.wait_until_taken(_PATIENCE_S, lambda: _takes_orders(ring))
-            orders.send({"do": "mark", "text": text})
-            orders.wait_until_taken(_PATIENCE_S, lambda: _takes_orders(ring))
+            orders.give({"do": "mark", "text": text}, _PATIENCE_S, lambda: _takes_orders(ring))
     except (RingError, OrderError) as error:
         raise MarkError(f"the run of {run.log} takes no mark: {error}") from error
 

@@ -67,6 +67,14 @@ class Orders:
                 raise OrderError(f"the loop did not take the order within {patience_s:g} s")
             time.sleep(_POLL_S)
 
+    def give(
+        self, order: Mapping[str, Any], patience_s: float, is_alive: Callable[[], bool]
+    ) -> None:
+        """Return once the loop has taken an order; raise `OrderError` if it does not in time."""
+        self.wait_until_taken(patience_s, is_alive)
+        self.send(order)
+        self.wait_until_taken(patience_s, is_alive)
+
     def stop_now(self) -> None:
         """Demand the emergency stop. Only a new session runs again."""
         self._words[_EMERGENCY] = 1

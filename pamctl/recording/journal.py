@@ -18,6 +18,8 @@ from pamctl.recording.ring import LoopStage, RecorderFlag, Ring, RingFull
 SILENT_RECORDER_S = 3.0
 """A recorder without a sign of life for this time counts as dead."""
 
+_ROOM_PATIENCE_S = 1.0
+
 
 class RingJournal:
     """Puts rows, and writes the loop's heartbeat and worst lateness into the ring's header.
@@ -32,6 +34,11 @@ class RingJournal:
         """The ring whose heartbeat the guardian watches."""
         self._now_ns = now_ns
         self._worst_late_s = 0.0
+
+    @property
+    def run(self) -> Ring | None:
+        """The ring of the current run."""
+        return self._ring
 
     @property
     def start_ns(self) -> int:
@@ -81,6 +88,19 @@ class RingJournal:
         """Tell the guardian to wait longer: releasing a card takes longer than a tick."""
         self._watched.loop_beat_ns = self._now_ns()
         self._watched.loop_stage = LoopStage.LEAVING
+
+    def end_last_run(self, ending: Ending) -> None:
+        """Put the outcome behind the last tick of a run that goes on; wait a moment for room.
+
+        Where there is none, the front puts it there once the recorder has made room.
+        """
+        deadline_s = time.monotonic() + _ROOM_PATIENCE_S
+        while self.run is not None and not self.run.loop_done and time.monotonic() < deadline_s:
+            try:
+                put_last_event(self.run, make_outcome_event(ending))
+                self.run.loop_done = 1
+            except RingFull:
+                time.sleep(5e-3)
 
 
 def wait_for_recorder(ring: Ring) -> None:
@@ -164,9 +184,9 @@ class SessionJournal(RingJournal):
 
     def end_last_run(self, ending: Ending) -> None:
         """End the current run at its last tick, because the session ends."""
-        if self.run is not None:
-            last = self.run.latest_tick() or {"tick": 0, "encoder_t_ns": 0}
-            self.end_run(int(last["tick"]), int(last["encoder_t_ns"]), ending)
+        super().end_last_run(ending)
+        self._ring = self._session
+        self._session.loop_done = 1
 
     def _show_life(self, late_s: float, missed: int) -> None:
         super()._show_life(late_s, missed)

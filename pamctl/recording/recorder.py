@@ -149,15 +149,15 @@ def _record_alone(ring_path: Path) -> str:
 # --- the process ----------------------------------------------------------------------------------
 
 
-def outlive_signals() -> None:
-    """Ignore the signals that end the other processes of a run, whose work this one completes."""
+def ignore_signals() -> None:
+    """Ignore the signals that end a run: this process completes what the others leave."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
 
 
 def main(arguments: list[str]) -> int:
     """Record the ring given as the first argument; return the exit code."""
-    outlive_signals()
+    ignore_signals()
     keep_freed_memory()
     try:
         ring_path, *alone = arguments

@@ -23,7 +23,7 @@ from pamctl.processes.run_once import make_run_meta
 from pamctl.recording.journal import SessionJournal, wait_for_recorder
 from pamctl.recording.recorded_run import LogReport, ThreadRecordedRun
 from pamctl.recording.recorder import RecorderError
-from pamctl.recording.ring import Ring, RingError, RingFull
+from pamctl.recording.ring import Ring, RingError
 from pamctl.session.pamctl_error import hold_back_ctrl_c
 from pamctl.settings.resolve import RunSettings
 from pamctl.signals import Phase
@@ -229,10 +229,7 @@ class InProcessLoop:
         except Exception as error:
             self._failure = error
             ending = Ending(ExitCode.UNEXPECTED, f"{type(error).__name__}: {error}")
-        try:
-            self._journal.end_last_run(ending)
-        except RingFull as error:
-            ending = Ending(ExitCode.UNEXPECTED, str(error))
+        self._journal.end_last_run(ending)
         self._ending = ending
         self._done.put(None)
 

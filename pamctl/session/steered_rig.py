@@ -388,11 +388,9 @@ def _is_held_at(position_m: float, tick: Mapping[str, float] | None) -> bool:
 
 
 def _read_section(section: str, name: str) -> dict[str, Any]:
-    from pamctl.settings.config_files import find_config_file, read_tables
-    from pamctl.settings.resolve import read_section_file, settings_to_data
+    from pamctl.settings.config_files import find_config_file, read_section
 
-    path = find_config_file(section, name, section)
-    return settings_to_data(read_section_file(section, path, (), read_tables))
+    return read_section(section, find_config_file(section, name, section))
 
 
 def _require_end(data: Mapping[str, Any], duration_s: float | None) -> None:

@@ -6,7 +6,7 @@ No model is imported here: the help and the options of all verbs name these file
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -57,6 +57,16 @@ def find_config_file(section: str, name: str, option: str = "") -> Path:
 # --- the files of tables -----------------------------------------------------------------------
 
 _KINDS = ("table", "valve_table")
+
+
+def read_section(section: str, path: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
+    """Return the checked keys of one file of a section, tables with their points.
+
+    Raise `ConfigError`.
+    """
+    from pamctl.settings.resolve import read_section_file, settings_to_data
+
+    return settings_to_data(read_section_file(section, path, overrides, read_tables))
 
 
 def read_tables(raw: RawSettings) -> None:

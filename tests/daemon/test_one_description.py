@@ -26,7 +26,7 @@ from pamctl.daemon.protocol import INVALID_PARAMS, list_orders, methods_of, orde
 from pamctl.daemon.rig_session import RigSession
 from pamctl.daemon.server import Server
 from pamctl.daemon.session_life import STATES, RigState
-from pamctl.live.page_orders import OrderNotUnderstood, translate_order
+from pamctl.live.page_orders import PageRefusal, translate_order
 from pamctl.session.daemon_rig import DaemonRig
 
 READ_BY_VIEWERS = {"settings", "recent", "undo", "load"}
@@ -101,7 +101,7 @@ def test_a_new_order_is_given_by_socket_python_asyncio_page_and_verb(
 
         assert asyncio.run(work()) == expected
         assert translate_order({"do": "wave", "height_m": 0.01}) == ("wave", {"height_m": 0.01})
-        with pytest.raises(OrderNotUnderstood, match="height_m"):
+        with pytest.raises(PageRefusal, match="height_m"):
             translate_order({"do": "wave", "height_m": 1})
         app = typer.Typer()
         app.command()(make_verb(list_orders(RigSession)["wave"]))

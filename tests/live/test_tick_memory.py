@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from support.made_up import columns, meta, put, tick
 
-from pamctl.live.scope import ScopeQuestions, ScopeRefusal, TickSource
+from pamctl.live.page_orders import PageRefusal
+from pamctl.live.scope import ScopeQuestions, TickSource
 from pamctl.live.tick_memory import TickMemory, TickShelf
 from pamctl.recording.ring import Ring
 
@@ -141,7 +142,7 @@ def test_a_question_that_cannot_be_answered_is_refused(ring, tmp_path, path, que
     (tmp_path / "a.mcap").touch()  # the recorder has begun it
     put(ring, range(10))
     follow(memory, ring)
-    with pytest.raises(ScopeRefusal) as refusal:
+    with pytest.raises(PageRefusal) as refusal:
         ScopeQuestions(memory, source).answer(path, query)
     assert refusal.value.status == status
     memory.close()

@@ -6,6 +6,7 @@ import socket
 import stat
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -121,26 +122,30 @@ def ticks_since_the_encoder_counted(log: Log) -> np.ndarray:
 
 @pytest.mark.long
 def test_gains_change_without_a_jump_and_replay_follows_them(up: Daemon) -> None:
-    log = up.ask("goto", position_m=8e-3, within_s=0.5)["log"]
-    up.wait_until(lambda s: s["state"] == "ready" and s["log"] is not None)
+    """A busy machine gives few ticks in a row: gains change until enough of them were seen."""
     before = up.ask("status")["controller"]["lambda_per_s"]
-    up.ask("set", changes=["controller.lambda_per_s=25"], ramp_s=0.2)
-    up.wait_ticks(1000)
-    up.ask("set", changes=[f"controller.lambda_per_s={before}"], ramp_s=0.2)
-    up.wait_ticks(500)
-    up.ask("stop")
-    parked(up)
-    ran = read(log)
-    assert [g["lambda_per_s"] for g in ran.gains] == [before, 25, before]
-    resting = ran["phase"] == 3
-    changed, changed_back = (gains["tick"] for gains in ran.gains[1:])
-    between = resting & (ran["tick"] >= changed) & (ran["tick"] < changed_back)
-    calm = between & (ticks_since_the_encoder_counted(ran) > 30) & (ran["missed"] == 0)
-    assert np.count_nonzero(calm) > 20
-    step_v = np.abs(np.diff(ran["command_v"], prepend=np.nan))
-    assert step_v[calm].max() < 0.02
-    replayed = replay_log(ran)
-    assert replayed.is_equal, replayed.differences
+    seen, deadline_s = 0, time.monotonic() + PATIENCE_S
+    while seen <= 20:
+        assert time.monotonic() < deadline_s, "the machine gives no ticks"
+        log = up.ask("goto", position_m=8e-3, within_s=0.5)["log"]
+        up.wait_until(lambda s: s["state"] == "ready" and s["log"] is not None)
+        up.ask("set", changes=["controller.lambda_per_s=25"], ramp_s=0.2)
+        up.wait_ticks(1000)
+        up.ask("set", changes=[f"controller.lambda_per_s={before}"], ramp_s=0.2)
+        up.wait_ticks(500)
+        up.ask("stop")
+        parked(up)
+        ran = read(log)
+        assert [g["lambda_per_s"] for g in ran.gains] == [before, 25, before]
+        changed, changed_back = (gains["tick"] for gains in ran.gains[1:])
+        between = (ran["phase"] == Phase.REST) & (ran["tick"] >= changed)
+        between &= ran["tick"] < changed_back
+        calm = between & (ticks_since_the_encoder_counted(ran) > 30) & (ran["missed"] == 0)
+        step_v = np.abs(np.diff(ran["command_v"], prepend=np.nan))
+        assert np.all(step_v[calm] < 0.02)
+        replayed = replay_log(ran)
+        assert replayed.is_equal, replayed.differences
+        seen += np.count_nonzero(calm)
 
 
 @pytest.mark.parametrize(

@@ -128,6 +128,18 @@ def test_results_go_to_the_arguments_of_their_names_in_any_order():
     assert (call.get("second"), call.get("first")) == (2.0, 4.0)
 
 
+def give_quotients(all, place):
+    return all + 1.0, all / place
+
+
+def test_a_call_that_fails_raises_as_python_does_and_changes_no_argument():
+    call = prepare(give_quotients, {"all": 1.0, "place": 0.0}, updates=("all", "place"))
+    assert call.is_native
+    with pytest.raises(ZeroDivisionError):
+        call.run()
+    assert (call.get("all"), call.get("place")) == (1.0, 0.0)
+
+
 def test_a_result_that_its_argument_cannot_hold_is_refused():
     for value in (1, True):
         with pytest.raises(NotInC, match="give_result: its results"):

@@ -268,7 +268,7 @@ def judge_dialect(dialect: dict[str, Any]) -> str:
     return "read"
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(dialects())
 def test_a_table_is_read_back_or_refused_in_every_dialect(dialect):
     judge_dialect(dialect)

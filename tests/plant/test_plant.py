@@ -369,7 +369,7 @@ def test_air_that_came_in_is_the_integral_of_the_flow(commands: list[tuple[float
 
 
 @given(held_commands)
-@examples(max_examples=150, deadline=None)
+@examples(max_examples=60, deadline=None)
 def test_pressure_stays_between_atmosphere_and_tank(commands: list[tuple[float, int]]) -> None:
     """No valve can lead out of these bounds, and neither can the muscle's own motion.
 

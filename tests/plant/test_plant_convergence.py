@@ -71,10 +71,8 @@ def worst(one: Recorded, other: Recorded) -> tuple[float, float]:
 
 
 @pytest.mark.long
-@command_names
-def test_the_reference_is_a_thousand_times_better_than_the_required_accuracy(
-    name: str,
-) -> None:
+def test_the_reference_is_a_thousand_times_better_than_the_required_accuracy() -> None:
+    name = "small"  # it reverses and sticks
     other_method = solve(COMMANDS[name], TICK_S, method="LSODA", rtol=1e-10)
     looser = solve(COMMANDS[name], TICK_S, method="Radau", rtol=1e-8)
     for check in (other_method, looser):
@@ -124,13 +122,13 @@ def test_the_plant_converges_to_the_reference(name: str) -> None:
 
 
 @pytest.mark.long
-@command_names
-def test_a_lagging_spool_keeps_second_order(name: str) -> None:
+def test_a_lagging_spool_keeps_second_order() -> None:
+    name = "small"
     errors = [error_m(name, steps, VALVE_109_HZ) for steps in (1, 2, 4, 16)]
     assert math.log2(errors[0] / errors[-1]) / 4 > 1.8, errors
     # Coarser than without: the opening runs through zero within a step or two.
-    assert errors[1] < 2.0 * UM  # measured: 1.43 and 0.13 um
-    assert errors[2] < 0.3 * UM  # measured: 0.13 and 0.03 um
+    assert errors[1] < 0.5 * UM  # measured: 0.13 um
+    assert errors[2] < 0.1 * UM  # measured: 0.03 um
 
 
 commands_v = st.one_of(st.sampled_from([0.0, 5.0, -5.0]), st.floats(-5, 5), st.floats(-0.5, 0.5))

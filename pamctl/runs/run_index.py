@@ -129,7 +129,8 @@ def _hold(folder: Path) -> Iterator[None]:
         return
     number = os.open(folder, os.O_RDONLY)
     try:
-        fcntl.flock(number, fcntl.LOCK_EX)
+        with suppress(OSError):  # some network folders have no locks
+            fcntl.flock(number, fcntl.LOCK_EX)
         yield
     finally:
         os.close(number)

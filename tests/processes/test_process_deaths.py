@@ -310,6 +310,29 @@ def test_runs_without_a_clock_do_not_get_into_each_others_way(tmp_path: Path) ->
 
 
 @pytest.mark.long
+def test_the_next_start_finishes_the_log_of_a_killed_run_without_a_clock(tmp_path: Path) -> None:
+    device, log = f"test{os.getpid()}-nobodys", tmp_path / "killed.mcap"
+    run = subprocess.Popen(run_command(device, "--fast", "--quiet", "--log", str(log)))
+    try:
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not log.exists() or log.stat().st_size < 1 << 20:
+            assert time.monotonic() < deadline_s
+            time.sleep(0.01)
+    finally:
+        run.kill()
+        run.wait()
+    ring = await_ring(run.pid)
+    with Ring.attach(ring) as left:
+        last = left.latest_tick()
+    age_ring(ring)
+    command = run_command(device, "--fast", "--duration", "0.1", "--quiet", "--log", "next.mcap")
+    subprocess.run(command, cwd=tmp_path, check=True, timeout=PATIENCE_S, capture_output=True)
+    assert not ring.exists()
+    assert last is not None
+    assert read(log)["tick"].tolist() == list(range(int(last["tick"]) + 1))
+
+
+@pytest.mark.long
 def test_signals_do_not_end_a_guardian_before_its_loop(tmp_path: Path, device: str) -> None:
     with running(tmp_path, device) as run:
         await_motion(run)

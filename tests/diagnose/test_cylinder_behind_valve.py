@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.cylinder import Array, Cylinder, excite
@@ -10,6 +12,7 @@ from pamctl.diagnose import Record, diagnose
 from pamctl.diagnose.evidence.fit import WeighedModel
 from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.weigh import list_pool, prepare_weigher
+from pamctl.diagnose.report.finding_words import list_faults
 
 T_S = np.arange(0.0, 5.0, 2e-3)
 GUESSED = Cylinder(
@@ -66,3 +69,20 @@ def test_a_model_that_was_led_astray_is_fitted_anew_from_the_numbers_of_the_plan
     assert found["polytropic.exponent"] == pytest.approx(1.4, abs=0.01)
     assert found["mass_kg"] == pytest.approx(rig.mass_kg, rel=0.02)
     assert found["cylinder_volume_m3"] == pytest.approx(rig.volume_m3, rel=0.02)
+
+
+@pytest.mark.long
+def test_a_piston_that_was_homed_off_its_end_is_no_scale_of_the_encoder() -> None:
+    """Friction holds it 10 mm off its end, and the far end is then seen 10 mm nearer."""
+    rig = Cylinder(coulomb_n=15.0, preload_n=0.0, gain_m2_per_v=6e-7)
+    runs = [record(rig, seed) for seed in (1, 2)]
+    homed = [replace(run, position_m=np.asarray(run.position_m) - 0.01) for run in runs]
+    found = diagnose(homed, [], rig.plant())
+    assert {f.name for f in found.findings[:2]} == {"coulomb_friction", "end_stop"}
+    (fault,) = list_faults(found) or [None]
+    named = {f.name for f in found.findings if f.level == "name"}
+    assert "encoder_scale" not in named
+    assert fault is None or fault.value == pytest.approx(-0.01, abs=2e-4)
+    numbers = {n.name: n.value for n in found.evidence.recalibrated}
+    assert numbers["mass_kg"] == pytest.approx(rig.mass_kg, rel=0.03)
+    assert numbers["stiffness_n_per_m"] == pytest.approx(rig.stiffness_n_per_m, rel=0.03)

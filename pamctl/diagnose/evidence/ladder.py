@@ -156,7 +156,8 @@ def _judge_rivals(
     asked = [n for n in pool if n != mine.name and _may_rival(search, n, mine)]
     scored = _choose_rivals(search, search.score(without, asked), mine)
     promised = {s.name: s.gain for s in scored}
-    rivals = search.refit(without, scored, len(scored), gain) if scored else []
+    fits = search.refit(without, scored, len(scored), gain) if scored else []
+    rivals = [r for r in fits if r.names[-1] != mine.name]
     weigher.meet(without, m)
     least = m.total + RIVAL_SHARE * gain
     for close in [r for r in rivals if weigher.leave_out(r).total < least]:
@@ -166,9 +167,9 @@ def _judge_rivals(
     for rival in rivals:
         its, lead = pool[rival.names[-1]], weigher.leave_out(rival).left_out - m.left_out
         beaten = _is_beaten(weigher, rival, m, lead, gain)
-        failed = rival.total > without.total - KEPT_PROMISE * promised[its.name]
+        failed = rival.total > without.total - KEPT_PROMISE * promised.get(its.name, 0.0)
         if its.place == mine.place and failed:  # its fit failed: it may be true
-            beaten &= promised[its.name] < LEFT_SHARE * gain
+            beaten &= promised.get(its.name, 0.0) < LEFT_SHARE * gain
         draws = bound_gain(lead, np.linspace(SURE, 1.0 - SURE, 199))
         judged.append(
             JudgedRival(

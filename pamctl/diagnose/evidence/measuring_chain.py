@@ -22,8 +22,10 @@ HIGH_UP = 0.4
 """Of the air's pressure at sea level, the share that the highest laboratories lack."""
 HEAVIER = 12.0
 """Times the plant file's mass that may move."""
-SWITCHED = (TURNED, ADDED)
-"""Kinds that are so or not: there is nothing between."""
+STOP = "stop"
+"""The kind of an end that is seen elsewhere."""
+SWITCHED = (TURNED, ADDED, STOP)
+"""Kinds that are so or not: no tangent leads there."""
 
 
 HOME = f"{CHAIN}home."
@@ -44,9 +46,13 @@ def free_home(hypothesis: Hypothesis) -> Hypothesis:
 
 
 def list_of_chain(
-    channels: Sequence[str], plant: Mapping[str, float], period_s: float, actuator: Actuator
+    channels: Sequence[str],
+    plant: Mapping[str, float],
+    period_s: float,
+    actuator: Actuator,
+    reach: Mapping[str, tuple[float, float]],
 ) -> Iterator[Hypothesis]:
-    """Yield what makes a file differ from the plant.
+    """Yield what makes a file differ from the plant; `reach` is the range of each column.
 
     Columns that are late, smoothed, of another clock, scaled or turned round; the air of the place;
     numbers of the plant file that no fit moves.
@@ -94,6 +100,27 @@ def list_of_chain(
             place = "pull" if name == "rest_length_m" else "air"
             yield _make_number(name.rsplit("_", 1)[0], place, name, plant[name], share, 0.05)
         yield _make_mass(plant["mass_kg"])
+    if actuator == "cylinder" and "position" in reach:
+        yield _make_stop(plant["stroke_m"], *reach["position"])
+
+
+def _make_stop(stroke_m: float, lowest_m: float, highest_m: float) -> Hypothesis:
+    """Return an end of the stroke that is seen elsewhere: another stroke, or another zero.
+
+    Friction holds a piston off its end while it is homed. Where both ends are seen the zero is off;
+    where one is, the data do not tell. The fit begins where the piston stopped.
+    """
+    visible = 0.01 * stroke_m
+    if abs(highest_m - lowest_m - stroke_m) < visible:
+        name, begin_m, neutral_m = f"{CHAIN}added.position_m", lowest_m, 0.0
+        range_m = -stroke_m, stroke_m
+    else:
+        name, begin_m, neutral_m = "stroke_m", highest_m, stroke_m
+        range_m = 0.5 * stroke_m, 1.5 * stroke_m
+    size = Unknown(name, begin_m, *range_m, visible, neutral_m, visible)
+    variants = (Variant({}, (size,)),)
+    setup = ("end_stop", "position_m")
+    return Hypothesis("end_stop", "encoder", STOP, variants, "end_stop", setup=setup)
 
 
 def _make_turn(short: str, place: str, channel: str) -> Hypothesis:

@@ -18,7 +18,7 @@ from pamctl.diagnose.evidence.constants import (
     SHORTLIST,
 )
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
-from pamctl.diagnose.evidence.measuring_chain import SWITCHED
+from pamctl.diagnose.evidence.measuring_chain import STOP, SWITCHED
 from pamctl.diagnose.evidence.pool import Hypothesis, Variant
 from pamctl.diagnose.evidence.scores import EvidenceScore, drop_name, extend_model, score_all
 
@@ -130,22 +130,49 @@ class NameSearch:
         It is asked first, from the plant file's numbers: no tangent leads from one sign to another.
         """
         weigher, best = self.weigher, base
-        start = np.array([n.value for n in base.numbers])
         for its in self.pool.values():
             if its.kind not in SWITCHED:
                 continue
-            (variant,) = its.variants
-            (factor,) = variant.sizes
-            numbers, x = (*base.numbers, factor), np.append(start, factor.value)
-            e = WeighedModel((its.name,), numbers, {}, x, {its.name: variant})
             weigher.set_floor(base)
-            weigher.refine(e)
+            e = self._switch(base, its)
             if weigher.like(e.d, weigher.floor2).by_block.sum() < base.cost.by_block.sum():
                 e = weigher.settle(e)
                 weigher.meet(base, e)
                 if weigher.counts(base, e) and e.total < min(best.total, base.total):
                     best = e
         return best
+
+    def _switch(self, m: WeighedModel, its: Hypothesis) -> WeighedModel:
+        """Return the model with a hypothesis, unfitted, at the plant file's own numbers."""
+        (variant,) = its.variants
+        (size,) = variant.sizes
+        own = {n for v in m.picked.values() for n in (u.name for u in v.free)}
+        x = [m.values[n.name] if n.name in own else n.value for n in m.numbers]
+        e = WeighedModel(
+            (*m.names, its.name), (*m.numbers, size), m.held, np.array([*x, size.value]),
+            {**m.picked, its.name: variant},
+        )  # fmt: skip
+        self.weigher.refine(e)
+        return e
+
+    def _move_ends(self, m: WeighedModel) -> list[tuple[float, WeighedModel]]:
+        """Return the fitted model in which an end of the stroke is where the piston stopped.
+
+        The own numbers stood in for it: a fit begins at the plant file's. It is asked only where
+        much is left.
+        """
+        weigher, floor2 = self.weigher, self.weigher.floor2
+        ends = [h for h in self.pool.values() if h.kind == STOP and h.name not in m.names]
+        left2 = weigher.find_robust2(m) / weigher.find_noise2(m)
+        if left2.max() < LEFT_TIMES**2:
+            return []
+        before, moved = float(m.cost.by_block.sum()), list[tuple[float, WeighedModel]]()
+        for its in ends:
+            e = weigher.settle(self._switch(m, its))
+            weigher.floor2 = floor2
+            e.loss = weigher.like(e.d, floor2)
+            moved.append((before - float(e.cost.by_block.sum()), e))
+        return moved
 
     def score(self, m: WeighedModel, names: Sequence[str]) -> list[EvidenceScore]:
         """Return the scores of those names that a model may take, the best first.
@@ -155,7 +182,7 @@ class NameSearch:
         known = self._scored.setdefault(frozenset(m.names), [])
         new = {*names} - {s.name for s in known}
         asked = [self.pool[n] for n in names if n in new and self.fits_in(m, self.pool[n])]
-        known += score_all(self.weigher, m, asked)
+        known += score_all(self.weigher, m, [h for h in asked if h.kind != STOP])
         known.sort(key=lambda s: -s.gain)
         return [s for s in known if s.name in {*names}]
 
@@ -203,6 +230,7 @@ class NameSearch:
         for score in chosen:
             e = weigher.fit(extend_model(weigher, m, score), ROUGH_STEPS, is_rough=True)
             rough.append((before - float(e.cost.by_block.sum()), e))
+        rough += self._move_ends(m)
         best = max(gain for gain, _ in rough)
         for k, score in enumerate(chosen):
             if rough[k][0] < best < score.gain:  # it promised more: the dose's tangent misled it
@@ -213,10 +241,14 @@ class NameSearch:
         for gain, e in rough:
             worth = len(fits) < POLISHED and gain > least and weigher.may_be_seen(m, e)
             fits.append(weigher.polish(e) if worth else weigher.leave_out(e))
-        fits.sort(key=lambda e: e.total)
+        fits.sort(key=self._rank)
         if fits and self.pool[fits[0].names[-1]].is_term:
             self._prefer_name(m, fits)
         return fits
+
+    def _rank(self, e: WeighedModel) -> float:
+        """Return a model's nats; of what does alike, an end that is seen elsewhere comes first."""
+        return e.total - (NAME_NATS if self.pool[e.names[-1]].kind == STOP else 0.0)
 
     def choose_form(self, m: WeighedModel, e: WeighedModel) -> WeighedModel:
         """Return the form of a model's last name that does best; of equal ones the simplest.

@@ -44,7 +44,13 @@ from pamctl.plant.drive import (
     drive_mechanics,
 )
 from pamctl.plant.effects.description import ACTUATORS
-from pamctl.plant.parameters import ACTUATOR, PlantParameters, parameters_of, rest_state
+from pamctl.plant.parameters import (
+    ACTUATOR,
+    PlantParameters,
+    keep_in_stroke,
+    parameters_of,
+    rest_state,
+)
 from pamctl.plant.required_force import required_force_n
 
 Array = NDArray[np.float64]
@@ -65,6 +71,8 @@ HELD_OUT = (5, 11)
 """Of twelve stretches of each record, those that are held out where no record is."""
 ADDED_PA = f"{CHAIN}added.pressure_pa"
 """What a file's pressure is too high by: a record begins by so much lower."""
+ADDED_M = f"{CHAIN}added.position_m"
+"""The same of a piston's position."""
 FAR = 1e4
 """What a simulation shows where the plant leaves the range of its model."""
 
@@ -299,7 +307,7 @@ class Runs:
         air_pa = chain.get(f"{CHAIN}atmosphere")
         if air_pa is not None:
             plain["atmospheric_pressure_pa"] = air_pa
-        early = ("valve_v", "t_s", ADDED_PA)
+        early = ("valve_v", "t_s", ADDED_PA, ADDED_M)
         command = {k: v for k, v in chain.items() if k.endswith(early)}
         key = (step_s, *sorted((plain | command).items()))
         last = self._whole._last
@@ -336,7 +344,7 @@ class Runs:
         if self.actuator == "direct":
             return self._drive_mechanism(p, stretch, grid)
         if "valve_v" not in inputs:
-            start = self._start(p, stretch, 0.0)
+            start = self._start(p, stretch, command)
             response = drive_mechanics(p, inputs["pressure_pa"], grid, start=start)
             return response.position_m[None]
         commands = inputs["valve_v"]
@@ -345,17 +353,20 @@ class Runs:
             when_s = grid.samples_s * (1.0 + command.get(f"{CHAIN}clock.valve_v", 0.0))
             when_s = when_s + command.get(f"{CHAIN}late.valve_v", 0.0)
             commands = np.interp(when_s, grid.samples_s, commands)
-        start = self._start(p, stretch, command.get(ADDED_PA, 0.0))
+        start = self._start(p, stretch, command)
         coupled = drive_coupled(p, commands, grid, start=start)
         return np.stack([getattr(coupled, channel) for channel in self.channels])
 
-    def _start(self, p: PlantParameters, stretch: RunPiece, added_pa: float) -> Any:
-        if stretch.starts_at_rest:
+    def _start(self, p: PlantParameters, stretch: RunPiece, chain: Mapping[str, float]) -> Any:
+        """Return the first state; None for a vented muscle. Friction may hold a piston anywhere."""
+        lies_anywhere = self.actuator == "cylinder" and "position_m" in stretch.inputs
+        if stretch.starts_at_rest and not lies_anywhere:
             return None
         first = {name: float(np.median(c[:5])) for name, c in stretch.inputs.items()}
-        position_m = first.get("position_m", 0.0)
+        added_pa = chain.get(ADDED_PA, 0.0)
         pressure_pa = first.get("pressure_pa", self._atmosphere_pa + added_pa) - added_pa
-        return rest_state(p, position_m, pressure_pa)
+        position_m = first.get("position_m", 0.0) - chain.get(ADDED_M, 0.0)
+        return rest_state(p, keep_in_stroke(p, position_m), pressure_pa)
 
     def _drive_mechanism(self, p: PlantParameters, stretch: RunPiece, grid: SampleGrid) -> Array:
         inputs, rates, n = stretch.inputs, stretch.rates, len(grid.samples_s)

@@ -276,7 +276,7 @@ def list_pool(runs: Runs, values: Mapping[str, float], plant: PlantSettings) -> 
     taken = {LOCATIONS[t.removesuffix(SUFFIX)].part for t in acting if t.endswith(SUFFIX)}
     pool = [
         *(free_home(h) for h in list_effects(plant.actuator, machine) if h.family not in acting),
-        *list_of_chain(runs.channels, values, runs.period_s, plant.actuator),
+        *list_of_chain(runs.channels, values, runs.period_s, plant.actuator, reach),
         *(h for h in list_terms(plant.actuator, reach, machine) if h.part not in taken),
     ]
     if plant.actuator == "direct":

@@ -6,7 +6,7 @@ The words follow the level that a finding reaches. Nothing here says more than t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log, pi, sqrt
 from typing import Any, NamedTuple
 
@@ -357,7 +357,7 @@ SETUP_UNITS: Mapping[str, str] = {
 """Units of the numbers between a plant and a file, by their first word."""
 _LABELS = {
     "plant_constant": "", "skew": "skew of ", "clock_rate": "clock of ", "filtered": "filter of ",
-    "sign": "sign of ", "added": "atmosphere in ",
+    "sign": "sign of ", "added": "atmosphere in ", "end_stop": "end stop of ",
 }  # fmt: skip
 _CALLED = {
     "valve_v": "the command",
@@ -403,6 +403,10 @@ class SetupFault(NamedTuple):
         short = n.name.lstrip("~").split(".")[0]
         said = diagnosis.evidence.weigher.base.get(number) if kind == "plant_constant" else None
         unit = UNITS.get(number, "") if kind == "plant_constant" else SETUP_UNITS.get(short, "")
+        if kind == "end_stop":
+            off_m = diagnosis.evidence.weigher.base.get(n.name, 0.0)
+            n = replace(n, value=n.value - off_m, low=n.low - off_m, high=n.high - off_m)
+            unit = "m"
         text, mend = _say_fault(kind, number, n.value, unit, said)
         return cls(kind, number, n.value, (n.low, n.high), unit, said, others, mend, text)
 
@@ -443,6 +447,13 @@ def _say_fault(
             return (
                 f"{column} is {1e-3 * value:.4g} kPa too high: the atmosphere was added twice",
                 f"{number} is absolute already: take the atmosphere out of the import map",
+            )
+        case "end_stop":
+            way = "farther" if value > 0.0 else "nearer"
+            return (
+                f"the piston stops {1e3 * abs(value):.3g} mm {way} than the plant file says: "
+                "another stroke, or another zero of the position",
+                "set the position to zero with the piston at its end, and measure the stroke",
             )
         case "decimated_command":
             return (

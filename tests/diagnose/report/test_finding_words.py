@@ -6,7 +6,7 @@ from pamctl.diagnose.evidence.ladder import JudgedRival
 from pamctl.diagnose.evidence.measuring_chain import list_of_chain
 from pamctl.diagnose.report.finding_words import describe_standing
 
-LATE = next(list_of_chain(["position_m"], {}, 1e-3, "direct"))
+LATE = next(list_of_chain(["position_m"], {}, 1e-3, "direct", {}))
 
 
 @pytest.mark.parametrize(

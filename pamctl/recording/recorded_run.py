@@ -76,7 +76,7 @@ class RecordedRun(ABC):
         if not ring.recorder_flags & RecorderFlag.FINISHED:
             if not ring.is_file:
                 return LogReport(worst, False, note)
-            problem = await_process(spawn_recorder(ring.path), ring)
+            problem = await_process(spawn_recorder(ring.path), ring, _FINISH_PATIENCE_S)
             if not ring.recorder_flags & RecorderFlag.FINISHED:
                 note += f"; the log could not be finished ({problem}). Its last ticks are kept in "
                 note += f"{ring.path}: make room, and the next `pamctl run` finishes it"
@@ -148,11 +148,13 @@ class ThreadRecordedRun(RecordedRun):
         self._complaint = record(self.ring, self)
 
 
-def await_process(recorder: subprocess.Popen[bytes], ring: Ring) -> str:
+def await_process(
+    recorder: subprocess.Popen[bytes], ring: Ring, silent_s: float = RECORDER_PATIENCE_S
+) -> str:
     """Let a recorder finish; return why it did not, be it killed here.
 
-    It must show life all the time, and get on with its rows within a minute, or read on in the
-    file that it goes on with.
+    It must not be silent for longer than `silent_s`, which is more for one that only starts, and
+    get on with its rows within a minute, or read on in the file that it goes on with.
     """
     fault = ""
     seen, beaten_s = (ring.recorder_beats, ring.tail), time.monotonic()
@@ -164,8 +166,8 @@ def await_process(recorder: subprocess.Popen[bytes], ring: Ring) -> str:
         if now[1] != seen[1]:
             moved_s = now_s
         seen = now
-        if now_s - beaten_s > RECORDER_PATIENCE_S:
-            fault = f"the recorder gave no sign of life for {RECORDER_PATIENCE_S:g} s"
+        if now_s - beaten_s > silent_s:
+            fault = f"the recorder gave no sign of life for {silent_s:g} s"
         elif now_s - moved_s > _FINISH_PATIENCE_S:
             fault = f"the recorder did not finish the log within {_FINISH_PATIENCE_S:g} s"
         if fault:

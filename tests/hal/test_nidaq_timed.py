@@ -245,7 +245,7 @@ def test_the_probe_of_the_clock_counts_the_edges_that_nobody_saw(card: Card, ski
     assert trial.missed == 99 * skips
     found = judge_hardware_timing(trial, 1e-3, is_wanted=True)
     assert found.level == ("fault" if skips else "ok")
-    assert f"{trial.missed} missed" in found.found
+    assert f"{trial.missed} missed" in found.message
     assert judge_hardware_timing(trial, 1e-3, is_wanted=False).level == "ok"
 
 
@@ -254,7 +254,7 @@ def test_the_probe_warns_of_a_read_that_polls(card: Card) -> None:
     trial = try_hardware_timing(NidaqSettings(), 1e3, SAFE_V, card.now_ns)
     found = judge_hardware_timing(trial, 1e-3, is_wanted=True)
     assert found.level == "warning"
-    assert "POLL" in found.found
+    assert "POLL" in found.message
 
 
 # --- where it is not possible ------------------------------------------------------------

@@ -255,6 +255,6 @@ def test_the_doctor_is_content_where_runs_forbid_sleep_or_the_pc_cannot(
     sleepy: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PATH", put_inhibit(sleepy, "exec cat")["PATH"])
-    assert check_sleep().found == "may be suspended, but not during a run"
+    assert check_sleep().message == "may be suspended, but not during a run"
     (sleepy / "sleep.target").symlink_to("/dev/null")
-    assert check_sleep().found == "this PC cannot be suspended"
+    assert check_sleep().message == "this PC cannot be suspended"

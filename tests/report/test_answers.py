@@ -53,4 +53,6 @@ def test_long_work_says_in_a_file_how_far_it_is(capsys: pytest.CaptureFixture[st
         deadline_s = time.monotonic() + 30.0
         while not (said := capsys.readouterr().err) and time.monotonic() < deadline_s:
             time.sleep(0.1)
-    assert said.startswith("compare: paper, mechanics, 2 s, 25%, about ")
+    # It may say, too, that the model is compiled: that depends on what ran before.
+    assert said.startswith("compare: paper, mechanics")
+    assert ", 2 s, 25%, about " in said

@@ -163,7 +163,7 @@ class NameSearch:
         """
         weigher, floor2 = self.weigher, self.weigher.floor2
         ends = [h for h in self.pool.values() if h.kind == STOP and h.name not in m.names]
-        left2 = weigher.find_robust2(m) / weigher.find_noise2(m)
+        left2 = weigher.find_robust2(m) / weigher.find_noise2(m) if ends else np.zeros(1)
         if left2.max() < LEFT_TIMES**2:
             return []
         before, moved = float(m.cost.by_block.sum()), list[tuple[float, WeighedModel]]()

@@ -200,7 +200,7 @@ class RigForPlantOptions(Options):
     out: Path = argument("RIG.yaml", "New rig file")
     backend: str = option(
         f"--backend {'|'.join(find_backends().found)}",
-        "Backend whose shipped file is changed",
+        "Backend of the new rig file",
         "sim",
     )
 
@@ -210,16 +210,14 @@ class RigForPlantOptions(Options):
 def make_rig(asked: RigForPlantOptions) -> None:
     """Write a rig file for a plant: a shipped one, with limits that suit what moves."""
     out = asked.out
-    if out.suffix not in {".yaml", ".yml"}:
-        message = f"{str(out)!r} must end in .yaml, for --rig to take it as a file"
-        raise typer.BadParameter(message, param_hint="RIG.yaml")
-    require_place(out)
     known = find_backends().found
     if asked.backend not in known:
         which = f"{asked.backend!r} is not one of {', '.join(known)}"
         raise typer.BadParameter(which, param_hint="--backend")
+    from pamctl.commissioning.guided import require_rig_place
     from pamctl.commissioning.suited_rig import make_rig_file
 
+    require_rig_place(out, str(out))
     path = find_argument_file("plant", asked.plant)
     try:
         text, notes = make_rig_file(read_section_file("plant", path), asked.plant, asked.backend)

@@ -85,10 +85,7 @@ def calibrate_rig(
     """
     settings = task.settings
     source = find_config_file("rig", task.rig)
-    if task.out.suffix not in {".yaml", ".yml"}:
-        message = "must end in .yaml, for --rig to take it as a file"
-        raise ConfigError([Problem(f"--out {task.out}", "", message)])
-    require_place(task.out)
+    require_rig_place(task.out, f"--out {task.out}")
     _require_within_limit(task.points_kpa, settings)
     terminal = Terminal()
     if not may_move:
@@ -103,6 +100,14 @@ def calibrate_rig(
     except NewFileError as error:  # the values must not be lost with the file
         failure = error
     return outcome, failure
+
+
+def require_rig_place(path: Path, where: str) -> None:
+    """Raise `ConfigError` or `NewFileError` unless a new rig file can be written there."""
+    if path.suffix not in {".yaml", ".yml"}:
+        message = "must end in .yaml, for --rig to take it as a file"
+        raise ConfigError([Problem(where, "", message)])
+    require_place(path)
 
 
 def _require_within_limit(points_kpa: Sequence[float], settings: RunSettings) -> None:

@@ -10,6 +10,7 @@ from support.cylinder import Array, Cylinder, excite
 
 from pamctl.diagnose import Record, diagnose
 from pamctl.diagnose.evidence.fit import WeighedModel
+from pamctl.diagnose.evidence.measuring_chain import STOP
 from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.weigh import list_pool, prepare_weigher
 from pamctl.diagnose.report.finding_words import list_faults
@@ -86,3 +87,18 @@ def test_a_piston_that_was_homed_off_its_end_is_no_scale_of_the_encoder() -> Non
     numbers = {n.name: n.value for n in found.evidence.recalibrated}
     assert numbers["mass_kg"] == pytest.approx(rig.mass_kg, rel=0.03)
     assert numbers["stiffness_n_per_m"] == pytest.approx(rig.stiffness_n_per_m, rel=0.03)
+
+
+def test_where_both_ends_are_seen_the_zero_of_the_position_is_off() -> None:
+    rig = Cylinder(preload_n=0.0, gain_m2_per_v=6e-7)
+    seen = record(rig, 1)
+    homed = replace(seen, position_m=np.asarray(seen.position_m) - 0.01)
+    weigher, start = prepare_weigher([homed], [], rig.plant())
+    (end,) = (h for h in list_pool(weigher.train, weigher.base, rig.plant()) if h.kind == STOP)
+    (zero,) = end.variants[0].sizes
+    assert zero.value == pytest.approx(-0.01, abs=1e-3)
+    off = {
+        value: np.sqrt(np.mean(weigher.find_residual({**start.values, zero.name: value})[0] ** 2))
+        for value in (-0.01, 0.0)
+    }
+    assert off[-0.01] < 0.1 * off[0.0]

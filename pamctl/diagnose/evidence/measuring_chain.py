@@ -22,10 +22,10 @@ HIGH_UP = 0.4
 """Of the air's pressure at sea level, the share that the highest laboratories lack."""
 HEAVIER = 12.0
 """Times the plant file's mass that may move."""
+SWITCHED = (TURNED, ADDED)
+"""Kinds that are so or not: there is nothing between."""
 STOP = "stop"
 """The kind of an end that is seen elsewhere."""
-SWITCHED = (TURNED, ADDED, STOP)
-"""Kinds that are so or not: no tangent leads there."""
 
 
 HOME = f"{CHAIN}home."

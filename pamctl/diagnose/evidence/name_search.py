@@ -146,8 +146,8 @@ class NameSearch:
         """Return the model with a hypothesis, unfitted, at the plant file's own numbers."""
         (variant,) = its.variants
         (size,) = variant.sizes
-        own = {n for v in m.picked.values() for n in (u.name for u in v.free)}
-        x = [m.values[n.name] if n.name in own else n.value for n in m.numbers]
+        found = {u.name for v in m.picked.values() for u in v.free}
+        x = [m.values[n.name] if n.name in found else n.value for n in m.numbers]
         e = WeighedModel(
             (*m.names, its.name), (*m.numbers, size), m.held, np.array([*x, size.value]),
             {**m.picked, its.name: variant},

@@ -2,7 +2,7 @@
 
     python scripts/fault_rounds.py --rounds 20 --resume faults.jsonl > faults.json
     python scripts/fault_rounds.py --pairs --rounds 5 > pairs.json
-    python scripts/fault_rounds.py --triples --benches sim,daemon > triples.json
+    python scripts/fault_rounds.py --triples --rounds 1 --draw 60 > triples.json
     python scripts/fault_rounds.py --pairs --write    # and the table goes into the manual
 
 JSON on stdout, a line for each round and a table on stderr; exit code 3 if anything went wrong.
@@ -414,9 +414,13 @@ def list_cases(hits: int, bench: str) -> list[tuple[Fault, ...]]:
 
 
 def rounds(
-    count: int, done: Counter[str], hits: int = 1, names: Sequence[str] = BENCHES
+    count: int,
+    done: Counter[str],
+    hits: int = 1,
+    names: Sequence[str] = BENCHES,
+    drawn: int | None = None,
 ) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Run all cases in turn, so that all see the same PC, without the rounds in `done`."""
+    """Run all cases, or so many `drawn`, in turn, so that all see the same PC; none in `done`."""
     with (
         tempfile.TemporaryDirectory() as temporary,
         benches(Path(temporary)) as rigs,
@@ -427,6 +431,8 @@ def rounds(
             for faults in list_cases(hits, bench.name)
             if bench.name in names
         ]
+        if drawn is not None:
+            cases = random.Random(drawn).sample(cases, min(drawn, len(cases)))
         for index in range(count):
             for case, bench, faults in cases:
                 if index < done[case]:
@@ -450,8 +456,11 @@ def main() -> int:
     many.add_argument("--pairs", action="store_const", const=2, dest="hits", help="two faults")
     many.add_argument("--triples", action="store_const", const=3, dest="hits", help="three faults")
     parser.add_argument("--benches", default=",".join(BENCHES), help="[default: %(default)s]")
+    parser.add_argument("--draw", type=int, metavar="N", help="only N cases, drawn at random")
     parser.add_argument("--write", action="store_true", help="put the table into the manual")
     options = parser.parse_args()
+    # A shell ignores Ctrl-C for what it starts in the background, and so would every run.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     names = options.benches.split(",")
     cases: dict[str, list[dict[str, Any]]] = {}
     for found in read_results(options.resume):
@@ -459,7 +468,7 @@ def main() -> int:
     done = Counter({case: len(found) for case, found in cases.items()})
     stopped = False
     try:
-        for case, found in rounds(options.rounds, done, options.hits or 1, names):
+        for case, found in rounds(options.rounds, done, options.hits or 1, names, options.draw):
             cases.setdefault(case, []).append(found)
             print(
                 f"{case:<40}{len(cases[case]):>4}  {describe_round(found)}",

@@ -17,11 +17,11 @@ from pamctl.commissioning.bench import Bench, SensorStatistics, summarise_sample
 from pamctl.commissioning.guided import (
     CalibrationError,
     CalibrationOutcome,
-    CalibrationValue,
     Operator,
     read_while_held,
 )
 from pamctl.commissioning.rig_checks import judge_valve_sign, pulse_valve
+from pamctl.commissioning.rig_file_text import RigValue
 
 PRESSURE_POINTS_KPA = (100.0, 200.0, 300.0)
 _CODE_V = 10.0 / 65536
@@ -61,7 +61,7 @@ def calibrate_pressure(
         readings_pa.append(reading_kpa * 1e3)
         noises_v.append(math.hypot(_mean_noise_v(zero), _CORRELATED * _mean_noise_v(held)))
     bench.hold(bench.safe_valve_v, bench.period_s)
-    zero_value = CalibrationValue(
+    zero_value = RigValue(
         ("calibration", "sensor_zero_v"),
         round(zero.sensor_v, 6),
         "V",
@@ -83,7 +83,7 @@ def calibrate_pressure(
     return CalibrationOutcome(
         (
             zero_value,
-            CalibrationValue(
+            RigValue(
                 ("calibration", "sensor_pa_per_v"),
                 round(gain, 2),
                 "Pa/V",
@@ -246,14 +246,14 @@ def _evaluate_moves(bench: Bench, moves: Sequence[_Move], what: str) -> Calibrat
     )
     return CalibrationOutcome(
         (
-            CalibrationValue(
+            RigValue(
                 ("calibration", "encoder_m_per_count"),
                 float(f"{scale:.7g}"),
                 "m",
                 _slope_uncertainty(scale, counts, residuals_m, _COUNT_NOISE),
                 how,
             ),
-            CalibrationValue(
+            RigValue(
                 ("calibration", "encoder_sign"),
                 sign,
                 "",
@@ -389,7 +389,7 @@ def _evaluate_edges(
     offset_v = round(output_v(bench.calibration, null_v), 5)
     seen = f"dead band {width_v * 1e3:.0f} mV" if width_v > uncertainty_v else "no dead band seen"
     values = [
-        CalibrationValue(
+        RigValue(
             ("calibration", "driver_offset_v"),
             offset_v,
             "V",
@@ -401,7 +401,7 @@ def _evaluate_edges(
     reach_v = min(offset_v - cal.driver_low_v, cal.driver_high_v - offset_v) / cal.driver_gain
     if reach_v < bench.limits.command_v:
         values.append(
-            CalibrationValue(
+            RigValue(
                 ("limits", "command_v"),
                 math.floor(reach_v * 1e3) * 1e-3,
                 "V",

@@ -5,15 +5,12 @@ The new file is the text of the old one with the values put in; its comments and
 
 from __future__ import annotations
 
-import copy
 import math
-import re
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 from hal.rig import RawSample
 from pamctl.commissioning.bench import (
@@ -23,6 +20,7 @@ from pamctl.commissioning.bench import (
     open_workplace,
     summarise_samples,
 )
+from pamctl.commissioning.rig_file_text import RigValue, insert_values
 from pamctl.errors import ConfigError, Problem
 from pamctl.exit_codes import ExitCode
 from pamctl.new_file import NewFileError, require_place, write_files
@@ -37,7 +35,6 @@ from pamctl.settings.resolve import (
     shorten_path,
     validate_settings,
 )
-from pamctl.settings.yaml12 import YamlError, dump_yaml, parse_yaml
 
 
 def check_answers(
@@ -123,7 +120,9 @@ def _make_rig_file(out: Path, source: Path, outcome: CalibrationOutcome, what: s
     """Return the source's text with the values; raise `ConfigError` if that is no rig file."""
     now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
     heading = f"{now}: pamctl calibrate {what}, from {source.name}"
-    text = insert_values(source.read_text(encoding="utf-8"), outcome, heading)
+    text = insert_values(
+        source.read_text(encoding="utf-8"), outcome.values, (heading, *outcome.notes)
+    )
     validate_settings(SECTIONS["rig"], RawSettings.parse(text, out), title="rig")
     return text
 
@@ -154,22 +153,10 @@ def report_calibration(
     return report.add(Facts(found), *map(Text, outcome.notes))
 
 
-class CalibrationValue(NamedTuple):
-    """One value for the rig file, with its uncertainty."""
-
-    keys: tuple[str, str]
-    """Section and key."""
-    value: float
-    unit: str
-    uncertainty: float
-    """Two standard deviations, of this measurement alone; 0 for what is exact."""
-    how: str
-
-
 class CalibrationOutcome(NamedTuple):
     """All that a calibration found."""
 
-    values: tuple[CalibrationValue, ...]
+    values: tuple[RigValue, ...]
     notes: tuple[str, ...]
     """Facts that have no key in the file: they become dated comments."""
     figures: Mapping[str, object]
@@ -236,76 +223,3 @@ def read_while_held(
     while len(latest) < _AVERAGED:
         hold_on()
     return summarise_samples(latest), answer
-
-
-def insert_values(text: str, outcome: CalibrationOutcome, heading: str) -> str:
-    """Return the text of a rig file with the values of a calibration put in.
-
-    `heading` gives the time, the command and the source file; heading and notes become comments at
-    the top. A comment above each value says how it was found.
-    """
-    wanted = _change_data(parse_yaml(text, Path("rig file")).data, outcome.values)
-    edited = text
-    for value in outcome.values:
-        edited = _edit_line(edited, value, heading)
-    found: object = None
-    with suppress(YamlError):
-        found = parse_yaml(edited, Path("rig file")).data
-    if found != wanted:  # written in a way that lines cannot follow: flow style, anchors
-        edited = dump_yaml(wanted)
-    # The notes stand below the comments that the file begins with.
-    lines = edited.splitlines()
-    first = next((i for i, line in enumerate(lines) if not line.startswith("#")), len(lines))
-    lines[first:first] = [f"# {note}" for note in (heading, *outcome.notes)]
-    return "\n".join(lines) + "\n"
-
-
-def _change_data(data: dict[str, object], values: Sequence[CalibrationValue]) -> dict[str, Any]:
-    changed: dict[str, Any] = copy.deepcopy(data)
-    for value in values:
-        section, key = value.keys
-        changed[section] = {**(changed.get(section) or {}), key: value.value}
-    return changed
-
-
-def _edit_line(text: str, value: CalibrationValue, heading: str) -> str:
-    """Change or add one line, with a comment above it."""
-    section, key = value.keys
-    marks = parse_yaml(text, Path("rig file")).marks
-    lines = text.splitlines()
-    if value.keys in marks:
-        at = marks[value.keys].line - 1
-        old = re.match(rf"(\s*{key}\s*:\s*)([^\s#]*)(.*)", lines[at])
-        if old is None:
-            return text
-        before, was, after = old.groups()
-        indent = re.match(r"\s*", before)
-        assert indent is not None
-        comment = f"{indent[0]}# {_describe_value(value, heading)}; was {was}"
-        lines[at : at + 1] = [comment, f"{before}{_format_value(value)}{after}"]
-        return "\n".join(lines) + "\n"
-    if (section,) not in marks:
-        lines += [
-            f"{section}:",
-            f"  # {_describe_value(value, heading)}",
-            f"  {key}: {_format_value(value)}",
-        ]
-        return "\n".join(lines) + "\n"
-    at = marks[(section,)].line
-    columns = [mark.column for at, mark in marks.items() if len(at) == 2 and at[0] == section]
-    indent_text = " " * (min(columns, default=3) - 1)
-    lines[at:at] = [
-        f"{indent_text}# {_describe_value(value, heading)}; was the default",
-        f"{indent_text}{key}: {_format_value(value)}",
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _describe_value(value: CalibrationValue, heading: str) -> str:
-    date = heading.split(maxsplit=1)[0]
-    within = f", +-{value.uncertainty:.2g} {value.unit}" if value.uncertainty else ""
-    return f"{date}: {value.how}{within}"
-
-
-def _format_value(value: CalibrationValue) -> str:
-    return f"{value.value:d}" if isinstance(value.value, int) else repr(value.value)

@@ -17,7 +17,7 @@ import numpy as np
 
 from hal.backend import get_backend
 from hal.calibration import CalibrationSettings
-from pamctl.commissioning.guided import CalibrationOutcome, CalibrationValue, insert_values
+from pamctl.commissioning.rig_file_text import RigValue, insert_values
 from pamctl.plant.drive import drive_coupled
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.safety import LimitSettings
@@ -55,10 +55,10 @@ def make_rig_file(plant: PlantSettings, name: str, backend: str) -> tuple[str, l
     source = find_config_file("rig", shipped)
     rig = read_section_file("rig", source)
     notes = list(_list_checks(is_axis, record.is_simulated))
-    values: list[CalibrationValue] = []
+    values: list[RigValue] = []
     if not is_axis:
-        values += _suit_limits(plant, rig.limits)
-        limit_pa = values[0].value
+        limit_pa = _bound("pressure_pa", ABOVE_SUPPLY * plant_parameters(plant).tank_pressure_pa)
+        values += _suit_limits(plant, rig.limits, limit_pa)
         if not _shows(rig.calibration, rig.limits, limit_pa):
             if record.is_simulated:
                 values.append(_suit_sensor(rig.calibration, limit_pa))
@@ -67,10 +67,9 @@ def make_rig_file(plant: PlantSettings, name: str, backend: str) -> tuple[str, l
                     f"the sensor of the shipped file cannot show {limit_pa * 1e-3:.0f} kPa: "
                     "put yours under calibration.sensor_pa_per_v"
                 )
-    outcome = CalibrationOutcome(tuple(values), tuple(notes), {})
     today = datetime.now(UTC).strftime("%Y-%m-%d")
     heading = f"{today} pamctl plant rig: limits for {name}, from the shipped file {source.name}"
-    return insert_values(source.read_text(encoding="utf-8"), outcome, heading), notes
+    return insert_values(source.read_text(encoding="utf-8"), values, (heading, *notes)), notes
 
 
 def _list_checks(is_axis: bool, is_simulated: bool) -> Iterator[str]:
@@ -81,7 +80,7 @@ def _list_checks(is_axis: bool, is_simulated: bool) -> Iterator[str]:
         yield "check device, channels and safe_volts, then run `pamctl doctor`"
 
 
-def _suit_limits(plant: PlantSettings, limits: LimitSettings) -> list[CalibrationValue]:
+def _suit_limits(plant: PlantSettings, limits: LimitSettings, limit_pa: float) -> list[RigValue]:
     """Return the limits of what a supply fills; a speed limit is not made lower."""
     reach = simulate_reach(plant, limits.command_v)
     speed_mm_per_s = max(ABOVE_SPEED * reach.fastest_m_per_s * 1e3, limits.speed_mm_per_s)
@@ -89,7 +88,7 @@ def _suit_limits(plant: PlantSettings, limits: LimitSettings) -> list[Calibratio
     stroke_mm = reach.highest_m * 1e3
     of_stroke = "from a simulated fill at the full command"
     rows = (
-        ("pressure_pa", ABOVE_SUPPLY * tank_pa, "Pa", "from the supply's pressure"),
+        ("pressure_pa", limit_pa, "Pa", "from the supply's pressure"),
         ("pressure_model_pa", MODEL_SHARE * tank_pa, "Pa", "from the supply's pressure"),
         ("stroke_low_mm", -BEYOND_STROKE * stroke_mm, "mm", of_stroke),
         ("stroke_high_mm", (1.0 + BEYOND_STROKE) * stroke_mm, "mm", of_stroke),
@@ -97,7 +96,7 @@ def _suit_limits(plant: PlantSettings, limits: LimitSettings) -> list[Calibratio
         ("tracking_error_mm", ERROR_SHARE * stroke_mm, "mm", of_stroke),
     )
     return [
-        CalibrationValue(("limits", key), _bound(key, value), unit, 0.0, how)
+        RigValue(("limits", key), _bound(key, value), unit, 0.0, how)
         for key, value, unit, how in rows
     ]
 
@@ -115,11 +114,11 @@ def _shows(calibration: CalibrationSettings, limits: LimitSettings, pressure_pa:
     return calibration.sensor_zero_v + gauge_pa / calibration.sensor_pa_per_v < limits.sensor_high_v
 
 
-def _suit_sensor(calibration: CalibrationSettings, limit_pa: float) -> CalibrationValue:
+def _suit_sensor(calibration: CalibrationSettings, limit_pa: float) -> RigValue:
     gauge_pa = limit_pa - calibration.atmospheric_pressure_pa
     slope = float(f"{gauge_pa / (SENSOR_TOP_V - calibration.sensor_zero_v):.4g}")
     how = "a simulated sensor that shows the limit of the pressure"
-    return CalibrationValue(("calibration", "sensor_pa_per_v"), slope, "Pa/V", 0.0, how)
+    return RigValue(("calibration", "sensor_pa_per_v"), slope, "Pa/V", 0.0, how)
 
 
 def advise_after_trip(plant: PlantSettings, limits: LimitSettings) -> str:

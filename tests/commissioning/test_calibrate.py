@@ -36,10 +36,9 @@ from pamctl.commissioning.calibrations import (
 from pamctl.commissioning.guided import (
     CalibrationError,
     CalibrationOutcome,
-    CalibrationValue,
     PreparedAnswers,
-    insert_values,
 )
+from pamctl.commissioning.rig_file_text import RigValue, insert_values
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
@@ -101,11 +100,11 @@ class Gauges:
         return self.reading
 
 
-def found(outcome: CalibrationOutcome) -> dict[str, CalibrationValue]:
+def found(outcome: CalibrationOutcome) -> dict[str, RigValue]:
     return {value.keys[1]: value for value in outcome.values}
 
 
-def assert_found(value: CalibrationValue, hidden: float) -> None:
+def assert_found(value: RigValue, hidden: float) -> None:
     """See that what is hidden was found, within an uncertainty that says something."""
     assert abs(value.value - hidden) <= value.uncertainty
     assert value.uncertainty < 0.02 * abs(hidden)
@@ -366,10 +365,8 @@ def test_a_card_with_everything_wrong_is_calibrated_piece_by_piece(
 # --- the rig file ------------------------------------------------------------------------
 
 HEADING = "2026-11-20 14:00 UTC: pamctl calibrate pressure, from rig.yaml"
-ZERO = CalibrationValue(
-    ("calibration", "sensor_zero_v"), 0.2173, "V", 1.5e-4, "mean of 1000 samples"
-)
-OUTCOME = CalibrationOutcome((ZERO,), ("the supply gives 441.3 kPa",), {})
+ZERO = RigValue(("calibration", "sensor_zero_v"), 0.2173, "V", 1.5e-4, "mean of 1000 samples")
+NOTE = "the supply gives 441.3 kPa"
 
 
 @pytest.mark.parametrize("name", ["sim", "pci6221", "pci6221-comedi"])
@@ -377,7 +374,7 @@ def test_a_shipped_rig_file_keeps_its_comments_and_all_other_values(
     name: str, tmp_path: Path
 ) -> None:
     source = config_dir() / "rig" / f"{name}.yaml"
-    text = insert_values(source.read_text(), OUTCOME, HEADING)
+    text = insert_values(source.read_text(), [ZERO], (HEADING, NOTE))
     before, after = load_yaml(source).data, parse_yaml(text, source).data
     assert after["calibration"].pop("sensor_zero_v") == 0.2173  # type: ignore[attr-defined]
     before["calibration"].pop("sensor_zero_v")  # type: ignore[attr-defined]
@@ -409,7 +406,7 @@ def test_however_a_rig_file_is_written_the_values_get_in_and_nothing_else_change
 ) -> None:
     path = Path("rig.yaml")
     before = parse_yaml(text, path).data
-    after = parse_yaml(insert_values(text, OUTCOME, HEADING), path).data
+    after = parse_yaml(insert_values(text, [ZERO], (HEADING, NOTE)), path).data
     assert after == {
         **before,
         "calibration": {**before.get("calibration", {}), "sensor_zero_v": 0.2173},
@@ -418,11 +415,9 @@ def test_however_a_rig_file_is_written_the_values_get_in_and_nothing_else_change
 
 def test_a_second_calibration_goes_on_from_the_first() -> None:
     text = (config_dir() / "rig" / "sim.yaml").read_text()
-    sign = CalibrationValue(("calibration", "encoder_sign"), -1, "", 0.0, "counts fall")
-    once = insert_values(text, OUTCOME, HEADING)
-    twice = insert_values(
-        once, CalibrationOutcome((sign,), (), {}), HEADING.replace("pressure", "encoder")
-    )
+    sign = RigValue(("calibration", "encoder_sign"), -1, "", 0.0, "counts fall")
+    once = insert_values(text, [ZERO], (HEADING, NOTE))
+    twice = insert_values(once, [sign], (HEADING.replace("pressure", "encoder"),))
     data = parse_yaml(twice, Path("rig.yaml")).data["calibration"]
     assert (data["sensor_zero_v"], data["encoder_sign"]) == (0.2173, -1)  # type: ignore[index]
     assert twice.index("calibrate pressure") < twice.index("calibrate encoder")

@@ -15,6 +15,7 @@ from pamctl.diagnose.evidence.constants import (
     LEFT_TIMES,
     MOST_NAMES,
     NAME_NATS,
+    NAME_SHARE,
     SHORTLIST,
 )
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
@@ -78,9 +79,11 @@ class NameSearch:
                 self.best_scores[score.name] = max(known, score.gain)
             best = ", ".join(f"{s.name} {s.gain:.0f}" for s in scored[:3])
             self.tell(f"{len(scored)} explanations asked; they promise, in nats: {best}")
-            if not scored or scored[0].gain < NAME_NATS:
+            least = max(NAME_NATS, NAME_SHARE * scored[0].gain) if scored else 0.0
+            hopeful = [s for s in scored if s.gain > least and s.shows]
+            if not hopeful:
                 break
-            fits = self.refit(m, scored)
+            fits = self.refit(m, hopeful)
             best = ", ".join(f"{f.names[-1]} {m.total - f.total:.0f}" for f in fits[:3])
             self.tell(f"fitted, they gain, in nats: {best}")
             taken = self.take(m, fits[:3])

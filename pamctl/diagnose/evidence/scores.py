@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.diagnose.evidence.constants import MOST_DOSE
-from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
+from pamctl.diagnose.evidence.fit import WeighedModel, Weigher, solve_within
 from pamctl.diagnose.evidence.likelihood import from_haar
 from pamctl.diagnose.evidence.pool import Hypothesis, Unknown, Variant
 
@@ -56,6 +56,8 @@ class EvidenceScore(NamedTuple):
     """Of each size, the prediction."""
     move: Array
     """Of the model's own numbers, in scales."""
+    shows: bool = False
+    """Whether it takes off half of what a reader sees: a fit hardly takes off more."""
 
 
 def score_all(
@@ -82,8 +84,8 @@ class _Beside:
         self.root = np.sqrt(cost.weights).ravel()
         self.weighed = self.tangent * self.root
         self.off = m.d.ravel() * self.root
-        hessian = self.weighed @ self.weighed.T + LIKELY_MOVE**-2 * np.eye(len(self.free))
-        self.inverse = np.linalg.inv(hessian)
+        self.hessian = self.weighed @ self.weighed.T + LIKELY_MOVE**-2 * np.eye(len(self.free))
+        self.inverse = np.linalg.inv(self.hessian)
         self.slope = self.weighed @ self.off
         self.size2 = np.maximum((m.d**2 * self.weigher.like.keep).sum(axis=(1, 2)), 1e-300)
         self.here = m.d + m.lag
@@ -91,15 +93,19 @@ class _Beside:
     def score(self, hypothesis: Hypothesis) -> EvidenceScore | None:
         """Return the best of the variants and doses; None where none does anything."""
         variants = self._scan(hypothesis) if hypothesis.scan else hypothesis.variants
-        best: EvidenceScore | None = None
+        best: tuple[EvidenceScore, Array] | None = None
         for number, variant in enumerate(variants):
-            if number and not hypothesis.scan and (best is None or best.gain < HOPE_NATS):
+            if number and not hypothesis.scan and (best is None or best[0].gain < HOPE_NATS):
                 break  # another shape of what gains nothing
             for sizes, secants in self._push(hypothesis.name, variant):
-                score = self._predict(hypothesis.name, variant, sizes, secants)
-                if score is not None and (best is None or score.gain > best.gain):
-                    best = score
-        return best
+                found = self._predict(hypothesis.name, variant, sizes, secants)
+                if found is not None and (best is None or found[0].gain > best[0].gain):
+                    best = found
+        if best is None or best[0].gain < HOPE_NATS:
+            return best and best[0]
+        there = WeighedModel((), (), {}, self.m.x, d=best[1])
+        there.loss = self.weigher.like(there.d, self.weigher.floor2)
+        return best[0]._replace(shows=self.weigher.may_be_seen(self.m, there))
 
     def _push(self, name: str, variant: Variant) -> Iterator[tuple[Array, Array]]:
         """Yield directions of the sizes, and the secants along them, at doses that fit."""
@@ -166,7 +172,8 @@ class _Beside:
 
     def _predict(
         self, name: str, variant: Variant, directions: Array, secants: Array
-    ) -> EvidenceScore | None:
+    ) -> tuple[EvidenceScore, Array] | None:
+        """Return the best dose with the model's numbers fitted to it, and the residual there."""
         weighed = secants * self.root
         inside = weighed @ self.weighed.T
         alone = weighed @ weighed.T
@@ -175,35 +182,30 @@ class _Beside:
             return None
         # What the model's own numbers do as well is not asked for by a large dose.
         ridge = np.diag(ALIKE * np.diag(alone) + 1e-6 * np.trace(normal))
-        share = -np.linalg.solve(
-            normal + ridge, weighed @ self.off - inside @ self.inverse @ self.slope
-        )
-        if variant.is_curve:
-            share = np.clip(share, -MOST_HAT, MOST_HAT)
-        else:
-            one_sided = [
-                u.low >= (u.neutral or 0.0) or u.high <= (u.neutral or 0.0) for u in variant.sizes
-            ]
-            share = np.clip(share, np.where(one_sided, 0.0, -MOST_SHARE), MOST_SHARE)
-            if len(share) == 1:  # not beyond its range, which need not begin at its neutral value
-                u, usual = variant.sizes[0], float(directions[0, 0])
-                ends = [(end - (u.neutral or 0.0)) / usual for end in (u.low, u.high)]
-                share = np.clip(share, min(ends), max(ends))
-        cost, move = self._predict_cost(secants, inside, share)
-        gain = float(self.m.cost.by_block.sum()) - cost
-        neutral = np.array([u.neutral or 0.0 for u in variant.sizes])
-        return EvidenceScore(gain, name, variant, neutral + share @ directions, move)
-
-    def _predict_cost(self, secants: Array, inside: Array, share: Array) -> tuple[float, Array]:
-        """Return the cost of a dose with the model's numbers fitted to it, and their move."""
+        low, high = _bound_share(variant, directions)
+        best: tuple[float, Array, Array] | None = None
+        for own in (1.0, 0.0):  # the tangent of the model's numbers may lead off: then they stay
+            x = solve_within(
+                np.block([[alone + ridge, inside], [inside.T, self.hessian]]),
+                np.concatenate([weighed @ self.off, self.slope]),
+                np.concatenate([low, own * self.room[0][self.free]]),
+                np.concatenate([high, own * self.room[1][self.free]]),
+            )
+            moved = x[: len(low)] @ secants + x[len(low) :] @ self.tangent
+            d = self.m.d + moved.reshape(self.m.d.shape)
+            loss = self.weigher.like(d, self.weigher.floor2, self.m.cost.scales2)
+            gain = float(self.m.cost.by_block.sum() - loss.by_block.sum())
+            if best is None or gain > best[0]:
+                best = gain, x, d
+            if gain > 0.0:
+                break
+        assert best is not None
+        gain, x, d = best
         move = np.zeros(len(self.m.x))
-        move[self.free] = -self.inverse @ (self.slope + inside.T @ share)
-        move = np.clip(move, *self.room)
-        d = self.m.d.ravel() + share @ secants + move[self.free] @ self.tangent
-        loss = self.weigher.like(
-            d.reshape(self.m.d.shape), self.weigher.floor2, self.m.cost.scales2
-        )
-        return float(loss.by_block.sum()), np.asarray(move)
+        move[self.free] = x[len(low) :]
+        neutral = np.array([u.neutral or 0.0 for u in variant.sizes])
+        sizes = neutral + x[: len(low)] @ directions
+        return EvidenceScore(gain, name, variant, sizes, move), d
 
     # --- waves ---
 
@@ -271,6 +273,25 @@ class _Beside:
         """What the model shows, one row a channel."""
         measured = self.weigher.train.shown
         return (measured - from_haar(self.m.d)).reshape(len(measured), -1)
+
+
+def _bound_share(variant: Variant, directions: Array) -> tuple[Array, Array]:
+    """Return the least and the largest share of each direction of a variant's sizes.
+
+    A single size stays inside its range, which need not begin at its neutral value.
+    """
+    if variant.is_curve:
+        return np.full(len(directions), -MOST_HAT), np.full(len(directions), MOST_HAT)
+    low, high = np.full(len(directions), -MOST_SHARE), np.full(len(directions), MOST_SHARE)
+    for i, u in enumerate(variant.sizes):
+        neutral = u.neutral or 0.0
+        if u.low >= neutral or u.high <= neutral:
+            low[i] = 0.0
+        if len(directions) == 1:
+            ends = ((end - neutral) / float(directions[0, 0]) for end in (u.low, u.high))
+            first, last = sorted(ends)
+            low, high = np.clip(low, first, last), np.clip(high, first, last)
+    return low, high
 
 
 def _lag_backwards(row: Array, share: float) -> Array:

@@ -29,7 +29,7 @@ def test_what_was_done_before_ctrl_c_is_told_kept_and_not_done_again(
     kept = tmp_path / "faults.jsonl"
     monkeypatch.setattr("sys.argv", ["fault_rounds.py", "--resume", str(kept)])
 
-    def stopped(count, done, hits, names):
+    def stopped(count, done, hits, names, drawn):
         yield from ROUNDS
         raise KeyboardInterrupt
 
@@ -44,7 +44,7 @@ def test_what_was_done_before_ctrl_c_is_told_kept_and_not_done_again(
     with kept.open("a") as file:
         file.write('{"case": "sim lo')  # killed while it wrote
     asked = []
-    monkeypatch.setattr(script, "rounds", lambda count, done, hits, names: asked.append(done) or ())
+    monkeypatch.setattr(script, "rounds", lambda count, done, *_: asked.append(done) or ())
     assert script.main() == 3
     assert asked == [{"sim loop killed": 1, "sim loop frozen": 1}]
     assert json.loads(capsys.readouterr().out)["cases"]["sim loop killed"]["well"] == 1
@@ -61,6 +61,9 @@ def test_rounds_that_are_done_are_left_out(script, monkeypatch: pytest.MonkeyPat
     rest = [case for case, _ in script.rounds(2, done)]
     assert len(rest) == len(all_of_them) - 3
     assert all_of_them[0] not in rest
+    drawn = [case for case, _ in script.rounds(1, script.Counter(), drawn=7)]
+    assert len({*drawn}) == 7
+    assert {*drawn} < {*all_of_them}
 
 
 def test_pairs_are_all_ordered_pairs_of_two_processes(script) -> None:

@@ -356,29 +356,15 @@ class Weigher:
 def _find_step(
     x: Array, low: Array, high: Array, scale: Array, hessian: Array, slope: Array, damping: float
 ) -> Array:
-    """Return a damped step within the ranges."""
+    """Return a damped step within the ranges; numbers whose gradient points out of them stay."""
     diagonal = np.diag(hessian)
-    ridge = damping * diagonal + 1e-12 * max(float(diagonal.max(initial=0.0)), 1e-300)
-    room = np.maximum((low - x) / scale, -MOST_STEP), np.minimum((high - x) / scale, MOST_STEP)
-    step = solve_within(hessian + np.diag(ridge), slope, *room)
-    return np.asarray(np.clip(x + step * scale, low, high) - x)
-
-
-def solve_within(hessian: Array, slope: Array, low: Array, high: Array) -> Array:
-    """Return where slope' x + x' hessian x / 2 is least between bounds; low <= 0 <= high.
-
-    What the solution takes out of its bounds stays at them, and the rest is solved again.
-    """
-    best, free = np.zeros(len(slope)), np.ones(len(slope), dtype=bool)
-    while free.any():
-        held = slope[free] + hessian[np.ix_(free, ~free)] @ best[~free]
-        best[free] = -np.linalg.solve(hessian[np.ix_(free, free)], held)
-        out = free & ((best < low) | (best > high))
-        best = np.clip(best, low, high)
-        if not out.any():
-            break
-        free &= ~out
-    return best
+    out = ((x <= low) & (slope > 0.0)) | ((x >= high) & (slope < 0.0))
+    free = np.flatnonzero(~out & (diagonal > 0.0))
+    step = np.zeros(len(x))
+    if len(free):
+        ridge = damping * np.diag(diagonal[free]) + 1e-12 * diagonal.max() * np.eye(len(free))
+        step[free] = -np.linalg.solve(hessian[np.ix_(free, free)] + ridge, slope[free])
+    return np.asarray(np.clip(x + np.clip(step, -MOST_STEP, MOST_STEP) * scale, low, high) - x)
 
 
 def find_optimism(tangent: Array, weights: Array, d: Array) -> Array:

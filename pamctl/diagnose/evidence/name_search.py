@@ -39,16 +39,22 @@ def _gain_of(fitted: tuple[float, WeighedModel]) -> float:
     return fitted[0]
 
 
-def _begin_anew(m: WeighedModel, picked: Mapping[str, Variant]) -> WeighedModel:
-    """Return the model, unfitted, at its start numbers; what a name still frees stays there."""
-    new = {u.name for v in m.picked.values() for u in v.free}
-    freed = [u for n in m.names for u in picked[n].free]
-    numbers = (*(n for n in m.numbers if n.name not in new), *freed)
-    x = [m.values[n.name] if n.name in new else n.value for n in numbers]
-    taken, names = {k for v in m.picked.values() for k in v.held}, {u.name for u in freed}
+def begin_anew(m: WeighedModel, picked: Mapping[str, Variant]) -> WeighedModel:
+    """Return a model of these names, unfitted, from the plant file's numbers.
+
+    Where a fit has led them, no tangent may lead back. What the names of `m` have freed stays.
+    """
+    names = (*m.names, *(n for n in picked if n not in m.names))
+    found = {u.name for v in m.picked.values() for u in v.free}
+    freed = [u for n in names for u in picked[n].free]
+    numbers = (*(n for n in m.numbers if n.name not in found), *freed)
+    x = [m.values[n.name] if n.name in found else n.value for n in numbers]
+    taken = {k for v in m.picked.values() for k in v.held}
     held = {k: v for k, v in m.held.items() if k not in taken}
-    held |= {k: v for n in m.names for k, v in picked[n].held.items() if k not in names}
-    return WeighedModel(m.names, numbers, held, np.array(x), {**picked})
+    held |= {k: v for n in names for k, v in picked[n].held.items()}
+    for number in freed:
+        held.pop(number.name, None)
+    return WeighedModel(names, numbers, held, np.array(x), {**picked})
 
 
 class NameSearch:
@@ -121,7 +127,7 @@ class NameSearch:
             forms.append(simple)
         best = m
         for picked in forms:
-            anew = weigher.settle(_begin_anew(m, picked), FIT_STEPS)
+            anew = weigher.settle(begin_anew(m, picked), FIT_STEPS)
             weigher.meet(best, anew)
             if anew.total < best.total:
                 best = anew
@@ -137,26 +143,14 @@ class NameSearch:
             if its.kind not in SWITCHED:
                 continue
             weigher.set_floor(base)
-            e = self._switch(base, its)
+            e = begin_anew(base, {its.name: its.variants[0]})
+            weigher.refine(e)
             if weigher.like(e.d, weigher.floor2).by_block.sum() < base.cost.by_block.sum():
                 e = weigher.settle(e)
                 weigher.meet(base, e)
                 if weigher.counts(base, e) and e.total < min(best.total, base.total):
                     best = e
         return best
-
-    def _switch(self, m: WeighedModel, its: Hypothesis) -> WeighedModel:
-        """Return the model with a hypothesis, unfitted, at the plant file's own numbers."""
-        (variant,) = its.variants
-        (size,) = variant.sizes
-        found = {u.name for v in m.picked.values() for u in v.free}
-        x = [m.values[n.name] if n.name in found else n.value for n in m.numbers]
-        e = WeighedModel(
-            (*m.names, its.name), (*m.numbers, size), m.held, np.array([*x, size.value]),
-            {**m.picked, its.name: variant},
-        )  # fmt: skip
-        self.weigher.refine(e)
-        return e
 
     def _move_ends(self, m: WeighedModel) -> list[tuple[float, WeighedModel]]:
         """Return the fitted model in which an end of the stroke is where the piston stopped.
@@ -171,7 +165,7 @@ class NameSearch:
             return []
         before, moved = float(m.cost.by_block.sum()), list[tuple[float, WeighedModel]]()
         for its in ends:
-            e = weigher.settle(self._switch(m, its))
+            e = weigher.settle(begin_anew(m, {**m.picked, its.name: its.variants[0]}))
             weigher.floor2 = floor2
             e.loss = weigher.like(e.d, floor2)
             moved.append((before - float(e.cost.by_block.sum()), e))

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.diagnose.evidence.constants import MOST_DOSE
-from pamctl.diagnose.evidence.fit import WeighedModel, Weigher, solve_within
+from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
 from pamctl.diagnose.evidence.likelihood import from_haar
 from pamctl.diagnose.evidence.pool import Hypothesis, Unknown, Variant
 
@@ -84,8 +84,8 @@ class _Beside:
         self.root = np.sqrt(cost.weights).ravel()
         self.weighed = self.tangent * self.root
         self.off = m.d.ravel() * self.root
-        self.hessian = self.weighed @ self.weighed.T + LIKELY_MOVE**-2 * np.eye(len(self.free))
-        self.inverse = np.linalg.inv(self.hessian)
+        hessian = self.weighed @ self.weighed.T + LIKELY_MOVE**-2 * np.eye(len(self.free))
+        self.inverse = np.linalg.inv(hessian)
         self.slope = self.weighed @ self.off
         self.size2 = np.maximum((m.d**2 * self.weigher.like.keep).sum(axis=(1, 2)), 1e-300)
         self.here = m.d + m.lag
@@ -182,30 +182,30 @@ class _Beside:
             return None
         # What the model's own numbers do as well is not asked for by a large dose.
         ridge = np.diag(ALIKE * np.diag(alone) + 1e-6 * np.trace(normal))
-        low, high = _bound_share(variant, directions)
-        best: tuple[float, Array, Array] | None = None
-        for own in (1.0, 0.0):  # the tangent of the model's numbers may lead off: then they stay
-            x = solve_within(
-                np.block([[alone + ridge, inside], [inside.T, self.hessian]]),
-                np.concatenate([weighed @ self.off, self.slope]),
-                np.concatenate([low, own * self.room[0][self.free]]),
-                np.concatenate([high, own * self.room[1][self.free]]),
-            )
-            moved = x[: len(low)] @ secants + x[len(low) :] @ self.tangent
-            d = self.m.d + moved.reshape(self.m.d.shape)
-            loss = self.weigher.like(d, self.weigher.floor2, self.m.cost.scales2)
-            gain = float(self.m.cost.by_block.sum() - loss.by_block.sum())
-            if best is None or gain > best[0]:
-                best = gain, x, d
-            if gain > 0.0:
-                break
-        assert best is not None
-        gain, x, d = best
-        move = np.zeros(len(self.m.x))
-        move[self.free] = x[len(low) :]
+        fitted = -np.linalg.solve(
+            normal + ridge, weighed @ self.off - inside @ self.inverse @ self.slope
+        )
+        share = _bound_share(variant, directions, fitted)
+        found = self._foresee(secants, share, -self.inverse @ (self.slope + inside.T @ share))
+        if found[0] < 0.0:  # the tangent of the model's numbers leads off: let them stay
+            alone_share = -np.linalg.solve(alone + ridge, weighed @ self.off)
+            alone_share = _bound_share(variant, directions, alone_share)
+            other = self._foresee(secants, alone_share, np.zeros(len(self.free)))
+            if other[0] > found[0]:
+                found, share = other, alone_share
+        gain, move, d = found
         neutral = np.array([u.neutral or 0.0 for u in variant.sizes])
-        sizes = neutral + x[: len(low)] @ directions
-        return EvidenceScore(gain, name, variant, sizes, move), d
+        return EvidenceScore(gain, name, variant, neutral + share @ directions, move), d
+
+    def _foresee(self, secants: Array, share: Array, own: Array) -> tuple[float, Array, Array]:
+        """Return what a dose and a move of the free numbers gain, the whole move, what is left."""
+        move = np.zeros(len(self.m.x))
+        move[self.free] = own
+        move = np.clip(move, *self.room)
+        left = self.m.d.ravel() + share @ secants + move[self.free] @ self.tangent
+        d = left.reshape(self.m.d.shape)
+        loss = self.weigher.like(d, self.weigher.floor2, self.m.cost.scales2)
+        return float(self.m.cost.by_block.sum() - loss.by_block.sum()), move, d
 
     # --- waves ---
 
@@ -275,23 +275,17 @@ class _Beside:
         return (measured - from_haar(self.m.d)).reshape(len(measured), -1)
 
 
-def _bound_share(variant: Variant, directions: Array) -> tuple[Array, Array]:
-    """Return the least and the largest share of each direction of a variant's sizes.
-
-    A single size stays inside its range, which need not begin at its neutral value.
-    """
+def _bound_share(variant: Variant, directions: Array, share: NDArray[Any]) -> Array:
+    """Return a share of each direction of a variant's sizes inside its bounds."""
     if variant.is_curve:
-        return np.full(len(directions), -MOST_HAT), np.full(len(directions), MOST_HAT)
-    low, high = np.full(len(directions), -MOST_SHARE), np.full(len(directions), MOST_SHARE)
-    for i, u in enumerate(variant.sizes):
-        neutral = u.neutral or 0.0
-        if u.low >= neutral or u.high <= neutral:
-            low[i] = 0.0
-        if len(directions) == 1:
-            ends = ((end - neutral) / float(directions[0, 0]) for end in (u.low, u.high))
-            first, last = sorted(ends)
-            low, high = np.clip(low, first, last), np.clip(high, first, last)
-    return low, high
+        return np.asarray(np.clip(share, -MOST_HAT, MOST_HAT))
+    one_sided = [u.low >= (u.neutral or 0.0) or u.high <= (u.neutral or 0.0) for u in variant.sizes]
+    share = np.clip(share, np.where(one_sided, 0.0, -MOST_SHARE), MOST_SHARE)
+    if len(share) == 1:  # not beyond its range, which need not begin at its neutral value
+        u, usual = variant.sizes[0], float(directions[0, 0])
+        ends = [(end - (u.neutral or 0.0)) / usual for end in (u.low, u.high)]
+        share = np.clip(share, min(ends), max(ends))
+    return np.asarray(share)
 
 
 def _lag_backwards(row: Array, share: float) -> Array:

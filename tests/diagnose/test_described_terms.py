@@ -87,6 +87,13 @@ def test_a_hysteretic_spring_is_named() -> None:
     assert names_of(found) == ["spring_hysteresis"]
 
 
+def test_a_supply_that_falls_is_no_ripple_of_which_half_a_wave_is_seen() -> None:
+    found = of_uncatalogued("supply_falls", seed=98)
+    (term,) = build_diagnosis_document(found)["terms"]
+    assert (term["location"], term["driver"]) == ("supply", "time")
+    assert names_of(found) == []
+
+
 def test_a_slowly_rippling_supply_is_named_with_its_frequency() -> None:
     found = of_uncatalogued("supply_ripple")
     assert names_of(found) == ["supply_ripple"]

@@ -274,6 +274,8 @@ class NameSearch:
             if not self.pool[e.names[-1]].may_be(self.pool[first.names[-1]]):
                 continue
             self.weigher.polish(e)
+            if list_at_range(e, e.names[-1]):
+                continue  # no name would be said
             if m.total - e.total > (1.0 - FIRST_SHARE) * (m.total - first.total):
                 fits.remove(e)
                 fits.insert(0, e)

@@ -244,16 +244,19 @@ class _Beside:
         rates = np.arange(len(spectrum)) / (4.0 * span) * (bins - 1) / bins
         if hypothesis.scan == "time":
             spectrum /= self._weigh_rates(rates, (way**2).sum(axis=1))
-        spectrum[(rates < 0.75 / span) | (rates > highest)] = 0.0
+        # Of a wave that is not seen whole nobody can tell that it comes again.
+        spectrum[(rates < 1.0 / span) | (rates > highest)] = 0.0
         variant = hypothesis.variants[0]
         for _ in range(2):
             best = int(spectrum.argmax())
             value = float(1.0 / rates[best] if hypothesis.scan == "position" else rates[best])
             width = value / max(rates[best] * span, 1.0)
-            shape = replace(
-                variant.shapes[0], value=value, low=max(value - width, 0.3 * value),
-                high=value + width, scale=0.1 * width,
-            )  # fmt: skip
+            low, high = max(value - width, 0.3 * value), value + width
+            if hypothesis.scan == "position":
+                high = min(high, span)
+            else:
+                low = max(low, 1.0 / span)
+            shape = replace(variant.shapes[0], value=value, low=low, high=high, scale=0.1 * width)
             yield variant._replace(shapes=(shape,))
             spectrum[max(best - 5, 0) : best + 6] = 0.0
 

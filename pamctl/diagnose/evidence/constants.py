@@ -68,6 +68,7 @@ SMALL_SHARE = 0.25
 NAME_SHARE = 0.1
 """Of the whole gain: what gains less beside the first finding mends the model, and is said to be
 that; so is what has no sure place, and takes off less of what the recalibrated model leaves (RMS).
+What promises less than this share of the best is not fitted in that round.
 Half: the form of a law that is nearly right gets a name of its own."""
 
 LEFT_SHARE = 0.5

@@ -420,7 +420,10 @@ def rounds(
     names: Sequence[str] = BENCHES,
     drawn: int | None = None,
 ) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Run all cases, or so many `drawn`, in turn, so that all see the same PC; none in `done`."""
+    """Run all cases in turn, so that all see the same PC, without the rounds in `done`.
+
+    With `drawn`, only so many cases, the same ones each time.
+    """
     with (
         tempfile.TemporaryDirectory() as temporary,
         benches(Path(temporary)) as rigs,
@@ -459,7 +462,7 @@ def main() -> int:
     parser.add_argument("--draw", type=int, metavar="N", help="only N cases, drawn at random")
     parser.add_argument("--write", action="store_true", help="put the table into the manual")
     options = parser.parse_args()
-    # A shell ignores Ctrl-C for what it starts in the background, and so would every run.
+    # What a shell starts in the background ignores Ctrl-C. Every run would inherit that.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     names = options.benches.split(",")
     cases: dict[str, list[dict[str, Any]]] = {}

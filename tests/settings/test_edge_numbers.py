@@ -60,7 +60,7 @@ def first_of_each_form(parts: list[Any]) -> list[tuple[int, Any]]:
 def test_every_number_of_every_section_is_refused_at_the_edge_or_can_be_used(
     section, name, monkeypatch
 ) -> None:
-    monkeypatch.setattr(envelope, "_MOST_SAMPLES", 200)  # its sums are the same for each sample
+    monkeypatch.setattr(envelope, "_MOST_SAMPLES", 200)  # each is computed alike
     chosen: dict[str, Any] = {section: name}
     data = settings_to_data(resolve(**chosen))[section]
     for key in numbers_in(data, section):

@@ -39,7 +39,7 @@ def _gain_of(fitted: tuple[float, WeighedModel]) -> float:
     return fitted[0]
 
 
-def begin_anew(m: WeighedModel, picked: Mapping[str, Variant]) -> WeighedModel:
+def _begin_anew(m: WeighedModel, picked: Mapping[str, Variant]) -> WeighedModel:
     """Return a model of these names, unfitted, from the plant file's numbers.
 
     Where a fit has led them, no tangent may lead back. What the names of `m` have freed stays.
@@ -49,11 +49,9 @@ def begin_anew(m: WeighedModel, picked: Mapping[str, Variant]) -> WeighedModel:
     freed = [u for n in names for u in picked[n].free]
     numbers = (*(n for n in m.numbers if n.name not in found), *freed)
     x = [m.values[n.name] if n.name in found else n.value for n in numbers]
-    taken = {k for v in m.picked.values() for k in v.held}
-    held = {k: v for k, v in m.held.items() if k not in taken}
-    held |= {k: v for n in names for k, v in picked[n].held.items()}
-    for number in freed:
-        held.pop(number.name, None)
+    taken, free = {k for v in m.picked.values() for k in v.held}, {u.name for u in freed}
+    held = {k: v for k, v in m.held.items() if k not in taken | free}
+    held |= {k: v for n in names for k, v in picked[n].held.items() if k not in free}
     return WeighedModel(names, numbers, held, np.array(x), {**picked})
 
 
@@ -127,7 +125,7 @@ class NameSearch:
             forms.append(simple)
         best = m
         for picked in forms:
-            anew = weigher.settle(begin_anew(m, picked), FIT_STEPS)
+            anew = weigher.settle(_begin_anew(m, picked), FIT_STEPS)
             weigher.meet(best, anew)
             if anew.total < best.total:
                 best = anew
@@ -143,7 +141,7 @@ class NameSearch:
             if its.kind not in SWITCHED:
                 continue
             weigher.set_floor(base)
-            e = begin_anew(base, {its.name: its.variants[0]})
+            e = _begin_anew(base, {its.name: its.variants[0]})
             weigher.refine(e)
             if weigher.like(e.d, weigher.floor2).by_block.sum() < base.cost.by_block.sum():
                 e = weigher.settle(e)
@@ -160,12 +158,14 @@ class NameSearch:
         """
         weigher, floor2 = self.weigher, self.weigher.floor2
         ends = [h for h in self.pool.values() if h.kind == STOP and h.name not in m.names]
-        left2 = weigher.find_robust2(m) / weigher.find_noise2(m) if ends else np.zeros(1)
+        if not ends:
+            return []
+        left2 = weigher.find_robust2(m) / weigher.find_noise2(m)
         if left2.max() < LEFT_TIMES**2:
             return []
         before, moved = float(m.cost.by_block.sum()), list[tuple[float, WeighedModel]]()
         for its in ends:
-            e = weigher.settle(begin_anew(m, {**m.picked, its.name: its.variants[0]}))
+            e = weigher.settle(_begin_anew(m, {**m.picked, its.name: its.variants[0]}))
             weigher.floor2 = floor2
             e.loss = weigher.like(e.d, floor2)
             moved.append((before - float(e.cost.by_block.sum()), e))

@@ -93,7 +93,7 @@ class _Beside:
     def score(self, hypothesis: Hypothesis) -> EvidenceScore | None:
         """Return the best of the variants and doses; None where none does anything."""
         variants = self._scan(hypothesis) if hypothesis.scan else hypothesis.variants
-        best: tuple[EvidenceScore, Array] | None = None
+        best: tuple[EvidenceScore, WeighedModel] | None = None
         for number, variant in enumerate(variants):
             if number and not hypothesis.scan and (best is None or best[0].gain < HOPE_NATS):
                 break  # another shape of what gains nothing
@@ -101,11 +101,11 @@ class _Beside:
                 found = self._predict(hypothesis.name, variant, sizes, secants)
                 if found is not None and (best is None or found[0].gain > best[0].gain):
                     best = found
-        if best is None or best[0].gain < HOPE_NATS:
-            return best and best[0]
-        there = WeighedModel((), (), {}, self.m.x, d=best[1])
-        there.loss = self.weigher.like(there.d, self.weigher.floor2)
-        return best[0]._replace(shows=self.weigher.may_be_seen(self.m, there))
+        if best is None:
+            return None
+        score, there = best
+        hopes = score.gain > HOPE_NATS
+        return score._replace(shows=hopes and self.weigher.may_be_seen(self.m, there))
 
     def _push(self, name: str, variant: Variant) -> Iterator[tuple[Array, Array]]:
         """Yield directions of the sizes, and the secants along them, at doses that fit."""
@@ -172,8 +172,8 @@ class _Beside:
 
     def _predict(
         self, name: str, variant: Variant, directions: Array, secants: Array
-    ) -> tuple[EvidenceScore, Array] | None:
-        """Return the best dose with the model's numbers fitted to it, and the residual there."""
+    ) -> tuple[EvidenceScore, WeighedModel] | None:
+        """Return the best dose, and the model that is expected there."""
         weighed = secants * self.root
         inside = weighed @ self.weighed.T
         alone = weighed @ weighed.T
@@ -193,19 +193,25 @@ class _Beside:
             other = self._foresee(secants, alone_share, np.zeros(len(self.free)))
             if other[0] > found[0]:
                 found, share = other, alone_share
-        gain, move, d = found
+        gain, move, there = found
         neutral = np.array([u.neutral or 0.0 for u in variant.sizes])
-        return EvidenceScore(gain, name, variant, neutral + share @ directions, move), d
+        return EvidenceScore(gain, name, variant, neutral + share @ directions, move), there
 
-    def _foresee(self, secants: Array, share: Array, own: Array) -> tuple[float, Array, Array]:
-        """Return what a dose and a move of the free numbers gain, the whole move, what is left."""
+    def _foresee(
+        self, secants: Array, share: Array, own: Array
+    ) -> tuple[float, Array, WeighedModel]:
+        """Return what a dose and a move of the free numbers gain, the whole move, the model there.
+
+        Of that model only what it leaves is known.
+        """
         move = np.zeros(len(self.m.x))
         move[self.free] = own
         move = np.clip(move, *self.room)
         left = self.m.d.ravel() + share @ secants + move[self.free] @ self.tangent
-        d = left.reshape(self.m.d.shape)
-        loss = self.weigher.like(d, self.weigher.floor2, self.m.cost.scales2)
-        return float(self.m.cost.by_block.sum() - loss.by_block.sum()), move, d
+        there = WeighedModel((), (), {}, self.m.x, d=left.reshape(self.m.d.shape))
+        there.loss = self.weigher.like(there.d, self.weigher.floor2, self.m.cost.scales2)
+        gain = float(self.m.cost.by_block.sum() - there.cost.by_block.sum())
+        return gain, move, there
 
     # --- waves ---
 

@@ -19,7 +19,7 @@ from math import inf, sqrt
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from pamctl.diagnose.evidence.constants import LEFT_SHARE, NAME_NATS, SEEN_SHARE
+from pamctl.diagnose.evidence.constants import LEFT_SHARE, NAME_NATS, SCORE_STEP_S, SEEN_SHARE
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
 from pamctl.diagnose.evidence.pool import Hypothesis, list_effects
 from pamctl.diagnose.evidence.weigh import (
@@ -197,7 +197,7 @@ class _Beside:
     def __init__(self, weigher: Weigher, m: WeighedModel) -> None:
         assert m.tangent is not None
         self.weigher, self.m = weigher, m
-        self.here = m.d + m.lag
+        self.here = weigher.find_residual(m.values, SCORE_STEP_S)
         scales2 = m.cost.scales2[:, weigher.like.level][:, None, :]
         self.root = np.sqrt(weigher.like.keep / scales2)
         """One over the scale of each coefficient; 0 for those that do not count."""
@@ -234,7 +234,8 @@ class _Beside:
         doses += [sizes] if len(sizes) > 1 else []
         rows = []
         for dose in doses:
-            d = self.weigher.find_residual({**self.m.values, **variant.held, **shapes, **dose})
+            values = {**self.m.values, **variant.held, **shapes, **dose}
+            d = self.weigher.find_residual(values, SCORE_STEP_S)
             rows.append(((d - self.here) * self.root).ravel())
         return np.stack([row + self._find_move(row) @ self.tangent for row in rows])
 

@@ -312,20 +312,13 @@ def choose_deciding_program(
         tried = [(ProgramTrial(d.program, explanations, period_s), d.blocks) for d in drawn]
         return [t for t in tried if all(map(limits.allows, t[0].runs.values()))]
 
-    def keep_best(tried: Iterable[_Tried]) -> list[_Tried]:
-        return sorted(tried, key=lambda t: _weigh(t[0].separations), reverse=True)[:BEST]
-
     inside = try_programs(programs)
-    finalists: dict[int, _Tried] = {}
-    for part in (0, 1):  # those that differ most, as a whole or in their fast part
-        ranked = sorted(inside, key=lambda t: t[0].rough[part], reverse=True)
-        finalists |= {id(t): t for t in ranked[:FINALISTS]}
-    best = keep_best(finalists.values())
+    best = _keep_best(inside)
     pool = [block for _, blocks in best for block in blocks]
     mixed = try_programs(MIXED, pool) if pool else []
     admitted = [
         trial
-        for trial, _ in keep_best([*best, *mixed])
+        for trial, _ in _rank([*best, *_keep_best(mixed)])[:BEST]
         if all(limits.admits(trial.commands_v, run, period_s) for run in trial.runs.values())
     ]
     if not admitted:
@@ -344,6 +337,19 @@ def choose_deciding_program(
         len(inside) + len(mixed),
         limits.source,
     )
+
+
+def _keep_best(tried: Iterable[_Tried]) -> list[_Tried]:
+    """Return the best of those that differ most, as a whole or in their fast part."""
+    finalists: dict[int, _Tried] = {}
+    for part in (0, 1):
+        ranked = sorted(tried, key=lambda t: t[0].rough[part], reverse=True)
+        finalists |= {id(t): t for t in ranked[:FINALISTS]}
+    return _rank(finalists.values())[:BEST]
+
+
+def _rank(tried: Iterable[_Tried]) -> list[_Tried]:
+    return sorted(tried, key=lambda t: _weigh(t[0].separations), reverse=True)
 
 
 def _weigh(separations: Sequence[Separation]) -> tuple[int, float]:

@@ -90,6 +90,10 @@ LEAST_STEPS = 2
 """Steps in a sample at least. Half: a quick valve is taken for a delay, since no fit finds its
 time; four rigs take 78 % of the time."""
 
+SCORE_STEP_S = 1.25e-3
+"""Steps of the simulations that only tell which hypotheses are worth a fit; one in a sample at
+least."""
+
 FINE_STEP_S = 0.25e-3
 """Steps of the simulation that counts: twice as fine as the simulated rig's."""
 

@@ -118,6 +118,9 @@ class Weigher:
         self.pushes: dict[str, Array] = {}
         """Of each hypothesis, the square of what a unit dose adds to each channel's residual, and
         the model's own numbers do not."""
+        self.secants: dict[str, tuple[Variant, Array, NDArray[np.float32]]] = {}
+        """Of each hypothesis, the variant, directions and secants that promised most, beside the
+        model at which it was asked last."""
         one = np.zeros_like(train.shown)
         self._zeros = {}
         for c, channel in enumerate(train.channels):

@@ -273,12 +273,14 @@ class NameSearch:
         for e in fits[1:5]:
             if not self.pool[e.names[-1]].may_be(self.pool[first.names[-1]]):
                 continue
-            self.weigher.polish(e)
-            if list_at_range(e, e.names[-1]):
+            named = self.weigher.polish(e)
+            if list_at_range(named, named.names[-1]):
+                named = self.choose_form(m, named)
+            if list_at_range(named, named.names[-1]):
                 continue  # no name would be said
-            if m.total - e.total > (1.0 - FIRST_SHARE) * (m.total - first.total):
+            if m.total - named.total > (1.0 - FIRST_SHARE) * (m.total - first.total):
                 fits.remove(e)
-                fits.insert(0, e)
+                fits.insert(0, named)
                 return
 
     def exchange(self, base: WeighedModel, m: WeighedModel) -> WeighedModel:

@@ -24,6 +24,7 @@ from pamctl.diagnose.evidence.constants import (
     LEAST_LEVELS,
     LEAST_STEPS,
     LEVELS,
+    SCORE_STEP_S,
 )
 from pamctl.diagnose.evidence.measured_motion import (
     SPEED_S,
@@ -154,7 +155,7 @@ class Runs:
         levels = round(np.log2(BLOCK_S / self.period_s))
         self.block: int = like.block if like else 1 << max(LEAST_LEVELS, min(LEVELS, levels))
         self._atmosphere_pa = plant["atmospheric_pressure_pa"]
-        self.steps_s = (FINE_STEP_S, COARSE_STEP_S)
+        self.steps_s = (FINE_STEP_S, COARSE_STEP_S, SCORE_STEP_S)
         self.stretches = [s for record in records for s in self._cut(record)]
         if not self.stretches:
             raise TooLittleRecorded(
@@ -207,7 +208,8 @@ class Runs:
     ) -> dict[float, SampleGrid]:
         return {
             step: build_grid(
-                between_s, len(between_s) + 1, max(LEAST_STEPS, round(self.period_s / step)),
+                between_s, len(between_s) + 1,
+                max(1 if step == SCORE_STEP_S else LEAST_STEPS, round(self.period_s / step)),
                 acts_after_s, held_v,
             )
             for step in self.steps_s

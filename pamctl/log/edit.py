@@ -1,10 +1,9 @@
 """Make a log of a part of a log, and say something of a finished one.
 
-What is said is a metadata record behind the data. Every byte of the data stays: only the end of
-the file, its index, is written anew. The new file is complete before it takes the place of the old
-one, so that a full disk or a power cut leaves the log as it was. The checksum of the data is
-continued from the stored one: damage that was there before is still found. A file beside the log
-would be left behind when the log is copied or sent.
+What is said is a metadata record behind the data. Every byte of the data stays: the end of the file
+is cut off and written anew, as that of a log whose recorder died. The new file is complete before
+it takes the place of the old one, so that a full disk or a power cut leaves the log as it was. A
+file beside the log would be left behind when the log is copied or sent.
 """
 
 from __future__ import annotations
@@ -12,8 +11,7 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
@@ -22,7 +20,7 @@ from typing import Any
 
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import DataEnd, Footer, Metadata, MetadataIndex, Statistics
+from mcap.records import Metadata
 from numpy.typing import NDArray
 
 from pamctl.exit_codes import ExitCode
@@ -31,17 +29,13 @@ from pamctl.log.annotation import ANNOTATION, Annotation, date_record
 from pamctl.log.framing import (
     MAGIC,
     Damage,
-    FileRecord,
     LogError,
-    encode_record,
-    encode_summary,
     map_log_file,
-    records_in,
     translate_parse_errors,
 )
 from pamctl.log.reader import Log, read_some
 from pamctl.log.record_walk import parse_messages, walk_records
-from pamctl.log.recover import LogCopy
+from pamctl.log.recover import LogCopy, resume_log
 from pamctl.log.schema import CUT, GAINS_TOPIC, JSON_SCHEMAS, KEYFRAME_TOPIC, TICK_TOPIC
 from pamctl.log.writer import LogWriter
 from pamctl.new_file import create_new_file, require_place
@@ -297,58 +291,25 @@ def write_annotation(path: Path, said: Annotation) -> None:
 
 
 def append_metadata(path: Path, name: str, values: Mapping[str, str]) -> None:
-    """Add a metadata record to a finished log."""
+    """Add a metadata record to a finished log; raise LogError where that is damaged."""
     path = Path(os.path.realpath(path))
-    data_bytes, tail = _make_end(path, Metadata(name=name, metadata=dict(values)))
     before = path.stat()
-    with create_new_file(path, replaces="") as stream:
-        with path.open("rb") as log:
-            left = data_bytes
-            while left and (block := log.read(min(left, _BLOCK_BYTES))):
-                stream.write(block)
-                left -= len(block)
-        stream.write(tail)
-        shutil.copymode(path, stream.name)
-        with suppress(OSError, AttributeError):  # only root can, and Windows has no such owners
-            os.chown(stream.name, before.st_uid, before.st_gid)
-        if path.stat().st_size != before.st_size:
-            raise LogError(f"{path} has changed meanwhile; try again")
-    with suppress(OSError):  # the time of the measurement, for those who sort by it
-        os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
-
-
-def _make_end(path: Path, metadata: Metadata) -> tuple[int, bytes]:
-    """Return how many bytes of the file stay, and all that follows them then."""
     try:
-        file = map_log_file(path)
-        ends = [r for r in walk_records(file) if r.opcode in (Opcode.DATA_END, Opcode.FOOTER)]
-        data_end, footer = ends[0], ends[-1]
-        with translate_parse_errors(footer):
-            added = encode_record(metadata)
-            crc = DataEnd.read(data_end.stream()).data_section_crc
-            data = added + encode_record(DataEnd(zlib.crc32(added, crc) if crc else 0))
-            if not Footer.read(footer.stream()).summary_start:
-                return data_end.start, data + encode_record(Footer(0, 0, 0)) + MAGIC
-            index = MetadataIndex(offset=data_end.start, length=len(added), name=metadata.name)
-            old = records_in(file[: footer.start], data_end.end)
-            summary = _add_to_summary(old, index)
-            start = data_end.start + len(data)
-            return data_end.start, data + encode_summary(start, summary.items())
+        with create_new_file(path, replaces="") as stream:
+            with path.open("rb") as log:
+                shutil.copyfileobj(log, stream, _BLOCK_BYTES)
+            shutil.copymode(path, stream.name)
+            with suppress(OSError, AttributeError):  # only root can; Windows has no such owners
+                os.chown(stream.name, before.st_uid, before.st_gid)
+            resumed = resume_log(path, stream)
+            if resumed.damage or map_log_file(path)[-len(MAGIC) :] != MAGIC:
+                raise Damage(before.st_size, "its end is missing")
+            resumed.writer.metadata(name, values)
+            resumed.writer.finish()
+            if path.stat().st_size != before.st_size:
+                raise LogError(f"{path} has changed meanwhile; try again")
     except Damage as damage:
         fix = f"save the undamaged part with `pamctl log recover {path} DESTINATION`"
         raise LogError(f"{path} is damaged, or not finished: {damage}; {fix}") from damage
-
-
-def _add_to_summary(old: Iterable[FileRecord], index: MetadataIndex) -> dict[int, bytes]:
-    """Return the records of the summary by kind, with one metadata record more."""
-    groups: dict[int, bytes] = {}
-    for record in old:
-        data = record.frame()
-        if record.opcode == Opcode.STATISTICS:
-            statistics = Statistics.read(record.stream())
-            statistics.metadata_count += 1
-            data = encode_record(statistics)
-        if record.opcode != Opcode.SUMMARY_OFFSET:
-            groups[record.opcode] = groups.get(record.opcode, b"") + data
-    groups[Opcode.METADATA_INDEX] = groups.get(Opcode.METADATA_INDEX, b"") + encode_record(index)
-    return groups
+    with suppress(OSError):  # the time of the measurement, for those who sort by it
+        os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))

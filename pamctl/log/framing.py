@@ -9,7 +9,7 @@ from __future__ import annotations
 import mmap
 import struct
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from io import BytesIO
 from pathlib import Path
@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import DataEnd, Footer, McapRecord, SummaryOffset
+from mcap.records import DataEnd, Footer, McapRecord
 
 from pamctl.exit_codes import ExitCode
 from pamctl.new_file import describe_irregular_file
@@ -170,22 +170,6 @@ def compute_checksum(data: memoryview) -> int:
 
 _FOOTER_BYTES = FRAME.size + 20
 _DATA_END_BYTES = FRAME.size + 4
-
-
-def encode_summary(start: int, groups: Iterable[tuple[int, bytes]]) -> bytes:
-    """Return all that follows the data of a file: the summary, the footer, the magic bytes.
-
-    `start` is where it will stand; a group has the encoded records of one opcode.
-    """
-    summary = offsets = b""
-    for opcode, group in groups:
-        offset = SummaryOffset(opcode, start + len(summary), len(group))
-        offsets += encode_record(offset) if group else b""
-        summary += group
-    footer = Footer(start, start + len(summary) if offsets else 0, 0)
-    summary += offsets
-    footer.summary_crc = zlib.crc32(summary + encode_record(footer)[: -len(NO_CHECKSUM)])
-    return summary + encode_record(footer) + MAGIC
 
 
 def read_summary(file: memoryview) -> list[FileRecord]:

@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from io import BufferedRandom
+from io import BufferedRandom, BufferedWriter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -261,7 +261,7 @@ class ResumedLog(NamedTuple):
 
 
 def resume_log(
-    path: Path, stream: BufferedRandom, beat: Callable[[], object] = lambda: None
+    path: Path, stream: BufferedWriter | BufferedRandom, beat: Callable[[], object] = lambda: None
 ) -> ResumedLog:
     """Go on with a log whose writer has died, or that is finished; `stream` has the file at `path`.
 

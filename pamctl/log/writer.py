@@ -24,13 +24,24 @@ from typing import Any
 import numpy as np
 import zstandard
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, DataEnd, Header, McapRecord, Metadata, Schema
+from mcap.records import (
+    Attachment,
+    Channel,
+    Chunk,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    Schema,
+    SummaryOffset,
+)
 from numpy.typing import NDArray
 
 import pamctl
 from pamctl.json_text import to_json
 from pamctl.log.file_index import DESCRIPTIONS, FileIndex
-from pamctl.log.framing import FRAME, MAGIC, FileRecord, encode_record, encode_summary, record_at
+from pamctl.log.framing import FRAME, MAGIC, NO_CHECKSUM, FileRecord, encode_record, record_at
 from pamctl.log.record_walk import Loaded, MessageRun, Part, walk_messages
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import (
@@ -237,7 +248,7 @@ class LogWriter:
                 self._said.add((said.name, to_json(said.metadata)))
                 self._index.take(record)
         if record.opcode not in (Opcode.CHUNK, Opcode.MESSAGE_INDEX):
-            self._at = place[1]
+            self._at, self._unindexed = place[1], {}
 
     def go_on(self, crc_of: Callable[[int], int]) -> int:
         """Go on writing behind the records taken over; return where they end.
@@ -275,9 +286,20 @@ class LogWriter:
         for channel in self._index.channels:  # those without messages
             self._put_description(channel)
         self._put(encode_record(DataEnd(self._crc)))
-        groups = self._index.groups().items()
-        self._put(encode_summary(self._at, ((kind, b"".join(group)) for kind, group in groups)))
+        self._put(self._encode_summary())
         self._stream.flush()
+
+    def _encode_summary(self) -> bytes:
+        """Return all that follows the data: the summary, the footer, the magic bytes."""
+        start, summary, offsets = self._at, b"", b""
+        for opcode, group in self._index.groups().items():
+            if records := b"".join(group):
+                offsets += encode_record(SummaryOffset(opcode, start + len(summary), len(records)))
+                summary += records
+        footer = Footer(start, start + len(summary) if offsets else 0, 0)
+        summary += offsets
+        footer.summary_crc = zlib.crc32(summary + encode_record(footer)[: -len(NO_CHECKSUM)])
+        return summary + encode_record(footer) + MAGIC
 
     def _put_description(self, channel: int) -> None:
         """Describe a channel in no chunk, unless a reader of the file so far knows it."""

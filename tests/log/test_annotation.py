@@ -104,13 +104,14 @@ def test_a_piece_of_a_log_keeps_what_is_said_of_it(tmp_path: Path) -> None:
     assert read_annotation(tmp_path / "piece.mcap").tags == ("good",)
 
 
-def test_damage_from_before_is_still_found(tmp_path: Path) -> None:
+def test_damage_from_before_is_found_and_stays(tmp_path: Path) -> None:
     path = copy_golden(tmp_path)
     octets = bytearray(path.read_bytes())
     octets[len(octets) // 2] ^= 1
     path.write_bytes(octets)
-    append_metadata(path, "remark", {"a": "b"})
-    assert not check_log(path).ok
+    with pytest.raises(LogError, match=f"is damaged.*pamctl log recover {path}"):
+        append_metadata(path, "remark", {"a": "b"})
+    assert path.read_bytes() == octets
 
 
 @pytest.mark.parametrize("keep", [8, 5000, -30])

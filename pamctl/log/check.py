@@ -20,11 +20,22 @@ from pamctl.errors import Problem
 from pamctl.json_text import from_json
 from pamctl.log.file_index import IndexCheck
 from pamctl.log.framing import LogError
-from pamctl.log.measured_signals import SignalPieces, describe_unknown_phase, find_unknown_phase
+from pamctl.log.measured_signals import (
+    describe_unknown_phase,
+    find_signal_problems,
+    find_unknown_phase,
+)
 from pamctl.log.reader import Scan
-from pamctl.log.record_problems import find_tick_period_s, judge_first_tick
+from pamctl.log.record_problems import RecordProblem, find_tick_period_s, judge_first_tick
 from pamctl.log.record_walk import Hole, Loaded
-from pamctl.log.schema import CUT, EVENT_TOPIC, SCHEMA_VERSION, TICK_TOPIC, unit_of_column
+from pamctl.log.schema import (
+    CUT,
+    EVENT_TOPIC,
+    IMPORTED_QUANTITIES,
+    SCHEMA_VERSION,
+    TICK_TOPIC,
+    unit_of_column,
+)
 from pamctl.log.wire import SEQUENCE, TickBatch, UnknownLayout
 from pamctl.plain_text import escape_name
 from pamctl.signals import TICK_FIELDS
@@ -186,42 +197,58 @@ class _CheckScan(Scan):
 
 
 _NEEDED = ("tick", "t_s", "dt_s", "missed")
+PIECE_TICKS = 1 << 15
+"""Ticks that are looked at together: half a minute at 1 kHz, however long the log is."""
+_OF_THE_WHOLE = ("constant", "reversed")
+"""Kinds of problems that mean nothing where they are not true of each piece."""
 
 
 class _TickCheck:
-    """Follows the ticks batch by batch, and reports where number or time is not continuous."""
+    """Looks at the ticks piece by piece; the last tick of a piece begins the next one, too."""
 
     def __init__(self, findings: LogFindings) -> None:
         self._findings = findings
-        self._before: dict[str, NDArray[Any]] = {}
+        self._parts: list[dict[str, NDArray[Any]]] = []
+        self._waiting = self._pieces = self._first_row = 0
+        self._problems: dict[tuple[str, str], list[RecordProblem]] = {}
         self._period_s = float("nan")
-        self._signals = SignalPieces()
         self.count = self.missed = self.gaps = 0
 
     def take(self, batch: TickBatch) -> None:
         """Take the next ticks."""
-        first, self.count = self.count, self.count + len(batch.sequence)
+        self.count += len(batch.sequence)
         if not all(name in batch.columns for name in _NEEDED):
             return
-        self._signals.take(batch.columns)
-        now = {name: np.asarray(batch.columns[name]) for name in _NEEDED}
-        now["time_ns"] = batch.log_time_ns.astype(np.int64)
-        if first == 0:
-            self._period_s = find_tick_period_s(now["tick"], now["t_s"])
-            for problem in judge_first_tick(now["tick"], now["t_s"]):
+        self._check_phases(batch)
+        names = [name for name in (*_NEEDED, *IMPORTED_QUANTITIES) if name in batch.columns]
+        part = {name: np.array(batch.columns[name]) for name in names}
+        self._parts.append({**part, "time_ns": batch.log_time_ns.astype(np.int64)})
+        self._waiting += len(batch.sequence)
+        if self._waiting >= PIECE_TICKS:
+            self._check_piece()
+
+    def _check_piece(self) -> None:
+        ticks = {name: np.concatenate([p[name] for p in self._parts]) for name in self._parts[0]}
+        rows = len(ticks["tick"])
+        if not self._pieces:
+            self._period_s = find_tick_period_s(ticks["tick"], ticks["t_s"])
+            for problem in judge_first_tick(ticks["tick"], ticks["t_s"]):
                 self._findings.error("tick-order", problem.describe())
-        ticks = {
-            name: np.concatenate([self._before.get(name, column[:0]), column])
-            for name, column in now.items()
-        }
         self._check_numbers(ticks)
         self._check_times(ticks)
-        self._check_phases(now["tick"], batch)
-        self._before = {name: column[-1:].copy() for name, column in now.items()}
+        for problem in find_signal_problems(ticks):
+            moved = tuple((a + self._first_row, b + self._first_row) for a, b in problem.stretches)
+            found = self._problems.setdefault((problem.kind, problem.column), [])
+            found.append(problem._replace(stretches=moved, share=problem.share * rows))
+        self._pieces += 1
+        self._first_row += rows - 1
+        self._parts, self._waiting = [{name: c[-1:].copy() for name, c in ticks.items()}], 0
 
     def end(self) -> None:
-        """Report what all ticks together show."""
-        for problem in self._signals.find_problems():
+        """Check the last piece, and report what all ticks together show."""
+        if self._waiting:
+            self._check_piece()
+        for problem in self._join_problems():
             # A run may end before its first tick, and a rig may be at rest.
             is_wrong = problem.is_fatal and problem.kind != "short"
             severity = Severity.ERROR if is_wrong else Severity.WARNING
@@ -231,6 +258,20 @@ class _TickCheck:
         if self.missed:
             counted = f"{self.missed} ticks in {self.gaps} gaps were missed; the log counts them"
             self._findings.note("missed", counted)
+
+    def _join_problems(self) -> list[RecordProblem]:
+        """Return the problems of all pieces, each kind of a column once."""
+        if not self._pieces:
+            return find_signal_problems({"t_s": np.empty(0)})
+        return [
+            found[0]._replace(
+                stretches=tuple(stretch for one in found for stretch in one.stretches),
+                to_s=found[-1].to_s,
+                share=sum(one.share for one in found) / (self._first_row + 1),
+            )
+            for (kind, _), found in self._problems.items()
+            if len(found) == self._pieces or kind not in _OF_THE_WHOLE
+        ]
 
     def _check_numbers(self, ticks: Mapping[str, NDArray[Any]]) -> None:
         tick = ticks["tick"]
@@ -275,7 +316,8 @@ class _TickCheck:
             detail = f"dt_s is {dt_s[i]}, with {missed[i]} missed ticks"
             self._findings.warning("period", f"at tick {tick[i + 1]}, {detail}")
 
-    def _check_phases(self, tick: NDArray[Any], batch: TickBatch) -> None:
+    def _check_phases(self, batch: TickBatch) -> None:
+        tick = batch.columns["tick"]
         differs = tick & SEQUENCE != batch.sequence
         if differs.any():
             at = int(tick[differs.argmax()])

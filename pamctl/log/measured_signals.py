@@ -168,67 +168,6 @@ def find_signal_problems(columns: Mapping[str, NDArray[Any]]) -> list[RecordProb
     return [problem for problem in found if problem.kind not in ("gap", "jitter")]
 
 
-PIECE_TICKS = 1 << 15
-"""Ticks whose signals are looked at together where a log does not fit: half a minute at 1 kHz."""
-_OF_THE_WHOLE = ("constant", "reversed")
-"""Kinds that mean nothing where they are not true of each piece."""
-
-
-class SignalPieces:
-    """Looks at the measured signals of a log of any length, piece by piece."""
-
-    def __init__(self) -> None:
-        """Begin without ticks."""
-        self._piece: dict[str, Floats] = {}
-        self._filled = self._pieces = self._first_row = 0
-        self._found: dict[tuple[str, str], list[RecordProblem]] = {}
-
-    def take(self, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Take the next ticks, each column of shape (n,)."""
-        if not self._piece:
-            names = [name for name in ("t_s", *IMPORTED_QUANTITIES) if name in columns]
-            self._piece = {name: np.empty(PIECE_TICKS) for name in names}
-        count = len(columns["t_s"])
-        taken = 0
-        while taken < count:
-            part = min(count - taken, PIECE_TICKS - self._filled)
-            for name, piece in self._piece.items():
-                piece[self._filled : self._filled + part] = columns[name][taken : taken + part]
-            self._filled, taken = self._filled + part, taken + part
-            if self._filled == PIECE_TICKS:
-                self._judge()
-
-    def _judge(self) -> None:
-        """Judge the ticks that were taken; the last one begins the next piece, too."""
-        piece = {name: column[: self._filled] for name, column in self._piece.items()}
-        for problem in find_signal_problems(piece):
-            moved = tuple((a + self._first_row, b + self._first_row) for a, b in problem.stretches)
-            found = self._found.setdefault((problem.kind, problem.column), [])
-            found.append(problem._replace(stretches=moved, share=problem.share * self._filled))
-        self._pieces += 1
-        self._first_row += self._filled - 1
-        for column in self._piece.values():
-            column[0] = column[self._filled - 1]
-        self._filled = 1
-
-    def find_problems(self) -> list[RecordProblem]:
-        """Return the problems of all ticks, each kind of a column once."""
-        if not self._piece:
-            return find_signal_problems({"t_s": np.empty(0)})
-        rows = self._first_row + self._filled
-        if self._filled > 1 or not self._pieces:
-            self._judge()
-        return [
-            found[0]._replace(
-                stretches=tuple(stretch for one in found for stretch in one.stretches),
-                to_s=found[-1].to_s,
-                share=sum(one.share for one in found) / rows,
-            )
-            for (kind, _), found in self._found.items()
-            if len(found) == self._pieces or kind not in _OF_THE_WHOLE
-        ]
-
-
 def judge_ticks(log: Log, *, may_lack: bool = False) -> list[str]:
     """Return what is doubtful in the ticks of a log, each with its rows and seconds.
 

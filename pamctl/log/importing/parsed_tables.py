@@ -360,7 +360,7 @@ def parse_mat(path: Path, hints: TextHints) -> MeasuredTable:
 
     try:
         with path.open("rb") as file:  # given a path, loadmat hides why it cannot open the file
-            content = loadmat(file, struct_as_record=True, squeeze_me=False)
+            content = loadmat(file, simplify_cells=True)
     # A parser may raise anything for a file that is not a MAT file.
     except Exception as error:
         raise ImportRefused(f"{path} is not a complete MAT file: {error}") from error
@@ -391,7 +391,7 @@ def _make_table(path: Path, content: dict[str, Any], form: str) -> MeasuredTable
     for name, value in content.items():
         try:
             columns += _read_columns(name, value)
-        except (ValueError, TypeError, IndexError) as error:
+        except (ValueError, TypeError, LookupError, AttributeError) as error:
             detail = f"the variable {name} has a form that is not understood ({error})"
             raise ImportRefused(f"{path}: {detail}; save arrays, or structure with time") from error
     if not any(len(column.values) for column in columns):
@@ -401,21 +401,30 @@ def _make_table(path: Path, content: dict[str, Any], form: str) -> MeasuredTable
 
 
 def _read_columns(name: str, value: Any) -> Iterator[TableColumn]:
-    """Yield the columns of a variable or of a field; an object or a text has no numbers."""
+    """Yield the columns of a variable or of a field, as `loadmat` simplifies it."""
     from scipy.io.matlab import MatlabOpaque
 
-    if not isinstance(value, np.ndarray) or isinstance(value, MatlabOpaque):
+    if value is None or isinstance(value, MatlabOpaque):
         yield TableColumn(name, np.zeros(0), is_text=True, says="an object that MATLAB alone reads")
-    elif value.dtype.names is not None and value.size == 1:
-        yield from _read_struct(name, value.reshape(-1)[0])
+    elif isinstance(value, dict):
+        yield from _read_struct(name, value)
+    elif isinstance(value, list) and value and isinstance(value[0], dict):
+        yield from _read_fields(name, {f: np.array([s[f] for s in value]) for f in value[0]})
+    elif not isinstance(value, np.ndarray):
+        if isinstance(value, str):
+            yield TableColumn(name, np.zeros(0), is_text=True)
     elif value.dtype.names is not None:
-        columns = {f"{name}.{field}": value[field] for field in value.dtype.names}
-        flat = {key: v.reshape(-1) for key, v in columns.items() if v.dtype.kind in "fiub"}
-        yield from make_columns(flat)
+        yield from _read_fields(name, {field: value[field] for field in value.dtype.names})
     elif value.dtype.kind in "fiub" and value.ndim <= 2:
         yield from _read_array(name, value)
     else:
         yield TableColumn(name, np.zeros(0), is_text=True)
+
+
+def _read_fields(name: str, fields: dict[str, Any]) -> list[TableColumn]:
+    """Return the columns of an array of structs, a number a field."""
+    numbers = {f: values.reshape(-1) for f, values in fields.items() if values.dtype.kind in "fiub"}
+    return make_columns({f"{name}.{field}": values for field, values in numbers.items()})
 
 
 def _read_array(name: str, value: Any) -> Iterator[TableColumn]:
@@ -428,41 +437,42 @@ def _read_array(name: str, value: Any) -> Iterator[TableColumn]:
         yield replace(column, called=called) if is_one else column
 
 
-def _read_struct(name: str, record: Any) -> Iterator[TableColumn]:
-    fields = {field.lower(): field for field in record.dtype.names}
+def _read_struct(name: str, struct: dict[str, Any]) -> Iterator[TableColumn]:
+    fields = {field.lower(): value for field, value in struct.items()}
     if "time" in fields and "signals" in fields:
-        time, signals = record[fields["time"]], record[fields["signals"]]
-        yield from _read_structure_with_time(name, time, signals)
+        yield from _read_structure_with_time(name, fields["time"], fields["signals"])
     elif "time" in fields and "data" in fields:
-        leaf = name.rpartition(".")[2] if "." in name else ""
-        yield TableColumn(f"{name}.time", _flatten(record[fields["time"]]), called=TIME_S)
-        yield TableColumn(name, _flatten(record[fields["data"]]), called=leaf)
+        yield TableColumn(f"{name}.time", _flatten(fields["time"]), called=TIME_S)
+        yield TableColumn(name, _flatten(fields["data"]), called=_find_leaf(name))
     else:
-        for field in record.dtype.names:
-            yield from _read_columns(f"{name}.{field}", record[field])
+        for field, value in struct.items():
+            yield from _read_columns(f"{name}.{field}", value)
 
 
 def _read_structure_with_time(name: str, time: Any, signals: Any) -> Iterator[TableColumn]:
     if np.size(time) > 1:
         yield TableColumn(f"{name}.time", _flatten(time), called=TIME_S)
-    each = signals.reshape(-1)
-    for index, signal in enumerate(each):
-        values = signal["values"]
-        label = signal["label"] if "label" in signal.dtype.names else ""
-        called = f"{name}({index + 1})" if len(each) > 1 else name
+    each = signals if isinstance(signals, list) else [signals]
+    for number, signal in enumerate(each, 1):
+        values, label = np.asarray(signal["values"]), signal.get("label")
+        called = f"{name}({number})" if len(each) > 1 else name
         if values.ndim == 2 and 1 not in values.shape:
             yield from _read_array(called, values)
         else:
-            said = str(np.asarray(label).reshape(-1)[0]) if np.size(label) else ""
-            leaf = called.rpartition(".")[2] if "." in called else ""
-            yield TableColumn(called, _flatten(values), called=said or leaf)
+            said = label if isinstance(label, str) else ""
+            yield TableColumn(called, _flatten(values), called=said or _find_leaf(called))
+
+
+def _find_leaf(name: str) -> str:
+    """Return the name of a field; nothing for a variable."""
+    return name.rpartition(".")[2] if "." in name else ""
 
 
 def _flatten(value: Any) -> Floats:
     return np.asarray(value, np.float64).reshape(-1)
 
 
-# HDF5 into what scipy makes of older MAT files.
+# HDF5 into what `loadmat` makes of older MAT files.
 
 
 def _read_node(path: Path, file: Any, node: Any, depth: int, is_matlab: bool) -> Any:
@@ -470,42 +480,29 @@ def _read_node(path: Path, file: Any, node: Any, depth: int, is_matlab: bool) ->
 
     if depth > _DEEPEST:
         raise ImportRefused(f"{path}: {node.name} is nested too deeply")
-    kind = node.attrs.get("MATLAB_class", b"")
+
+    def read(inner: Any) -> Any:
+        return _read_node(path, file, inner, depth + 1, is_matlab)
+
     if isinstance(node, h5py.Group):
-        return _read_group(path, file, node, depth, is_matlab)
-    size = node.size * node.dtype.itemsize
+        fields = {name: node[name] for name in node if not name.startswith("#")}
+        if not fields or not all(map(_is_list, fields.values())):
+            return {name: read(field) for name, field in fields.items()} or None
+        columns = [field[()].reshape(-1) for field in fields.values()]
+        rows = zip(*columns, strict=True)
+        return [dict(zip(fields, (read(file[ref]) for ref in row), strict=True)) for row in rows]
+    kind, size = node.attrs.get("MATLAB_class", b""), node.size * node.dtype.itemsize
     if size > MOST_BYTES:
         raise ImportRefused(f"{path}: {node.name} takes {size / 2**30:.1f} GB; save it in parts")
     refuse_bomb(path, size)
     if "MATLAB_empty" in node.attrs:
         return None
     if kind == b"char":
-        return np.array(["".join(map(chr, node[()].reshape(-1, order="F")))])
+        return "".join(map(chr, node[()].reshape(-1, order="F")))
     if node.dtype.names is None and (node.dtype.kind not in "fiub" or kind not in _NUMBERS):
         return None  # an object, a cell
-    values = node[()]
-    if not is_matlab:
-        return np.asarray(values)
     # MATLAB stores the columns one after the other: HDF5 shows the transposed array.
-    return np.atleast_2d(values.T) if values.ndim else np.array([[values]])
-
-
-def _read_group(path: Path, file: Any, group: Any, depth: int, is_matlab: bool) -> Any:
-    """Return a struct, or an array of structs, as a record array of shape (1, n)."""
-    fields = [name for name in group if not name.startswith("#")]
-    if not fields:
-        return None
-    length = max((group[n].size if _is_list(group[n]) else 1 for n in fields), default=1)
-    records = np.empty((1, length), [(name, object) for name in fields])
-    for name in fields:
-        node = group[name]
-        if _is_list(node):
-            for index, reference in enumerate(node[()].reshape(-1)):
-                record = _read_node(path, file, file[reference], depth + 1, is_matlab)
-                records[name][0, index] = record
-        else:
-            records[name][0, 0] = _read_node(path, file, node, depth + 1, is_matlab)
-    return records
+    return np.asarray(node[()]).T.squeeze() if is_matlab else np.asarray(node[()])
 
 
 def _is_list(node: Any) -> bool:

@@ -19,7 +19,7 @@ import math
 import sys
 import time
 import zlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ from hidden.examination.examine import records_of, rig_of  # noqa: E402
 from hidden.examination.truth_values import NEUTRAL as HIDDEN_NEUTRAL  # noqa: E402
 from hidden.examination.truth_values import TRUE  # noqa: E402
 from hidden.excitations import PROGRAMS  # noqa: E402
-from hidden.rig import HiddenRig  # noqa: E402
+from hidden.hostile.trial import TRUTH_NAMES  # noqa: E402
 from hidden.sensors import ADC_STEP_PA, ENCODER_STEP_M  # noqa: E402
 from measured_table import format_table, write_measured  # noqa: E402
 from resumable_study import run_resumable  # noqa: E402
@@ -63,14 +63,6 @@ OFF = {
     "braid_length_m": 0.003,
 }
 """Largest deviation of a rig's numbers from the paper's."""
-HIDDEN_NUMBERS: dict[str, Callable[[HiddenRig], float]] = {
-    "damping_n_s_per_m": lambda rig: rig.truth.damping,
-    "stiffness_n_per_m": lambda rig: rig.truth.stiffness,
-    "kinetic_friction_per_m": lambda rig: rig.truth.mu_k,
-    "valve_gain_m2_per_v": lambda rig: rig.truth.valve_m2_per_v,
-    "tank_pressure_pa": lambda rig: rig.truth.supply_pa,
-    "braid_length_m": lambda rig: rig.truth.braid_m,
-}
 
 
 @dataclass(frozen=True)
@@ -109,7 +101,7 @@ def run_hidden_rig(task: Task) -> tuple[Runs, dict[str, float]]:
     )
     rig = rig_of(case)
     train, held = records_of(case)
-    true = {name: number(rig) for name, number in HIDDEN_NUMBERS.items()}
+    true = {name: getattr(rig.truth, TRUTH_NAMES[name]) for name in OFF}
     for name, number in TRUE.get(task.effect, {}).items():
         if not math.isclose(number(rig), HIDDEN_NEUTRAL.get(name, 0.0), abs_tol=1e-15):
             true[f"{task.effect}.{name}"] = number(rig)

@@ -9,19 +9,17 @@ import gc
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import odeint, solve_ivp
 
 from hal.rig import RawSample
 from hal.sim import sensed_counts, sensed_pressure_v, sensor_chain
 from pamctl.control.experiment import plan_experiment
 from pamctl.control.law import Memory, respond
-from pamctl.kernel.calls import machine, prepare
+from pamctl.kernel.calls import machine
 from pamctl.plant.model import PlantSettings, plant_parameters
-from pamctl.plant.paper import axial_forces, force_area_m2, valve_flow, volume_m3
 from pamctl.plant.parameters import PlantParameters, PlantState, vented_state
 from pamctl.plant.step import advance_plant
 from pamctl.realtime.tick import TickState, first_state, step
@@ -39,9 +37,6 @@ SMALL_V = [
     0.0 if i // 250 % 4 == 3 else 1.5 * math.sin(2 * math.pi * 3 * i * TICK_S) for i in range(2000)
 ]
 LAW_TICKS = 5000
-LSODA_TICKS = 700
-"""For the square: filling, rest at the top, the stuck 14 ms after the switch, and venting."""
-
 Figures = dict[str, float]
 
 
@@ -91,86 +86,6 @@ def largest_um(positions_m: Any, converged_m: NDArray[np.float64]) -> float:
     return float(difference_m.max() * 1e6)
 
 
-class Lsoda(NamedTuple):
-    """One way to call LSODA, restarted every tick as in a control loop."""
-
-    compiled_rates: bool
-    in_c: bool
-    """`odeint`, whose loop over the solver's steps is Fortran and C; else `solve_ivp`."""
-    rtol: float
-    slip_m_per_s: float
-    """Friction rises from 0 to its full value over this range of speed."""
-
-
-LSODA = {
-    "solve_ivp, plain rates, 1e-6": Lsoda(False, False, 1e-6, 1e-5),
-    "solve_ivp, compiled rates, 1e-6": Lsoda(True, False, 1e-6, 1e-5),
-    "odeint, plain rates, 1e-6": Lsoda(False, True, 1e-6, 1e-5),
-    "odeint, compiled rates, 1e-6": Lsoda(True, True, 1e-6, 1e-5),
-    "odeint, compiled rates, 1e-4": Lsoda(True, True, 1e-4, 1e-4),
-}
-
-
-def rates(t: float, y: Any, command_v: float, slip_m_per_s: float) -> tuple[float, float, float]:
-    """Kernel: Eq. 9 for a general solver, with a smoothed friction jump."""
-    x, v, pressure_pa = y[0], y[1], y[2]
-    forces = axial_forces(P.paper, x, pressure_pa)
-    friction_n = forces.damping_down_n_s_per_m * v
-    if v > 0.0:
-        friction_n = forces.damping_up_n_s_per_m * v + forces.upper_n * min(v / slip_m_per_s, 1.0)
-    inflow = P.paper.specific_energy_j_per_kg * valve_flow(P.paper, command_v, pressure_pa)
-    return (
-        v,
-        (forces.drive_n - friction_n) / P.paper.mass_kg,
-        (inflow - pressure_pa * force_area_m2(P.paper, x) * v) / volume_m3(P.paper, x),
-    )
-
-
-def fill_rates(
-    y: NDArray[np.float64], command_v: float, slip_m_per_s: float, found: NDArray[np.float64]
-) -> None:
-    """Kernel: fill what `rates` returns."""
-    found[0], found[1], found[2] = rates(0.0, y, command_v, slip_m_per_s)
-
-
-class CompiledRates:
-    """`rates` in machine code, for one command after the other."""
-
-    def __init__(self, slip_m_per_s: float) -> None:
-        self._y, self._found = np.zeros(3), np.zeros(3)
-        given = {
-            "y": self._y, "command_v": 0.0, "slip_m_per_s": slip_m_per_s, "found": self._found,
-        }  # fmt: skip
-        self.call = prepare(fill_rates, given)
-
-    def __call__(self, t: float, y: Any, *given: float) -> NDArray[np.float64]:
-        """Return what `rates` does; the command is that of `call`."""
-        self._y[:] = y
-        self.call.run()
-        return self._found
-
-
-def run_lsoda(how: Lsoda, commands_v: Sequence[float]) -> list[float]:
-    compiled = CompiledRates(how.slip_m_per_s) if how.compiled_rates else None
-    right: Any = compiled or rates
-    limits: Any = {"rtol": how.rtol, "atol": [how.rtol * scale for scale in (1e-3, 1e-1, 1e5)]}
-    ends, state = (0.0, TICK_S), [0.0, 0.0, P.paper.atmospheric_pressure_pa]
-    positions_m = []
-    for command_v in commands_v:
-        given = (command_v, how.slip_m_per_s)
-        if compiled is not None:
-            compiled.call.put("command_v", command_v)
-        if how.in_c:
-            state = odeint(right, state, ends, given, tfirst=True, **limits)[-1]
-        else:
-            found = solve_ivp(
-                right, ends, state, method="LSODA", args=given, t_eval=(TICK_S,), **limits
-            )
-            state = found.y[:, -1]
-        positions_m.append(float(state[0]))
-    return positions_m
-
-
 def time_plant() -> dict[str, Figures]:
     """Time a tick of the plant and of LSODA, each with its distance from 512 steps a tick."""
     converged_m = run_plant_compiled(SQUARE_V, 512)
@@ -190,11 +105,6 @@ def time_plant() -> dict[str, Figures]:
             tick_us = time_work(run) / ticks * 1e6
             speeds = {"tick_us": tick_us, "times_real_time": 1e3 / tick_us}
             found[f"{form}, {steps} steps"] = speeds | errors
-    commands_v = SQUARE_V[:LSODA_TICKS]
-    for name, how in LSODA.items():
-        tick_us = time_work(lambda how=how: run_lsoda(how, commands_v)) / LSODA_TICKS * 1e6
-        error_um = largest_um(run_lsoda(how, commands_v), converged_m)
-        found[name] = {"tick_us": tick_us, "square_error_um": error_um}
     return found
 
 

@@ -60,7 +60,6 @@ def test_a_table_says_how_it_was_measured(monkeypatch: pytest.MonkeyPatch) -> No
     ("name", "words"),
     [
         ("tracking_table", ("`qsmc`", "`smc`", "`pid`")),
-        ("study_claims", ("`qsmc`", "`smc`", "`pid`")),
         ("interval_coverage", ("intervals",)),
     ],
 )

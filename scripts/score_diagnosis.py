@@ -1,17 +1,18 @@
 """Score a diagnosis on 24 rigs that share no code with it, and put cores side by side.
 
-    python scripts/score_diagnosis.py [--cases short|nulls|hostile] [--seeds 1,2] [--only PATTERN]
-        [--core today | MODULE:FUNCTION] [--change cut:2,half_rate,guess:0.5,units] [--jobs 2]
-        [--results FILE] [--list]
+    python scripts/score_diagnosis.py [--cases short|nulls|hostile|suite|quick] [--seeds 1,2]
+        [--only PATTERN] [--core today | MODULE:FUNCTION]
+        [--change cut:2,half_rate,guess:0.5,units] [--jobs 2] [--results FILE] [--list]
 
 A seed draws the short list: singles in turn over the catalogue, pairs, halves of the smallest size,
 nulls, hostile, dirty and uncatalogued rigs, and two measured seals (below the folder that
 PAMCTL_MEASURED_DATA names). The other lists are whole suites: their table has only what is not
-right. A core is one function,
+right; `quick` is a few of `suite`, all hidden rigs. A core is one function,
 `diagnose_case(records, plant) -> Said` (`tests/hidden/rungs.py`), with records as (to fit, to judge
-by) and the plant file's content. Results are appended to a JSONL file; what is stored is not run
-again, and the table shows every core in the file. With `--change` the same records come in other
-words, and places, kinds, names and numbers are compared with those of the plain ones.
+by) and the plant file's content; names to take out of the catalogue come third, where a case has
+them. Results are appended to a JSONL file; what is stored is not run again, and the table shows
+every core in the file. With `--change` the same records come in other words, and places, kinds,
+names and numbers are compared with those of the plain ones.
 """
 
 from __future__ import annotations
@@ -46,10 +47,10 @@ from resumable_study import read_stored, run_resumable  # noqa: E402
 LONGEST = 100
 """Cases of which every one has a row."""
 
-Core = Callable[[Handed, Mapping[str, Any]], Said]
+Core = Callable[..., Said]
 
 
-def diagnose_today(records: Handed, plant: Mapping[str, Any]) -> Said:
+def diagnose_today(records: Handed, plant: Mapping[str, Any], without: Sequence[str] = ()) -> Said:
     """Ask `pamctl.diagnose`; what it says in its document, in the words of `rungs`."""
     from pamctl.diagnose import Record, diagnose
     from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
@@ -57,7 +58,7 @@ def diagnose_today(records: Handed, plant: Mapping[str, Any]) -> Said:
 
     train, held_out = ([Record(name=r.name, **r.columns()) for r in part] for part in records)
     settings = PlantSettings.model_validate(plant)
-    document = build_diagnosis_document(diagnose(train, held_out, settings))
+    document = build_diagnosis_document(diagnose(train, held_out, settings, without=without))
     return read_document(document)
 
 
@@ -107,7 +108,8 @@ def run_task(task: Task) -> dict[str, Any]:
         asked = [f"{c.what} ({c.rung})" for c in causes]
         began = process_time()
         signal.setitimer(signal.ITIMER_PROF, task.limit_s)
-        said = find_core(task.core)(handed, plant)
+        left_out = [task.case.without] if task.case.without else []
+        said = find_core(task.core)(handed, plant, *left_out)
         spent = process_time() - began
         signal.setitimer(signal.ITIMER_PROF, 0.0)
         verdict, false = mark(causes, said, task.case.ignored)

@@ -11,12 +11,11 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hidden.effects import CALLED, apply
+from hidden.effects import apply
 from hidden.examination.oracle import POSITION_FLOOR_M, PRESSURE_FLOOR_PA
 from hidden.excitations import PROGRAMS, Excitation
 from hidden.rig import HiddenRig, Record, hidden_rig
@@ -274,23 +273,6 @@ class DirtyRig:
         dirt = math.hypot(*(d.share for d in self.dirts))
         return carried_rung(self.effect, self.multiple, self.program, dirt)
 
-    def describe(self) -> dict[str, Any]:
-        """Return the truth as plain values."""
-        return {
-            "seed": self.seed,
-            "actuator": self.actuator,
-            "effect": CALLED.get(self.effect, self.effect) if self.is_hidden else None,
-            "size": self.multiple,
-            "rung": self.rung if self.is_hidden else "none",
-            "numbers": _changed_numbers(self.affected, self.clean) if self.is_hidden else {},
-            "force_climbs_at_rest": self.climbs,
-            "dirt": [
-                {"kind": d.kind.name, "size": d.size, "unit": d.kind.unit, "share": d.share,
-                 "where": [" ".join(w).strip() for w in d.kind.where], "shape": dict(d.shape)}
-                for d in self.dirts
-            ],
-        }  # fmt: skip
-
 
 class _Probe:
     """Measures what a change leaves of perfect sensors' signals after a recalibration."""
@@ -382,10 +364,3 @@ def _in_stroke(shape: dict[str, float], stroke_m: float) -> dict[str, float]:
     if "over" in shape:
         return {"over_m": shape["over"] * stroke_m, "back_m": shape["back"] * stroke_m}
     return shape | ({"stroke_m": stroke_m} if "share" in shape else {})
-
-
-def _changed_numbers(rig: HiddenRig, clean: HiddenRig) -> dict[str, float]:
-    """Return the numbers of truth and sensors that the hidden effect changed."""
-    before: dict[str, Any] = {**clean.truth._asdict(), **vars(clean.sensors)}
-    after: dict[str, Any] = {**rig.truth._asdict(), **vars(rig.sensors)}
-    return {name: float(value) for name, value in after.items() if value != before[name]}

@@ -10,8 +10,7 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from typing import Literal
 
-from hidden.examination.oracle import SURE
-from hidden.examination.scoring import oracle_of
+from hidden.examination.oracle import SURE, oracle_of
 
 Rung = Literal["none", "set", "place", "kind", "name"]
 RUNGS: tuple[Rung, ...] = ("none", "set", "place", "kind", "name")

@@ -1,4 +1,4 @@
-"""The short list: 24 rigs of all suites, drawn by a seed, with their truths in one form."""
+"""The rigs of all suites with their truths in one form: whole suites, and a short list of all."""
 
 from __future__ import annotations
 
@@ -15,19 +15,31 @@ from typing import Any
 
 import yaml
 
+from hidden.ball_screw.ball_screw_cases import BallScrewCase, ball_screw_cases
 from hidden.dirty import DirtyRig
-from hidden.effects import CALLED, SINGLES
+from hidden.effects import CALLED, OUT_OF_CATALOGUE, SINGLES
+from hidden.examination import cases as suite
 from hidden.examination import examine
 from hidden.examination.cases import PAIRS, Case
-from hidden.examination.oracle import SURE
-from hidden.examination.scoring import SAME_SETUP, oracle_of
+from hidden.examination.oracle import SURE, oracle_of
 from hidden.hostile import trial
 from hidden.hostile.causes import FITTED
 from hidden.hostile.misread import NULLS, NullCase
 from hidden.hostile.situations import HostileCase, Situation, all_cases, all_situations
 from hidden.hostile.visible import is_hopeless
 from hidden.rig import Record
-from hidden.rungs import NAMES, Cause, Rung, Said, Where, carried_rung, named_cause, where_of
+from hidden.rungs import (
+    NAMES,
+    RUNGS,
+    Cause,
+    Rung,
+    Said,
+    Where,
+    carried_rung,
+    find_twins,
+    named_cause,
+    where_of,
+)
 from hidden.uncatalogued import UNCATALOGUED
 
 Handed = tuple[list[Record], list[Record]]
@@ -50,6 +62,8 @@ class ScoredCase:
     """Numbers that are off by a few per cent in every rig: to find them is never false."""
     refusal: tuple[str, ...] = field(default=())
     """Refused for a reason that holds one of these words, it is right."""
+    without: tuple[str, ...] = ()
+    """Names that are taken out of the catalogue."""
 
     @property
     def causes(self) -> list[Cause]:
@@ -81,10 +95,32 @@ def draw_hostile(seed: int) -> list[ScoredCase]:
     return [_hostile_case(c.situation, c.size, c.excitation, seed) for c in all_cases()]
 
 
-LISTS = {"short": draw_list, "nulls": draw_nulls, "hostile": draw_hostile}
+def draw_suite(seed: int) -> list[ScoredCase]:
+    """Return all hidden rigs: nulls, each effect at three sizes, pairs, unknown and bad ones."""
+    return [
+        *map(_suite_case, suite.all_cases(repeat=seed)),
+        *map(_on_ball_screw, ball_screw_cases()),
+    ]
+
+
+def draw_quick(seed: int) -> list[ScoredCase]:
+    """Return a few of everything in that suite, for minutes."""
+    return [*map(_suite_case, suite.quick_cases(seed))]
+
+
+LISTS = {
+    "short": draw_list, "nulls": draw_nulls, "hostile": draw_hostile, "suite": draw_suite,
+    "quick": draw_quick,
+}  # fmt: skip
 
 CATALOGUE = (*SINGLES, *CALLED, "slewing_driver")
 TO_CATALOGUE = {**CALLED, "slewing_driver": "valve_slew"}
+SAME_SETUP = {
+    "encoder_scale": "scale.position_m",
+    "command_delay": "skew.valve_v",
+    "end_cap": "plant_constant.rest_length_m",
+}
+"""Effects that are a fault of the set-up in other words, by the equations: either word is right."""
 STRIDE = 11
 """Neighbours in a table are alike: one list should hold unlike ones."""
 
@@ -107,13 +143,56 @@ def _from_hidden(case: Case) -> Made:
 
 
 def _hidden_causes(effects: dict[str, float]) -> list[Cause]:
-    return [_cause_of(effect, size) for effect, size in effects.items()]
+    return [_cause_of(effect, size, PROGRAM) for effect, size in effects.items()]
 
 
-def _cause_of(effect: str, multiple: float) -> Cause:
+def _cause_of(effect: str, multiple: float, program: str) -> Cause:
     name = TO_CATALOGUE.get(effect, effect)
-    also = [".".join(SAME_SETUP[name])] if name in SAME_SETUP else []
-    return named_cause(name, carried_rung(name, multiple, PROGRAM), *also)
+    also = [SAME_SETUP[name]] if name in SAME_SETUP else []
+    return named_cause(name, carried_rung(name, multiple, program), *also)
+
+
+def _suite_case(case: Case) -> ScoredCase:
+    key = f"{case.id}#{case.repeat}@{case.program}"
+    refusal = (".",) if case.group == "bad" else ()
+    return ScoredCase(key, case.group, partial(_from_hidden, case), partial(_suite_causes, case),
+                      refusal=refusal, without=case.removed)  # fmt: skip
+
+
+def _suite_causes(case: Case) -> list[Cause]:
+    causes = []
+    for effect, size in case.effects.items():
+        multiple = size[0] if isinstance(size, tuple) else size
+        if effect in OUT_OF_CATALOGUE:
+            causes.append(_unnamed_cause(effect))
+        elif effect in case.removed:
+            causes.append(_removed_cause(effect, multiple, case.program))
+        elif case.group in ("blind", "bad") or effect == "moving_mass":  # the mass is fitted
+            causes.append(named_cause(effect, "none"))
+        else:
+            causes.append(_cause_of(effect, multiple, case.program))
+    if case.group == "bad":  # to refuse it is all that is right
+        causes.append(Cause(case.damage, frozenset(), "name"))
+    return causes
+
+
+def _removed_cause(name: str, multiple: float, program: str) -> Cause:
+    """Return what is left to say of an effect without its name: its place, or a twin's name."""
+    rung = min(carried_rung(name, multiple, program), "place", key=RUNGS.index)
+    twins = find_twins(name, multiple, program) if rung != "none" else frozenset[str]()
+    also = {SAME_SETUP[name]} if name in SAME_SETUP else set[str]()
+    return Cause(f"{name}, unnamed", where_of(name), rung, twins | also)
+
+
+def _on_ball_screw(case: BallScrewCase) -> ScoredCase:
+    causes = [named_cause(name) for name in sorted(case.names)]
+    causes.append(named_cause("external_load", "none"))
+    return ScoredCase(case.id, "ball_screw", partial(_from_ball_screw, case),
+                      partial(list, causes))  # fmt: skip
+
+
+def _from_ball_screw(case: BallScrewCase) -> Made:
+    return case.records(), case.start_plant().model_dump()
 
 
 def _singles(seed: int) -> Iterator[ScoredCase]:
@@ -234,14 +313,18 @@ def _uncatalogued(seed: int) -> Iterator[ScoredCase]:
     """Truths that no catalogue has; their place is asked, at any kind of the right driver."""
     truths = {t.name: t for t in UNCATALOGUED if not t.called}
     for name in _in_turn(truths, seed, 2):
-        where: set[Where] = {
-            (TERM_WHERE[place], "time" if driver == "time" else "curve")
-            for place, driver in truths[name].right
-        }
-        cause = Cause(name, frozenset(where), "place")
+        cause = _unnamed_cause(name)
         yield ScoredCase(f"uncatalogued/{name}#{seed}", "uncatalogued",
                          partial(_with_paper, partial(_beyond_catalogue, name, seed)),
                          partial(list, [cause]))  # fmt: skip
+
+
+def _unnamed_cause(name: str) -> Cause:
+    where: set[Where] = {
+        (TERM_WHERE[place], "time" if driver == "time" else "curve")
+        for place, driver in next(t for t in UNCATALOGUED if t.name == name).right
+    }
+    return Cause(name, frozenset(where), "place")
 
 
 def _beyond_catalogue(name: str, seed: int) -> Handed:

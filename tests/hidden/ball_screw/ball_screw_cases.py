@@ -7,9 +7,6 @@ from dataclasses import dataclass
 
 from hidden.ball_screw.ball_screw_rig import ASYMMETRIC, SYMMETRIC, BallScrew, BallScrewRig
 from hidden.rig import Record
-from pamctl.diagnose import Record as Measured
-from pamctl.diagnose import diagnose
-from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.plant.model import PlantSettings
 
 GUESSES = (0.5, 1.0, 2.0)
@@ -73,13 +70,6 @@ class BallScrewCase:
                 "effects": dry if self.knows_friction else {},
             }
         )
-
-    def examine(self) -> Diagnosis:
-        """Diagnose the case as its user would."""
-        train, held_out = (
-            [Measured(name=r.name, **r.columns()) for r in part] for part in self.records()
-        )
-        return diagnose(train, held_out, self.start_plant())
 
     def records(self) -> tuple[list[Record], list[Record]]:
         """Return the (training, held-out) records."""

@@ -9,15 +9,6 @@ from typing import Literal
 
 from hidden.effects import CALLED, OUT_OF_CATALOGUE, SINGLES, Size
 
-KIN = {
-    "hysteretic_spring": {"coulomb_friction", "presliding"},
-    "second_spring": {"cubic_stiffness"},
-    "valve_gain_wobble": {"drift"},
-    "wearing_friction": {"drift"},
-    "drift": {"drift"},
-}
-"""Names that are near enough to something in no catalogue to be offered, but not confirmed."""
-
 Damage = Literal["", "clipped", "millimetres", "gap", "shifted", "stuck", "missed_ticks"]
 
 
@@ -44,21 +35,10 @@ class Case:
         """Fixed for a case and a repeat, different for each."""
         return zlib.crc32(f"{self.id}#{self.repeat}".encode()) % 1_000_000
 
-    @property
-    def hidden_names(self) -> frozenset[str]:
-        """What a diagnosis that knows everything would name."""
-        return frozenset(CALLED.get(name, name) for name in self.effects)
 
-    @property
-    def known_names(self) -> frozenset[str]:
-        """What this diagnosis can name: in the catalogue, and not taken out of it."""
-        unknown = {*OUT_OF_CATALOGUE, *self.removed, "moving_mass", "drift"}
-        return self.hidden_names - unknown
-
-
-def null_cases(each: int = 100) -> Iterator[Case]:
+def null_cases(each: int = 100, first: int = 0) -> Iterator[Case]:
     """Nothing is hidden and only parameters are wrong: no effect may be named."""
-    for k in range(each):
+    for k in range(first, first + each):
         yield Case("null/nothing", "null", miscalibrated=False, repeat=k)
         yield Case("null/parameters", "null", repeat=k)
 
@@ -196,20 +176,19 @@ QUICK = (
 """A few of everything, for minutes instead of hours: on the brief program."""
 
 
-def quick_cases() -> Iterator[Case]:
+def quick_cases(repeat: int = 0) -> Iterator[Case]:
     """Return the quick ones, on the brief program."""
-    every = {case.id: case for case in all_cases(null_each=1)}
+    every = {case.id: case for case in all_cases(1, repeat)}
     for name in QUICK:
         yield replace(every[name], program="brief")
 
 
-def all_cases(null_each: int = 100, repeats: int = 1) -> Iterator[Case]:
-    """Return the whole suite; everything but the nulls is repeated with other seeds."""
-    yield from null_cases(null_each)
-    for k in range(repeats):
-        for made in (
-            single_cases, form_cases, pair_cases, unknown_cases, blind_cases,
-            closed_loop_cases, partial_log_cases, own_cases, damaged_cases,
-        ):  # fmt: skip
-            for case in made():
-                yield replace(case, repeat=k)
+def all_cases(null_each: int = 100, repeat: int = 0) -> Iterator[Case]:
+    """Return the whole suite; each repeat has other seeds."""
+    yield from null_cases(null_each, null_each * repeat)
+    for made in (
+        single_cases, form_cases, pair_cases, unknown_cases, blind_cases,
+        closed_loop_cases, partial_log_cases, own_cases, damaged_cases,
+    ):  # fmt: skip
+        for case in made():
+            yield replace(case, repeat=repeat)

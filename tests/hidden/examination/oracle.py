@@ -5,12 +5,17 @@ difference is cleared of what a recalibration would take away (least squares on 
 then of what a rival could imitate (its own difference, scaled freely). What is left, in units of
 the sensors' floor, says whether the effect can be detected and told apart. The diagnosis is held
 to nothing that this says cannot be done.
+
+    PYTHONPATH=.:tests python -m hidden.examination.oracle      writes `oracle.json` again
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +38,8 @@ HOPELESS = 0.15
 """Below this share of the floor nobody is asked to find it."""
 
 SIZES = (1, 3, 10)
+ORACLE = Path(__file__).with_name("oracle.json")
+ORACLE_PROGRAMS = ("standard", "short", "brief", "squares", "closed_loop")
 
 EITHER_SIGN = {
     "valve_asymmetry", "valve_curve", "discharge_ratio", "cubic_stiffness", "external_load",
@@ -44,6 +51,13 @@ _TANGENTS = {
     "pressure": ("valve_m2_per_v", "supply_pa", "braid_m"),
     "mechanics": ("damping", "stiffness", "mu_k", "braid_m"),
 }
+
+
+@cache
+def oracle_of(program: str) -> dict[str, dict[str, dict[str, float]]]:
+    """Return what the truths alone say of a program's power, or nothing where it was not asked."""
+    every: dict[str, dict[str, dict[str, dict[str, float]]]] = json.loads(ORACLE.read_text())
+    return every.get(program, {})
 
 
 def oracle(program: str, seed: int = 0) -> dict[str, dict[str, dict[str, float]]]:
@@ -128,3 +142,19 @@ def _blocks(name: str) -> tuple[str, ...]:
         return ("mechanics", "pressure")
     assert name in PRESSURE_BLOCK + MECHANICAL_BLOCK
     return ("pressure",) if name in PRESSURE_BLOCK else ("mechanics",)
+
+
+def format_oracle(every: dict[str, dict[str, dict[str, dict[str, float]]]]) -> str:
+    """Return the oracle as JSON, one line for each size of an effect."""
+    programs = []
+    for program, effects in every.items():
+        rows = []
+        for name, sizes in effects.items():
+            lines = ",\n".join(f'   "{size}": {json.dumps(row)}' for size, row in sizes.items())
+            rows.append(f'  "{name}": {{\n{lines}\n  }}')
+        programs.append(f' "{program}": {{\n' + ",\n".join(rows) + "\n }")
+    return "{\n" + ",\n".join(programs) + "\n}\n"
+
+
+if __name__ == "__main__":
+    ORACLE.write_text(format_oracle({program: oracle(program) for program in ORACLE_PROGRAMS}))

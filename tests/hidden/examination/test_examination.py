@@ -1,31 +1,38 @@
-"""`pamctl diagnose` on a few hidden rigs; `scripts/hidden_suite.py` asks for all of them."""
+"""The suite of hidden rigs, what its excitations can show, and `pamctl diagnose` on a few."""
 
 from __future__ import annotations
 
-import runpy
+from collections import Counter
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import pytest
 
-from hidden.examination.cases import Case, damaged_cases, quick_cases
+from hidden.effects import SINGLES
+from hidden.examination.cases import (
+    PAIRS,
+    QUICK,
+    Case,
+    all_cases,
+    blind_cases,
+    damaged_cases,
+    quick_cases,
+    single_cases,
+)
 from hidden.examination.examine import examine
-from hidden.examination.scoring import Result
+from hidden.examination.oracle import HOPELESS, SURE, oracle_of
 
-ROOT = Path(__file__).resolve().parents[3]
 BRIEF = {case.id: case for case in quick_cases()}
 REFUSED = [replace(c, program="brief") for c in damaged_cases() if c.group == "bad"]
 
 
 @pytest.mark.long
 def test_a_hidden_effect_is_named_and_its_gap_closed() -> None:
-    case = BRIEF["single/valve_deadband/3"]
-    result = Result(case, **examine(case))
-    assert result.mark == "right"
-    assert result.closed is not None
-    assert result.closed > 0.95
-    assert result.document["setup"] == [], "a right set-up is not blamed"
+    document = examine(BRIEF["single/valve_deadband/3"])["document"]
+    assert document["verdict"] == "named"
+    assert [effect["name"] for effect in document["effects"]] == ["valve_deadband"]
+    assert document["setup"] == [], "a right set-up is not blamed"
+    for gap in document["gap"].values():
+        assert gap["extended"] - gap["floor"] < 0.05 * (gap["recalibrated"] - gap["floor"])
 
 
 @pytest.mark.parametrize("case", REFUSED, ids=lambda case: case.id)
@@ -36,23 +43,32 @@ def test_misleading_data_are_refused_with_the_reason(case: Case) -> None:
     assert document["effects"] == []
 
 
-def test_an_interrupted_examination_is_resumed(tmp_path: Path) -> None:
-    suite = runpy.run_path(str(ROOT / "scripts" / "hidden_suite.py"))
-    results = tmp_path / "results.jsonl"
-    first, second = REFUSED[:2]
+def test_effects_that_the_squares_cannot_show_are_not_required() -> None:
+    seen = oracle_of("squares")
+    for case in blind_cases():
+        if case.program == "squares":
+            name, size = next(iter(case.effects.items()))
+            assert seen[name][str(size)]["alone"] < HOPELESS
 
-    def run_suite(*cases: Case) -> dict[str, Any]:
-        tasks = {suite["key"](case): case for case in cases}
-        found: dict[str, Any] = suite["run_resumable"](
-            tasks, suite["examine_case"], results, workers=1
-        )
-        return found
 
-    run_suite(first)
-    done = results.read_text()
-    with results.open("a") as file:
-        file.write(done[: len(done) // 2] + "\n")  # what a kill leaves of a line
-    found = run_suite(first, second)
-    assert {value["document"]["verdict"] for value in found.values()} == {"bad_data"}
-    assert results.read_text().startswith(done)
-    assert len(results.read_text().splitlines()) == 3, "the first case was not run again"
+def test_the_diagnosis_program_shows_all_large_effects() -> None:
+    large = [case for case in single_cases() if case.id.endswith("/10")]
+    assert [next(iter(case.effects)) for case in large] == [*SINGLES]
+    assert all(oracle_of("standard")[name]["10"]["alone"] >= SURE for name in SINGLES)
+
+
+def test_a_spool_and_a_delay_are_near_each_other_and_far_from_creep() -> None:
+    rows = oracle_of("standard")["valve_spool"]["3"]
+    assert rows["command_delay"] == min(left for rival, left in rows.items() if rival != "alone")
+    assert rows.get("creep", SURE) >= SURE
+
+
+def test_the_suite_holds_the_requested_cases() -> None:
+    count = Counter(case.group for case in all_cases())
+    assert count["null"] >= 200
+    assert count["single"] == 3 * len(SINGLES) == count["left_out"] * 3
+    assert len(PAIRS) == count["pair"] == 8
+    assert count["triple"] == 1
+    assert [case.id for case in quick_cases()] == list(QUICK)
+    keys = [(case.id, case.repeat) for repeat in (0, 1) for case in all_cases(repeat=repeat)]
+    assert len(keys) == len(set(keys))

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
-from typing import Any
 
-from hidden.examination.cases import Case
-from hidden.examination.examine import rig_of
 from hidden.rig import HiddenRig
 
 Number = Callable[[HiddenRig], float]
@@ -63,19 +59,3 @@ TRUE: Mapping[str, Mapping[str, Number]] = {
 
 NEUTRAL = {"exhaust_gain": 1.0, "exponent": 1.0, "scale": 1.0, "gain": 1.0}
 """Where it is not zero: an error is a share of the distance from neutral."""
-
-
-def relative_errors(case: Case, document: Mapping[str, Any]) -> list[tuple[float, bool]]:
-    """Return (relative error, inside its interval) of every number that can be compared."""
-    rig = rig_of(case)
-    found = []
-    for effect in document["effects"]:
-        for name, number in TRUE.get(effect["name"], {}).items():
-            fitted = effect["parameters"].get(name)
-            true = number(rig)
-            away = true - NEUTRAL.get(name, 0.0)
-            if fitted is None or math.isclose(away, 0.0, abs_tol=1e-15):
-                continue
-            low, high = fitted["ci90"]
-            found.append(((fitted["value"] - true) / abs(away), low <= true <= high))
-    return found

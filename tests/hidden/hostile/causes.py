@@ -46,16 +46,13 @@ class Answer:
 
     All of `effects`, of `setup` and of `noise` are to be said. What is said beyond them is false,
     except: `equal` (the same equation under another name: alone it is a twin of the answer),
-    `beside` (cannot be told from the truth, but is no name without it), `near` (kin of what no
-    catalogue has; as a partial only).
+    `beside` (cannot be told from the truth, but is no name without it).
     """
 
     effects: frozenset[str] = frozenset()
     setup: tuple[SetupCause, ...] = ()
     noise: tuple[str, ...] = ()
     """Words of `NOISE_WORDS`."""
-    heard: tuple[str, ...] = ()
-    """More of these words, true as well; they need not be said."""
     silent: bool = False
     """A verdict that names nothing is right as well."""
     unknown: bool = False
@@ -64,6 +61,5 @@ class Answer:
     """Refused for a reason that holds one of these words, it is right as well."""
     equal: frozenset[str] = frozenset()
     beside: frozenset[str] = frozenset()
-    near: frozenset[str] = frozenset()
     also: tuple[SetupCause, ...] = field(default=())
     """Set-up findings that are true besides, or the same equation; they need not be said."""

@@ -1,17 +1,11 @@
-"""One case from its rig to the document that the diagnosis returns."""
+"""The records of one case, and the plant file that its user typed."""
 
 from __future__ import annotations
-
-from time import process_time
-from typing import Any
 
 from hidden.hostile.file_of_lab import record_of
 from hidden.hostile.programs import EXCITATIONS
 from hidden.hostile.situations import HostileCase
 from hidden.rig import HiddenRig, Record, hidden_rig
-from pamctl.diagnose import Record as Measured
-from pamctl.diagnose import diagnose
-from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.plant.model import MuscleParameters, PlantSettings
 
 TRUTH_NAMES = {
@@ -55,12 +49,3 @@ def start_plant(case: HostileCase) -> PlantSettings:
     numbers = MuscleParameters().model_dump()
     numbers |= {name: numbers[name] * factor for name, factor in case.lab.plant_factors.items()}
     return PlantSettings(parameters=MuscleParameters(**{**numbers, **case.lab.plant}))
-
-
-def examine(case: HostileCase) -> dict[str, Any]:
-    """Run the diagnosis on a case; return its document and the CPU seconds that it took."""
-    train, held_out = records_of(case)
-    handed = [[Measured(name=r.name, **r.columns()) for r in part] for part in (train, held_out)]
-    began = process_time()
-    diagnosis = diagnose(handed[0], handed[1], start_plant(case))
-    return {"document": build_diagnosis_document(diagnosis), "seconds": process_time() - began}

@@ -12,7 +12,6 @@ compiled. If its results differ from the log, plain Python decides, because it m
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,69 +24,12 @@ from pamctl.replay.replay_source import (
     BehindTheEnd,
     NotReplayable,
     ReplaySource,
-    find_absent_fields,
     read_replay_source,
     replay_stretch,
 )
-from pamctl.replay.tick_replay import (
-    EXACT,
-    Difference,
-    Differences,
-    StageField,
-    TickReplay,
-    Tolerances,
-    list_compared_fields,
-)
+from pamctl.replay.tick_replay import EXACT, Replay, Tolerances
 
-__all__ = [
-    "BehindTheEnd",
-    "NotReplayable",
-    "Replay",
-    "list_compared_fields",
-    "read_replay_source",
-    "replay_log",
-]
-
-
-@dataclass(frozen=True)
-class Replay:
-    """The result of a replay. A tick's number is its place in the log, from 0."""
-
-    recording: ReplaySource
-    begin: int
-    """The first replayed tick."""
-    ticks: int
-    """Number of replayed ticks."""
-    skipped: int
-    """Ticks after a loss, up to the next frozen state: the state before them is unknown."""
-    unasked: int
-    """Replayed ticks whose reference could not be computed again, for the same reason."""
-    fields: tuple[StageField, ...]
-    """The compared fields."""
-    absent: tuple[str, ...]
-    """Fields that could not be compared, because the log of another version lacks them."""
-    differences: tuple[Difference, ...]
-    """Fields that differ, in the order of their first difference."""
-    took_s: float
-
-    @property
-    def is_equal(self) -> bool:
-        """Whether every tick was replayed, and equals the log.
-
-        The ticks that a run missed are none of the log's: nothing else may be left out.
-        """
-        return self.is_whole and not self.differences
-
-    @property
-    def is_whole(self) -> bool:
-        """Whether every tick could be replayed, with its reference."""
-        return not self.skipped and not self.unasked
-
-    @property
-    def speed(self) -> float:
-        """Replayed time divided by the time that the replay took."""
-        t_s = self.recording.log.t
-        return float(t_s[-1] - t_s[self.begin]) / self.took_s
+__all__ = ["BehindTheEnd", "NotReplayable", "Replay", "read_replay_source", "replay_log"]
 
 
 def replay_log(
@@ -102,25 +44,16 @@ def replay_log(
     if not plain:
         _load_kernels(recording)
     began_s = time.perf_counter()
-    run = TickReplay(recording, begin, Differences(tolerances), plain=plain)
+    found = Replay(recording, begin, tolerances, plain=plain)
     for stretch in recording.run_stretches(begin, plain=plain):
-        run.take(*stretch)
-    if run.skipped == len(recording) - begin:
+        found.take(*stretch)
+    found.took_s = time.perf_counter() - began_s
+    if not found.ticks:
         raise NotReplayable(
             f"{log.path} has lost its first ticks and has no frozen state after them: "
             "the state to start from is unknown"
         )
-    return Replay(
-        recording=recording,
-        begin=begin,
-        ticks=len(recording) - begin - run.skipped,
-        skipped=run.skipped,
-        unasked=run.unasked,
-        fields=tuple(run.differences.compared),
-        absent=tuple(find_absent_fields(log)),
-        differences=run.differences.all(),
-        took_s=time.perf_counter() - began_s,
-    )
+    return found
 
 
 def _load_kernels(recording: ReplaySource) -> None:

@@ -424,12 +424,3 @@ def _read_keyframes(log: Log, settings: RunSettings) -> dict[int, TickState]:
         at: thaw_state(like, keyframe["state"])
         for at, keyframe in _index_by_tick(log, log.keyframes).items()
     }
-
-
-def find_absent_fields(log: Log) -> list[str]:
-    """Return the fields that this version computes and a log of another version lacks."""
-    return [
-        field.name
-        for field in REPLAYED_FIELDS
-        if field.stage != "compensation" and field.name not in log.columns
-    ]

@@ -15,18 +15,16 @@ flags.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hal.calibration import Zero
-from pamctl.control.filters import UNPRIMED
-from pamctl.control.law_registry import installed_laws
 from pamctl.realtime.tick import TickState, freeze_state, keyframe_fields
 from pamctl.replay.program_replay import ProgramAnswer, ProgramReplay
 from pamctl.replay.replay_source import APPLIED_ROW, REPLAYED_FIELDS, ReplaySource
-from pamctl.safety import INITIAL_SAFETY_STATE
 from pamctl.signals import TICK_FIELDS
 
 Tolerances = Mapping[str, float]
@@ -208,40 +206,68 @@ def are_within_tolerance(tolerances: Tolerances, differences: Iterable[Differenc
     )
 
 
-def list_compared_fields() -> list[str]:
-    """Name every field that a replay compares: zeros, reference, tick and keyframe.
-
-    A keyframe has, beside the tick, the memory of filters, law and safety.
-    """
-    memories = [law.armed for law in installed_laws().values()]
-    return [
-        *Zero._fields,
-        *_REFERENCE,
-        *(field.name for field in REPLAYED_FIELDS),
-        *keyframe_fields(UNPRIMED, "filters"),
-        *dict.fromkeys(name for one in memories for name in keyframe_fields(one, "law")),
-        *keyframe_fields(INITIAL_SAFETY_STATE, "safety"),
-    ]
-
-
 _REFERENCE = [field.name for field in TICK_FIELDS if field.stage == "reference"]
 _MEMORIES = ("filters.", "law.", "safety.")
 
 
-class TickReplay:
-    """A replay in progress: its state, and the differences so far."""
+class Replay:
+    """A replay, stretch by stretch, and its result. A tick's number is its place in the log."""
 
     def __init__(
-        self, recording: ReplaySource, begin: int, differences: Differences, *, plain: bool
+        self, recording: ReplaySource, begin: int, tolerances: Tolerances, *, plain: bool
     ) -> None:
         """Begin before the tick `begin`; take all stretches in order from there."""
-        self.differences = differences
+        self.recording = recording
+        self.begin = begin
+        """The first replayed tick."""
         self.skipped = 0
-        """Number of ticks so far whose state is unknown."""
+        """Ticks after a loss, up to the next frozen state: the state before them is unknown."""
         self.unasked = 0
-        """Number of ticks so far whose reference is unknown."""
-        self._recording = recording
+        """Replayed ticks whose reference could not be computed again, for the same reason."""
+        self.took_s = 0.0
+        self._found = Differences(tolerances)
         self._program = ProgramReplay(recording, begin, plain=plain)
+
+    @property
+    def ticks(self) -> int:
+        """Number of replayed ticks."""
+        return len(self.recording) - self.begin - self.skipped
+
+    @property
+    def fields(self) -> tuple[StageField, ...]:
+        """The compared fields."""
+        return tuple(self._found.compared)
+
+    @property
+    def absent(self) -> list[str]:
+        """Fields that this version computes and the log of another version lacks."""
+        columns = self.recording.log.columns
+        replayed = (field for field in REPLAYED_FIELDS if field.stage != "compensation")
+        return [field.name for field in replayed if field.name not in columns]
+
+    @cached_property
+    def differences(self) -> tuple[Difference, ...]:
+        """Fields that differ, in the order of their first difference."""
+        return self._found.all()
+
+    @property
+    def is_equal(self) -> bool:
+        """Whether every tick was replayed, and equals the log.
+
+        The ticks that a run missed are none of the log's: nothing else may be left out.
+        """
+        return self.is_whole and not self.differences
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether every tick could be replayed, with its reference."""
+        return not self.skipped and not self.unasked
+
+    @property
+    def speed(self) -> float:
+        """Replayed time divided by the time that the replay took."""
+        t_s = self.recording.log.t
+        return float(t_s[-1] - t_s[self.begin]) / self.took_s
 
     def take(self, begin: int, end: int, after: TickState | None, rows: Floats) -> None:
         """Compare a stretch as `ReplaySource.run_stretches` yields it with the log."""
@@ -256,29 +282,29 @@ class TickReplay:
         # The output of a failed write is NaN in the log: what was applied is unknown.
         rows[APPLIED_ROW, np.isnan(self._read_logged("applied_v", begin, end))] = np.nan
         for field, row in zip(REPLAYED_FIELDS, rows, strict=True):
-            if field.name in self._recording.log.columns:
+            if field.name in self.recording.log.columns:
                 logged = self._read_logged(field.name, begin, end)
-                self.differences.take(StageField(field.stage, field.name), begin, logged, row)
+                self._found.take(StageField(field.stage, field.name), begin, logged, row)
         self._compare_keyframe(after, end - 1)
 
     def _compare_answer(self, answer: ProgramAnswer, begin: int, end: int) -> None:
         for name, row in zip(_REFERENCE, answer.references, strict=True):
             logged = self._read_logged(name, begin, end)
-            self.differences.take(
+            self._found.take(
                 StageField("reference", name), begin, logged, np.ascontiguousarray(row)
             )
         nowhere = Zero(np.nan, np.nan)
-        for tick in sorted({begin} & self._recording.zeros.keys() | answer.zeros.keys()):
-            logged_zero = self._recording.zeros.get(tick, nowhere)
+        for tick in sorted({begin} & self.recording.zeros.keys() | answer.zeros.keys()):
+            logged_zero = self.recording.zeros.get(tick, nowhere)
             found = answer.zeros.get(tick, nowhere)
             for name, logged_v, found_v in zip(Zero._fields, logged_zero, found, strict=True):
-                self.differences.take(
+                self._found.take(
                     StageField("zero", name), tick, np.array([logged_v]), np.array([found_v])
                 )
 
     def _compare_keyframe(self, after: TickState, tick: int) -> None:
         """Compare what a keyframe holds beside the tick; in an older log it may hold less."""
-        keyframe = self._recording.keyframes.get(tick)
+        keyframe = self.recording.keyframes.get(tick)
         if keyframe is None:
             return
         logged, ours = (
@@ -286,9 +312,9 @@ class TickReplay:
             for state in (keyframe, after)
         )
         for name in ours:
-            if name.startswith(_MEMORIES) and name in self._recording.keyframe_names:
+            if name.startswith(_MEMORIES) and name in self.recording.keyframe_names:
                 pair = (np.array([numbers[name]], np.float64) for numbers in (logged, ours))
-                self.differences.take(StageField("keyframe", name), tick, *pair)
+                self._found.take(StageField("keyframe", name), tick, *pair)
 
     def _read_logged(self, name: str, begin: int, end: int) -> Floats:
-        return self._recording.log[name][begin:end].astype(np.float64)
+        return self.recording.log[name][begin:end].astype(np.float64)

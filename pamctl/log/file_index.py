@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -184,6 +183,7 @@ _SUMMARY: Mapping[int, Any] = {
     Opcode.ATTACHMENT_INDEX: AttachmentIndex,
     Opcode.METADATA_INDEX: MetadataIndex,
     Opcode.STATISTICS: Statistics,
+    Opcode.FOOTER: Footer,
 }
 
 
@@ -197,9 +197,8 @@ class IndexCheck:
         self._expected: Mapping[int, NDArray[Any]] | None = {}
         """The message index of the last chunk, by channel; None where it is not known."""
         self._last = 0
-        self._stored: dict[int, list[bytes]] = {}
-        """The records of the summary by kind."""
-        self._groups: dict[int, SummaryOffset] = {}
+        self._summary: list[FileRecord] = []
+        """All that follows the data, the footer too."""
         self._in_summary = False
 
     def take(self, loaded: Loaded) -> None:
@@ -258,15 +257,6 @@ class IndexCheck:
             self._warn_unchecked(where)
         self._index.add_chunk(chunk, record.start, record.end - record.start)
 
-    def end(self) -> None:
-        """Compare the summary with the data. Call it only if the file is not damaged."""
-        for opcode, expected in self._index.groups().items():
-            what = Opcode(opcode).name.lower().replace("_", " ")
-            if opcode in self._stored:
-                self._compare(opcode, what, self._stored[opcode], expected)
-            elif expected and self._stored:
-                self._warn("summary", f"the summary has no {what}")
-
     def _check_message_index(self, record: FileRecord, before: int) -> None:
         channel = int.from_bytes(record.body[:2], "little")
         if before not in (Opcode.CHUNK, Opcode.MESSAGE_INDEX):
@@ -285,67 +275,58 @@ class IndexCheck:
             self._error("index", f"{what} does not match its chunk")
 
     def _take_of_summary(self, record: FileRecord) -> None:
-        if record.opcode == Opcode.FOOTER:
-            self._check_footer(Footer.read(record.stream()), record)
-        elif record.opcode in _SUMMARY:
-            _parse_summary(record.frame())  # raises where it makes no sense
-            length = record.end - record.start
-            self._stored.setdefault(record.opcode, []).append(record.frame())
-            group = SummaryOffset(record.opcode, record.start, 0)
-            self._groups.setdefault(record.opcode, group).group_length += length
+        if record.opcode in _SUMMARY:
+            _parse_summary(record)  # raises where it makes no sense
+            self._summary.append(record)
         else:
             where = f"at byte {record.start}, a record {record.opcode}"
             self._error("order", f"{where} after the data")
 
-    def _check_footer(self, footer: Footer, record: FileRecord) -> None:
+    def end(self) -> None:
+        """Compare the summary with the data. Call it only if the file is not damaged."""
+        *records, end = self._summary
+        footer = _parse_summary(end)
         if footer.summary_start == 0:
-            detail = "the file has no summary: viewers must scan the whole file"
-            self._warn("index", detail)
+            self._warn("index", "the file has no summary: viewers must scan the whole file")
             return
         if footer.summary_crc == 0:
             self._warn_unchecked("the summary")
-        begins = min((group.group_start for group in self._groups.values()), default=record.start)
-        if footer.summary_start != begins:
+        if footer.summary_start != self._summary[0].start:
             detail = f"the footer states a wrong start of the summary, {footer.summary_start}"
             self._error("summary", detail)
-        self._groups.pop(Opcode.SUMMARY_OFFSET, None)
-        frames = self._stored.get(Opcode.SUMMARY_OFFSET, [])
-        named = [one for frame in frames if (one := _parse_summary(frame)).group_length]
-        if named and named != list(self._groups.values()):
+        groups: dict[int, list[FileRecord]] = {}
+        for record in records:
+            groups.setdefault(record.opcode, []).append(record)
+        offsets = map(_parse_summary, groups.pop(Opcode.SUMMARY_OFFSET, []))
+        stated = [offset for offset in offsets if offset.group_length]
+        lengths = {kind: sum(r.end - r.start for r in group) for kind, group in groups.items()}
+        if stated and stated != [
+            SummaryOffset(kind, group[0].start, lengths[kind]) for kind, group in groups.items()
+        ]:
             self._error("summary", "the summary offsets do not match the summary")
-
-    def _compare(
-        self, opcode: int, what: str, stored: Sequence[bytes], expected: Sequence[bytes]
-    ) -> None:
-        if len(stored) != len(expected):
-            there = f"{len(stored)} records of kind {what}, the data have {len(expected)}"
-            self._error("summary", f"the summary has {there}")
-            return
-        if opcode in DESCRIPTIONS:
-            stored, expected = sorted(stored), sorted(expected)
-        for number, (one, other) in enumerate(zip(stored, expected, strict=True)):
-            if one != other and (wrong := _describe_difference(opcode, one, other)):
-                detail = f"{what} {number} does not match the data: {wrong}"
-                self._error("summary", detail)
+        for kind, expected in self._index.groups().items():
+            what = kind.name.lower().replace("_", " ")
+            if kind not in groups:
+                if expected and groups:
+                    self._warn("summary", f"the summary has no {what}")
+            elif not _are_equal(kind, [record.frame() for record in groups[kind]], expected):
+                self._error("summary", f"the {what} in the summary does not match the data")
 
     def _warn_unchecked(self, what: str) -> None:
         self._warn("checksum", f"{what} has no checksum: damage would not be noticed")
 
 
-def _describe_difference(opcode: int, one: bytes, other: bytes) -> str:
-    """Say in what a record differs from the one that was expected; empty: only in its order."""
-    if opcode in DESCRIPTIONS:
-        return "another description"
-    stored, expected = _parse_summary(one), _parse_summary(other)
-    wrong = [
-        f"{part.name} {getattr(stored, part.name)} instead of {getattr(expected, part.name)}"
-        for part in fields(stored)
-        if getattr(stored, part.name) != getattr(expected, part.name)
-    ]
-    # The parsers are lenient: encode the result again and compare it with the bytes.
-    return ", ".join(wrong) or ("" if encode_record(stored) == one else "it has wrong lengths")
+def _are_equal(kind: Opcode, stored: Sequence[bytes], expected: Sequence[bytes]) -> bool:
+    """Tell whether records say the same; descriptions, and what a map holds, in any order."""
+    if len(stored) != len(expected) or kind in DESCRIPTIONS:
+        return sorted(stored) == sorted(expected)
+    for one, other in zip(stored, expected, strict=True):
+        found, right = (_parse_summary(record_at(memoryview(r), 0)) for r in (one, other))
+        # The parsers are lenient: what they find is encoded again.
+        if found != right or encode_record(found) != one:
+            return False
+    return True
 
 
-def _parse_summary(frame: bytes) -> Any:
-    record = record_at(memoryview(frame), 0)
+def _parse_summary(record: FileRecord) -> Any:
     return _SUMMARY[record.opcode].read(record.stream())

@@ -21,6 +21,7 @@ import re
 import subprocess
 import sys
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from io import TextIOWrapper
@@ -29,6 +30,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, TextIO, cast
 
 import numpy as np
+import zstandard
 
 from hal.child import child_command
 from pamctl.log.importing.cell_texts import tell_kind
@@ -89,8 +91,9 @@ _PACKED: dict[bytes, Callable[[Path], Any]] = {
     b"\x1f\x8b": gzip.open,
     b"BZh": bz2.open,
     b"\xfd7zXZ\0": lzma.open,
+    b"\x28\xb5\x2f\xfd": zstandard.open,
 }
-_ZSTANDARD = b"\x28\xb5\x2f\xfd"
+_DAMAGED = (OSError, EOFError, ValueError, lzma.LZMAError, zlib.error, zstandard.ZstdError)
 
 
 class _Unpacked(io.RawIOBase):
@@ -111,7 +114,7 @@ class _Unpacked(io.RawIOBase):
     def readinto(self, buffer: Any) -> int:
         try:
             part = self._stream.read(len(buffer))
-        except (OSError, EOFError, lzma.LZMAError, ValueError) as error:
+        except _DAMAGED as error:
             raise ImportRefused(f"{self._path} is damaged: {error}; unpack what is whole") from None
         self._taken += len(part)
         if self._taken > self._most:
@@ -129,37 +132,23 @@ def read_table(source: Path, hints: TextHints | None = None) -> MeasuredTable:
     if something := describe_irregular_file(source):
         raise ImportRefused(f"cannot read {source}: it is {something}")
     try:
-        open_file = _choose_opening(source)
+        with source.open("rb") as plain:
+            magic = plain.read(8)
+        packer = next((opener for mark, opener in _PACKED.items() if magic.startswith(mark)), None)
+
+        def open_file() -> BinaryIO:
+            if packer is None:
+                return source.open("rb")
+            unpacked = io.BufferedReader(_Unpacked(source, packer(source)), 1 << 18)
+            return cast(BinaryIO, unpacked)
+
         with open_file() as file:
-            begin = file.read(512)
-        kind = _find_format(source, begin, is_packed=open_file.__name__ == "open_packed")
+            kind = _find_format(source, file.read(512), is_packed=packer is not None)
         if kind is not None:
             return _parse_apart(source, kind, hints)
-
         return read_text(source, hints, open_file)
     except OSError as error:
         raise ImportRefused(f"cannot read {source}: {error.strerror or error}") from error
-
-
-def _choose_opening(source: Path) -> Callable[[], BinaryIO]:
-    with source.open("rb") as file:
-        begin = file.read(8)
-    packer = next((opener for magic, opener in _PACKED.items() if begin.startswith(magic)), None)
-    if begin.startswith(_ZSTANDARD):
-        packer = _open_zstandard
-    if packer is None:
-        return lambda: source.open("rb")
-
-    def open_packed() -> BinaryIO:
-        return cast(BinaryIO, io.BufferedReader(_Unpacked(source, packer(source)), 1 << 18))
-
-    return open_packed
-
-
-def _open_zstandard(path: Path) -> Any:
-    import zstandard
-
-    return zstandard.ZstdDecompressor().stream_reader(path.open("rb"), closefd=True)
 
 
 def _find_format(source: Path, begin: bytes, *, is_packed: bool) -> _Format | None:

@@ -136,6 +136,8 @@ def test_every_way_to_read_a_log_finds_what_was_written(
         assert np.asarray(one.time_ns).tolist() == [
             250_000_000 * n for n in written.columns["tick"]
         ]
+        for part in ("gains", "keyframes", "config", "attachments", "metadata", "counts", "units"):
+            assert getattr(one, part) == getattr(log, part)
         for row in range(0, count, 3):
             np.testing.assert_equal(one["t_s"][row : row + 9], log["t_s"][row : row + 9])
     some = read_some(written.path, ("t_s", "position_m", "force_n"))

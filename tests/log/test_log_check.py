@@ -20,6 +20,7 @@ from pamctl.log import LogError, read
 from pamctl.log.check import LogCheckReport, Severity, check_log
 from pamctl.log.framing import FileRecord, map_log_file
 from pamctl.log.measured_signals import judge_ticks
+from pamctl.log.record_problems import judge_schema
 from pamctl.log.record_walk import walk_records
 from pamctl.log.recover import recover_file
 from pamctl.log.run_meta import RunMeta
@@ -189,12 +190,11 @@ def test_what_is_doubtful_is_said_with_its_rows_and_stands_on_the_page(tmp_path)
     assert f"Doubtful in a: {doubt}" in (tmp_path / "a.html").read_text()
 
 
-@pytest.mark.parametrize("version", ["0", "-1", "1.5", ""])
-def test_a_schema_version_that_never_was_is_named(tmp_path, version, monkeypatch):
-    monkeypatch.setattr("pamctl.log.writer.SCHEMA_VERSION", version)
-    findings = check_log(write_ticks(tmp_path / "a.mcap", {})).findings
-    (found,) = (finding.message for finding in findings if finding.key == "version")
-    assert found == f"the schema version of /pam/tick is {version!r}; versions begin with 1"
+def test_a_schema_version_that_never_was_is_named():
+    for version, is_wrong in {"0": True, "-1": True, "1.5": True, "": True, "1": False}.items():
+        found = [problem.describe() for problem in judge_schema(TICK_TOPIC, "protobuf", version)]
+        said = f"the schema version of /pam/tick is {version!r}; versions begin with 1"
+        assert found == [said] * is_wrong
 
 
 def test_a_protobuf_schema_that_is_labelled_otherwise_is_named(tmp_path):

@@ -144,16 +144,6 @@ def test_a_run_without_its_calibration_says_that_the_applied_command_is_not_know
         pamctl.log.signals(pamctl.log.read(tmp_path / "a.mcap"))
 
 
-def test_an_imported_log_has_the_signals_that_were_measured_and_none_of_the_others(imported):
-    measured = pamctl.log.signals(imported)
-    assert imported.is_imported
-    assert imported.metadata["import"]["source"] == "lab.csv"
-    assert np.array_equal(measured.valve_v, np.cos(measured.t_s))
-    assert np.array_equal(measured.position_m, np.sin(measured.t_s))
-    assert measured.pressure_pa is None
-    assert (measured.phase == pamctl.log.NO_PHASE).all()
-
-
 def test_a_gap_in_an_imported_log_counts_as_missed_ticks(imported):
     measured = pamctl.log.signals(imported)
     assert measured.missed.sum() == measured.missed[100] == 4

@@ -37,25 +37,6 @@ def open_paged(path: Path) -> Log:
     return log
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_every_column_is_as_in_memory(name: str) -> None:
-    whole, paged = read(GOLDEN / f"{name}.mcap"), open_paged(GOLDEN / f"{name}.mcap")
-    assert list(whole.columns) == list(paged.columns)
-    for column, values in whole.columns.items():
-        there = np.asarray(paged[column])
-        assert there.dtype == values.dtype
-        np.testing.assert_array_equal(there, values)
-        middle = len(values) // 2
-        np.testing.assert_array_equal(
-            paged[column][max(0, middle - 350) : middle + 350],
-            values[max(0, middle - 350) : middle + 350],
-        )
-        np.testing.assert_equal(paged[column][-1], values[-1])
-    np.testing.assert_array_equal(np.asarray(paged.time_ns), whole.time_ns)
-    for part in ("events", "gains", "keyframes", "config", "attachments", "metadata", "counts"):
-        assert getattr(paged, part) == getattr(whole, part)
-
-
 def result_of(found: Replay) -> tuple[object, ...]:
     """Return all of a result but how long it took."""
     return found.begin, found.ticks, found.skipped, found.unasked, found.fields, found.differences

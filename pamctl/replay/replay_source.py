@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,12 +39,6 @@ from pamctl.settings.resolve import (
     validate_settings,
 )
 from pamctl.signals import COMPENSATION_FIELDS, TICK_FIELDS, Field, Reference, list_tick_fields
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import NDArray
-
 
 _OF_EVERY_RUN = tuple(
     field

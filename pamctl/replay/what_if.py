@@ -115,39 +115,25 @@ def run_what_if(log: Log, settings: RunSettings, *, from_s: float | None = None)
         raise NotReplayable(
             f"{log.path} has no tick in which a law ran: there is nothing to compare"
         )
-    return _build_what_if(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-
-
-def _build_what_if(
-    ticks: NDArray[np.int64],
-    t_s: Floats,
-    phase: NDArray[np.int64],
-    logged_v: Floats,
-    logged_saturated: NDArray[np.bool_],
-    other_v: Floats,
-    saturated: Floats,
-) -> WhatIf:
-    return WhatIf(
-        ticks=ticks,
-        t_s=t_s,
-        phase=phase,
-        logged_v=logged_v,
-        other_v=other_v,
-        phases=tuple(
-            PhaseFigures(
-                phase=Phase(number).name.lower(),
-                ticks=int(there.sum()),
-                logged_rms_v=_rms(logged_v[there]),
-                other_rms_v=_rms(other_v[there]),
-                difference_rms_v=_rms(other_v[there] - logged_v[there]),
-                difference_max_v=float(np.abs(other_v[there] - logged_v[there]).max()),
-                logged_saturated=float(logged_saturated[there].mean()),
-                other_saturated=float(saturated[there].mean()),
-            )
-            for number in np.unique(phase).tolist()
-            for there in [phase == number]
-        ),
+    ticks, t_s, phase, logged_v, logged_saturated, other_v, saturated = (
+        np.concatenate(column) for column in zip(*parts, strict=True)
     )
+    phases = []
+    for number in np.unique(phase).tolist():
+        there = phase == number
+        apart_v = other_v[there] - logged_v[there]
+        figures = PhaseFigures(
+            phase=Phase(number).name.lower(),
+            ticks=int(there.sum()),
+            logged_rms_v=_rms(logged_v[there]),
+            other_rms_v=_rms(other_v[there]),
+            difference_rms_v=_rms(apart_v),
+            difference_max_v=float(np.abs(apart_v).max()),
+            logged_saturated=float(logged_saturated[there].mean()),
+            other_saturated=float(saturated[there].mean()),
+        )
+        phases.append(figures)
+    return WhatIf(ticks, t_s, phase, logged_v, other_v, tuple(phases))
 
 
 def _rms(values: Floats) -> float:

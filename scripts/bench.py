@@ -6,7 +6,7 @@
     python scripts/bench.py --only wake_up,wake_up_under_hogs,drift
     python scripts/bench.py --only plant,laws --rounds 15
     python scripts/bench.py --only deaths --rounds 10 --minutes 30
-    python scripts/bench.py --only watched,emergency_stop --rounds 30 --browser --spin-us 300
+    python scripts/bench.py --only emergency_stop --rounds 5
 
 Without `--only`: what the verbs cost. JSON on stdout, a table on stderr: the median over the rounds
 and its spread. A measure has cases. A round calls each once, in turn, so that disturbances affect
@@ -28,18 +28,12 @@ that starves a loop, is named under `failed`.
   The stand-in starts four threads of its own, as a driver library may; a third bench has none. Its
   registers are memory: `read` and `io` of `live_card` are the times of the nidaqmx package and of
   our code around it, not those of a card.
-- `watched`: one daemon holds a position, unwatched and watched: five clients ask for the status at
-  10 Hz, beside a viewer of the web page, which has a process of its own; `--browser` opens the page
-  in a Chromium. Onlookers are stopped (SIGSTOP) while the loop is alone. A cyclictest of the
-  lowest real-time priority runs beside both; where it wakes up later than 0.4 ms, the machine
-  stood still: that slice of 0.2 s and its neighbours are left out of both halves.
 - `emergency_stop`: from before a client connects until the output is at the safe voltage.
 """
 
 from __future__ import annotations
 
 import argparse
-import http.client
 import json
 import math
 import os
@@ -51,9 +45,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
@@ -64,7 +57,7 @@ from numpy.typing import NDArray
 ROOT = Path(__file__).resolve().parents[1]
 sys.path += [str(ROOT), str(ROOT / "tests")]  # last: a worker takes pamctl of its checkout
 
-from pamctl.log.reader import Log, read  # noqa: E402
+from pamctl.log.reader import read  # noqa: E402
 
 YARDSTICK = "total = 0\nfor number in range(10_000_000):\n    total += number"
 PLANT = "effects:\n  valve_deadband: {fill_width_v: 0.25, exhaust_width_v: 0.2}\n"
@@ -538,9 +531,6 @@ def death(bench: str, process: str, how: str) -> Callable[[Checkout], Figures]:
 
 # --- the daemon ----------------------------------------------------------------------------------
 
-CLIENTS, LOOK_EVERY_S = 5, 0.1
-SETTLE_S, WINDOW_S, SLICE_S, FEWEST_TICKS = 2.0, 4.0, 0.2, 1000
-STANDSTILL_US = 400.0
 AO_STEP_V = 20.0 / 65536.0
 PATIENT = (
     "rig.limits.pressure_model_pa=2e6", "rig.limits.sample_age_s=60",
@@ -602,7 +592,6 @@ def hold_daemon(checkout: Checkout) -> Iterator[Daemon]:
         command += ["--rig", str(checkout.root / "config" / "rig" / "sim.yaml")]
         command += ["--socket", str(daemon.socket), "--logs", str(folder / "logs")]
         command += set_all([f"rig.sim.device={daemon.device}", *PATIENT])
-        command += set_all([f"rig.loop.spin_us={checkout.given.spin_us}"])
         path = os.pathsep.join(filter(None, (str(checkout.root), os.environ.get("PYTHONPATH"))))
         said = subprocess.DEVNULL
         process = subprocess.Popen(
@@ -620,185 +609,6 @@ def hold_daemon(checkout: Checkout) -> Iterator[Daemon]:
                 process.wait()
             for left in Path("/dev/shm").glob(f"pamctl-{daemon.device}.*"):
                 left.unlink()
-
-
-class Onlookers:
-    """Five clients and a web viewer; `seen` counts what each kind received."""
-
-    def __init__(self, daemon: Daemon, stack: ExitStack, folder: Path, with_browser: bool) -> None:
-        self.seen: Counter[str] = Counter()
-        self._looks, self._ended = threading.Event(), threading.Event()
-        self._looks.set()
-        web = [sys.executable, "-m", "pamctl", "watch", "--web", "--port", "0"]
-        page = stack.enter_context(start([*web, "--socket", str(daemon.socket)]))
-        assert page.stdout
-        address = page.stdout.readline().decode().strip()
-        self._processes = [page]
-        if with_browser:
-            command = [find_browser(), "--headless", "--no-sandbox", "--disable-gpu"]
-            command += ["--remote-debugging-port=0", "--window-size=1280,1400"]
-            command += [f"--user-data-dir={folder / 'browser'}", address]
-            self._processes.append(stack.enter_context(start(command)))
-        port = int(address.rsplit(":", 1)[1].rstrip("/"))
-        looks = [lambda: self._poll(daemon.socket)] * CLIENTS + [lambda: self._view_page(port)]
-        self._threads = [threading.Thread(target=look, daemon=True) for look in looks]
-        for thread in self._threads:
-            thread.start()
-        stack.callback(self._end)
-
-    def look(self, looks: bool) -> None:
-        """Go on, or stand still."""
-        (self._looks.set if looks else self._looks.clear)()
-        for process in self._processes:
-            os.killpg(process.pid, signal.SIGCONT if looks else signal.SIGSTOP)
-
-    def _look_again(self) -> bool:
-        """Wait, and as long as the onlookers are stopped; return False at the end."""
-        over = self._ended.wait(LOOK_EVERY_S)
-        self._looks.wait()
-        return not (over or self._ended.is_set())
-
-    def _end(self) -> None:
-        self.look(True)
-        self._ended.set()
-        for thread in self._threads:
-            thread.join(PATIENCE_S)
-
-    def _poll(self, socket: Path) -> None:
-        from pamctl.daemon.client import Client
-
-        with Client(socket) as client:
-            while self._look_again():
-                client.call("status")
-                self.seen["answers"] += 1
-
-    def _view_page(self, port: int) -> None:
-        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
-        server, look = "", 0
-        while self._look_again():
-            try:
-                news = get_json(connection, f"/news?server={server}&after={look}")
-                self.seen["pictures"] += news["look"] > look
-                held = get_json(connection, "/scope/state")
-                if held["last_tick"] > held["first_tick"]:  # the newest two seconds, as the page
-                    fields = "tick,t_s,reference_m,position_m,error_m,valve_v"
-                    ticks = f"first={max(0, held['last_tick'] - 2000)}&last={held['last_tick']}"
-                    request = f"/scope/ticks?log={held['log']}&{ticks}&fields={fields}"
-                    connection.request("GET", request)
-                    connection.getresponse().read()
-            except http.client.RemoteDisconnected:  # at the end, or idle while it stood still
-                connection.close()
-                continue
-            server, look = news["server"], news["look"]
-        connection.close()
-
-
-def get_json(connection: http.client.HTTPConnection, path: str) -> dict[str, Any]:
-    """Return the answer to a request."""
-    connection.request("GET", path)
-    answer: dict[str, Any] = json.loads(connection.getresponse().read())
-    return answer
-
-
-def find_browser() -> str:
-    """Return the path of Chromium."""
-    for name in ("chromium", "chromium-browser", "google-chrome"):
-        if (path := shutil.which(name)) is not None:
-            return path
-    raise CallFailed("no Chromium for --browser: apt-get install chromium")
-
-
-@contextmanager
-def start(command: list[str]) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a process, in a group of its own, within the block."""
-    process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True
-    )
-    try:
-        yield process
-    finally:
-        process.terminate()
-        process.communicate()
-
-
-class Window(NamedTuple):
-    """A measured interval."""
-
-    first: int
-    last: int
-    """Ticks, both included."""
-    stalled: set[int]
-    """Slices in or beside which the machine stood still."""
-    machine_p99_us: float | None
-    """Of cyclictest; None without it."""
-
-
-def measure_window(daemon: Daemon) -> Window:
-    """Let the loop run beside a cyclictest with a thread on each CPU.
-
-    A wake-up that is late by many periods is counted as one period: the slices up to its end
-    follow from its lateness. Those beside it are left out too: the two clocks began at other times.
-    """
-    time.sleep(SETTLE_S)
-    first = int(daemon.ask("status")["tick"]["tick"])
-    try:
-        said = run_cyclictest(f"-S -p 1 -i 1000 -d 0 -v -l {round(WINDOW_S * 1e3)}")
-    except CallFailed:
-        said = ""
-        time.sleep(WINDOW_S)
-    last = int(daemon.ask("status")["tick"]["tick"])
-    samples = [line.split(":") for line in said.splitlines() if line.count(":") == 2]
-    late_us = np.array([float(late) for _, _, late in samples])
-    stalled: set[int] = set()
-    for (_, count, _), late in zip(samples, late_us, strict=True):
-        if late > STANDSTILL_US:
-            at_s = int(count) * 1e-3
-            before, after = int(at_s / SLICE_S) - 1, int((at_s + late * 1e-6) / SLICE_S) + 1
-            stalled.update(range(before, after + 1))
-    p99_us = float(np.percentile(late_us, 99)) if len(late_us) else None
-    return Window(first, last, stalled, p99_us)
-
-
-def measure_watched(checkout: Checkout) -> Cases:
-    """Wake-up and tick, unwatched and watched, in turn within one log."""
-    windows: dict[str, Window] = {}
-    with hold_daemon(checkout) as daemon:
-        log = daemon.hold()
-        with ExitStack() as stack:
-            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-            onlookers = Onlookers(daemon, stack, folder, checkout.given.browser)
-            time.sleep(SETTLE_S * 3)  # the browser starts
-            for case in ("alone", "watched"):
-                onlookers.look(case == "watched")
-                windows[case] = measure_window(daemon)
-        daemon.ask("stop")
-        daemon.wait_for(lambda status: not status["log"])
-        found = compare_windows(read(log), windows)
-    found["watched"] |= {name: float(count) for name, count in onlookers.seen.items()}
-    return found
-
-
-def compare_windows(log: Log, windows: dict[str, Window]) -> Cases:
-    """Compare the slices in which the machine stood still in neither of the windows."""
-    rate_hz = 1.0 / float(np.median(np.diff(log["t_s"])))
-    stalled = sorted(set().union(*(window.stalled for window in windows.values())))
-    found: Cases = {}
-    for case, window in windows.items():
-        slices = np.floor((log["tick"] - window.first) / rate_hz / SLICE_S)
-        rows = (log["tick"] >= window.first) & (log["tick"] <= window.last)
-        rows &= ~np.isin(slices, stalled)
-        if rows.sum() < FEWEST_TICKS:
-            raise CallFailed("the machine stood still: measure when it is less busy")
-        found[case] = {
-            f"{name}_p{share}_us": float(np.percentile(log[column][rows] * 1e6, share))
-            for name, column in (("wake_up", "late_s"), ("tick", "compute_s"))
-            for share in (50, 99)
-        }
-        found[case]["missed_ticks"] = float(log["missed"][rows].sum())
-        found[case]["stalled_share"] = len(window.stalled) / (WINDOW_S / SLICE_S)
-        if window.machine_p99_us is not None:
-            found[case]["machine_p99_us"] = window.machine_p99_us
-    return found
 
 
 def measure_emergency_stops(checkout: Checkout) -> Figures:
@@ -876,7 +686,6 @@ MEASURES: dict[str, Measure] = {name: Measure({"": measure}) for name, measure i
             for process, how in DEATHS
         }
     ),
-    "watched": Measure({"": measure_watched}, "alone"),
     "emergency_stop": Measure({"": measure_emergency_stops}),
 }
 
@@ -1060,10 +869,6 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=2.0, help="length of each wake-up run")
     parser.add_argument("--hogs", type=int, default=3, help="processes that only compute")
     parser.add_argument("--stops", type=int, default=20, help="emergency stops a round")
-    parser.add_argument("--browser", action="store_true", help="open the page in a Chromium too")
-    parser.add_argument(
-        "--spin-us", type=float, default=100.0, help="rig.loop.spin_us of the daemon"
-    )
     parser.add_argument("--worker", choices=WORKERS, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.worker:

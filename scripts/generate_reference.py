@@ -15,6 +15,7 @@ import re
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import pairwise, takewhile
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -52,43 +53,30 @@ def read_attribute_docs(module: Any) -> dict[str, dict[str, str]]:
     """Return, by class and attribute, the docstring that follows each attribute of a module."""
     docs: dict[str, dict[str, str]] = {}
     for node in ast.parse(inspect.getsource(module)).body:
-        if not isinstance(node, ast.ClassDef):
-            continue
-        of_class = docs.setdefault(node.name, {})
-        for before, after in zip(node.body, node.body[1:], strict=False):
-            if isinstance(before, ast.AnnAssign):
-                target: ast.expr = before.target
-            elif isinstance(before, ast.Assign):
-                target = before.targets[0]
-            else:
-                continue
-            is_text = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
-            if is_text and isinstance(target, ast.Name):
-                of_class[target.id] = " ".join(str(after.value.value).split())
+        if isinstance(node, ast.ClassDef):
+            for before, after in pairwise(node.body):
+                match before, after:
+                    case (
+                        (ast.AnnAssign(target=ast.Name(name)) | ast.Assign([ast.Name(name)])),
+                        ast.Expr(ast.Constant(str(text))),
+                    ):
+                        docs.setdefault(node.name, {})[name] = " ".join(text.split())
     return docs
 
 
 def unit_of_key(name: str) -> str:
     """Return the unit in a key's suffix: `lambda_per_s` is 1/s; empty without one."""
-    parts = name.split("_")
-    top: list[str] = []
-    below: list[str] = []
-    side = top
-    if "per" in parts:
-        at = parts.index("per")
-        known = {**_UNITS, "length": "length_unit"}  # the unit that a gains file names
-        below = [known[part] for part in parts[at + 1 :] if part in known]
-        parts = parts[:at]
-    while parts and parts[-1] in _UNITS:
-        side.insert(0, _UNITS[parts.pop()])
-    if not parts:  # the name itself is one letter of a unit's, as `k`
+    above, _, under = f"_{name}".partition("_per_")
+    words = above.removeprefix("_").split("_")
+    top = [_UNITS[word] for word in takewhile(_UNITS.__contains__, reversed(words))][::-1]
+    if len(top) == len(words):  # the name itself is one letter of a unit's, as `k`
         top = []
-    numerator = " ".join(top) or ("1" if below else "")
-    return (
-        f"{numerator}/({' '.join(below)})"
-        if len(below) > 1
-        else "/".join([part for part in (numerator, " ".join(below)) if part])
-    )
+    known = {**_UNITS, "length": "length_unit"}  # the unit that a gains file names
+    below = [known[word] for word in under.split("_") if word in known]
+    if not below:
+        return " ".join(top)
+    bottom = f"({' '.join(below)})" if len(below) > 1 else below[0]
+    return f"{' '.join(top) or '1'}/{bottom}"
 
 
 def _plain(text: str) -> str:
@@ -184,6 +172,11 @@ def write_verbs() -> str:
 # --- settings ---------------------------------------------------------------------------
 
 
+_BOUNDS = {
+    "exclusiveMinimum": "above", "minimum": "from", "exclusiveMaximum": "below", "maximum": "to",
+}  # fmt: skip
+
+
 def _reference_in(spec: Mapping[str, Any]) -> str:
     return str(spec.get("$ref", "")).removeprefix("#/$defs/")
 
@@ -222,18 +215,7 @@ def _type_of(spec: Mapping[str, Any], anchors: Mapping[str, str]) -> str:
 
 def _bounds_of(spec: Mapping[str, Any]) -> str:
     for one in _alternatives(spec):
-        low = "minimum" in one or "exclusiveMinimum" in one
-        high = "maximum" in one or "exclusiveMaximum" in one
-        words = []
-        if "exclusiveMinimum" in one:
-            words.append(f"above {one['exclusiveMinimum']:g}")
-        elif low:
-            words.append(f"from {one['minimum']:g}")
-        if "exclusiveMaximum" in one:
-            words.append(f"below {one['exclusiveMaximum']:g}")
-        elif high:
-            words.append(f"to {one['maximum']:g}")
-        if words:
+        if words := [f"{word} {one[key]:g}" for key, word in _BOUNDS.items() if key in one]:
             return " ".join(words)
     return ""
 
@@ -352,39 +334,49 @@ def write_log_schema() -> str:
         for topic, (name, text) in log_schema.JSON_SCHEMAS.items()
     ]  # fmt: skip
     imported = ", ".join(f"`{name}`" for name in log_schema.IMPORTED_QUANTITIES)
-    return "\n".join(
-        [
-            "# The log\n",
-            _HEAD,
-            f"\nA log is an [MCAP](https://mcap.dev) file, schema version "
-            f"{log_schema.SCHEMA_VERSION}. `pamctl log info LOG` says what it holds.\n",
-            f"## `{log_schema.TICK_TOPIC}`\n",
-            f"Protobuf message `{log_schema.TICK_MESSAGE}`, proto3, every field optional and of "
-            "fixed width, NaN kept. The message's `sequence` is the tick. SI units; pressure is "
-            "absolute; a contraction is a positive displacement.\n",
-            format_table(["number", "field", "type", "unit", "stage", "meaning"], rows),
-            "\nOnly a run that compensates known effects has the fields of the stage "
-            "`compensation`.\n",
-            f"Values of `phase`: {phases}.\n",
-            "## Bits of `verdicts`\n",
-            format_table(["bit", "meaning"], verdicts),
-            "\nBits below 8 cut the command. Bits from 8 on trip: the run ends at the safe "
-            "voltage.\n",
-            "## JSON channels\n",
-            format_table(["topic", "schema", "what", "keys"], channels),
-            "\n## Attachments and metadata\n",
-            "Attachment `config.json` holds the resolved configuration. Metadata records: `run` "
-            "(law, backend, experiment), `pamctl` (versions), `timing_setup` (scheduling, and what "
-            "was not permitted), `rig` (the rig's description of itself), `import` (imported logs "
-            "only: source, its SHA-256, how each column was read), `annotation` (tags, note, "
-            "operator, sample; the last record counts), `sweep` (place of the run in a sweep). "
-            "Data CRCs are on.\n",
-            "## Imported logs\n",
-            f"A log of another system has `tick`, `t_s`, `dt_s`, `missed` and those of {imported} "
-            f"that were measured. The tick channel's metadata says `origin: "
-            f"{log_schema.IMPORTED}`.\n",
-        ]
-    )
+    fields = format_table(["number", "field", "type", "unit", "stage", "meaning"], rows)
+    return f"""# The log
+
+{_HEAD}
+
+A log is an [MCAP](https://mcap.dev) file, schema version {log_schema.SCHEMA_VERSION}. \
+`pamctl log info LOG` says what it holds.
+
+## `{log_schema.TICK_TOPIC}`
+
+Protobuf message `{log_schema.TICK_MESSAGE}`, proto3, every field optional and of fixed width, \
+NaN kept. The message's `sequence` is the tick. SI units; pressure is absolute; a contraction is a \
+positive displacement.
+
+{fields}
+
+Only a run that compensates known effects has the fields of the stage `compensation`.
+
+Values of `phase`: {phases}.
+
+## Bits of `verdicts`
+
+{format_table(["bit", "meaning"], verdicts)}
+
+Bits below 8 cut the command. Bits from 8 on trip: the run ends at the safe voltage.
+
+## JSON channels
+
+{format_table(["topic", "schema", "what", "keys"], channels)}
+
+## Attachments and metadata
+
+Attachment `config.json` holds the resolved configuration. Metadata records: `run` (law, backend, \
+experiment), `pamctl` (versions), `timing_setup` (scheduling, and what was not permitted), `rig` \
+(the rig's description of itself), `import` (imported logs only: source, its SHA-256, how each \
+column was read), `annotation` (tags, note, operator, sample; the last record counts), `sweep` \
+(place of the run in a sweep). Data CRCs are on.
+
+## Imported logs
+
+A log of another system has `tick`, `t_s`, `dt_s`, `missed` and those of {imported} that were \
+measured. The tick channel's metadata says `origin: {log_schema.IMPORTED}`.
+"""
 
 
 # --- exit codes, effects, shipped files ---------------------------------------------------

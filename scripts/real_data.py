@@ -87,10 +87,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if s.name not in absent
         for factor in options.guesses
     ]
-    with tempfile.TemporaryDirectory() as folder:
-        path = options.resume or Path(folder) / "results.jsonl"
-        tasks = {trial.key: trial for trial in trials}
-        stored = run_resumable(tasks, run_trial, path, options.jobs, describe_result)
+    tasks = {trial.key: trial for trial in trials}
+    stored = run_resumable(tasks, run_trial, options.resume, options.jobs, describe_result)
     results = [stored[trial.key] for trial in trials]
     print(json.dumps({"results": results, "files_missing": absent}, indent=2))
     print(format_results(results, absent), file=sys.stderr)

@@ -4,8 +4,8 @@
     python scripts/realtime_nulls.py --benches sim --keep logs > nulls.json
 
 JSON on stdout, a line for each case and a table on stderr; exit code 3 if a faultless rig was
-called faulty. Ctrl-C ends it with the results so far (130). With `--resume` each finished case is
-stored, and stored cases are not run again. `--keep` keeps the logs of alarms.
+called faulty. With `--resume` each finished case is stored, and stored cases are not run again.
+`--keep` keeps the logs of alarms.
 
 A round records every bench with every experiment, on a PC that is left alone and on a busy one
 without real-time scheduling, which misses ticks. A PC that others keep busy is left as it is.
@@ -22,18 +22,20 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import numpy as np
-from resumable_study import read_results, store_result
+from resumable_study import Outcome, run_resumable
 from standin.standin import Card
 
 import pamctl.log
@@ -192,23 +194,21 @@ def judge_case(case: Case, logs: Sequence[Path]) -> dict[str, Any]:
     }
 
 
-def run_cases(cases: Sequence[Case], keep: Path | None) -> Iterator[tuple[Case, dict[str, Any]]]:
-    """Record and judge one case after the other."""
-    with tempfile.TemporaryDirectory() as temporary:
-        for case in cases:
-            logs = [Path(temporary) / f"{case.name}-{i}.mcap" for i in range(1 + case.held_out)]
-            try:
-                for i, path in enumerate(logs):
-                    record_run(case, path, 2 * case.number + i + 1)
-                found = judge_case(case, logs)
-            except (RuntimeError, subprocess.TimeoutExpired, pamctl.log.LogError) as error:
-                found = {"verdict": "not recorded", "reason": str(error)}
+def examine(case: Case, keep: Path | None) -> Outcome:
+    """Record and judge one case; keep the logs of an alarm."""
+    with tempfile.TemporaryDirectory() as folder:
+        logs = [Path(folder) / f"{case.name}-{i}.mcap" for i in range(1 + case.held_out)]
+        try:
+            for i, path in enumerate(logs):
+                record_run(case, path, 2 * case.number + i + 1)
+            found = judge_case(case, logs)
+        except (RuntimeError, subprocess.TimeoutExpired, pamctl.log.LogError) as error:
+            found = {"verdict": "not recorded", "reason": str(error)}
+        if keep is not None and is_alarm(found):
+            keep.mkdir(parents=True, exist_ok=True)
             for path in logs:
-                if keep is not None and is_alarm(found) and path.exists():
-                    keep.mkdir(parents=True, exist_ok=True)
-                    (keep / path.name).write_bytes(path.read_bytes())
-                path.unlink(missing_ok=True)
-            yield case, found
+                shutil.copy(path, keep)
+    return {"key": case.name, **found}
 
 
 def is_alarm(found: Mapping[str, Any]) -> bool:
@@ -223,22 +223,14 @@ def main() -> int:
     parser.add_argument("--resume", type=Path, metavar="FILE", help="file that stores each case")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep the logs of alarms here")
     options = parser.parse_args()
-    results = {found.pop("case"): found for found in read_results(options.resume)}
     cases = list_cases(options.rounds, options.benches.split(","))
-    stopped = False
-    try:
-        for case, found in run_cases([c for c in cases if c.name not in results], options.keep):
-            results[case.name] = found
-            print(f"{case.name:<38}{describe(found)}", file=sys.stderr, flush=True)
-            store_result(options.resume, {"case": case.name, **found})
-    except KeyboardInterrupt:
-        stopped = True
+    tasks = {case.name: case for case in cases}
+    one = partial(examine, keep=options.keep)
+    results = run_resumable(tasks, one, options.resume, 1, describe)
     report = summarise(results)
     tell(report)
     alarms = {name: found for name, found in results.items() if is_alarm(found)}
-    print(json.dumps({"stopped": stopped, "benches": report, "alarms": alarms}, indent=1))
-    if stopped:
-        return 130
+    print(json.dumps({"benches": report, "alarms": alarms}, indent=1))
     return 3 if alarms else 0
 
 

@@ -18,7 +18,7 @@ Task = TypeVar("Task")
 Outcome = dict[str, Any]
 
 
-def read_stored(path: Path) -> dict[str, Outcome]:
+def read_stored(path: Path | None) -> dict[str, Outcome]:
     """Return the stored results by key, without crashed tasks and lines that a kill cut short."""
     return {one["key"]: one for one in read_results(path) if "error" not in one}
 
@@ -40,15 +40,16 @@ def store_result(path: Path | None, result: Mapping[str, Any]) -> None:
 def run_resumable(
     tasks: Mapping[str, Task],
     examine: Callable[[Task], Outcome],
-    path: Path,
+    path: Path | None,
     workers: int,
     describe: Callable[[Outcome], str] = lambda result: "",
 ) -> dict[str, Outcome]:
     """Run the tasks that are not stored yet and store each result; return all results by key.
 
-    Progress goes to stderr; `describe` adds a few words on a result.
+    Without a path nothing is kept. Progress goes to stderr; `describe` adds words on a result.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
     results = read_stored(path)
     left = [task for key, task in tasks.items() if key not in results]
     began = time.perf_counter()
@@ -57,7 +58,7 @@ def run_resumable(
         results[result["key"]] = result
         spent_s = time.perf_counter() - began
         what = f"{result['key']}: {describe(result)}".rstrip(": ")
-        print(f"{done}/{len(left)} {spent_s:6.0f} s  {what}", file=sys.stderr)
+        print(f"{done}/{len(left)} {spent_s:6.0f} s  {what}", file=sys.stderr, flush=True)
     return results
 
 

@@ -108,6 +108,7 @@ def test_the_same_records_in_other_words_are_the_same_physics() -> None:
     assert sum(len(r.t_s) for r in halves) == sum(len(r.t_s) for r in handed[0])
     slow = CHANGES["half_rate"](handed, plant, 0.0)[0][0][1]
     assert slow.t_s[-1] == pytest.approx(plain.t_s[-1], abs=3e-3)
+    assert len(slow.t_s) == (len(plain.t_s) + 1) // 2
     doubled = CHANGES["guess"](handed, plant, 2.0)[1]
     assert doubled["parameters"]["mass_kg"] == 2.0 * plant["parameters"]["mass_kg"]
     imported = CHANGES["units"](([plain], []), plant, 0.0)[0][0][0]

@@ -16,7 +16,6 @@ from pamctl.plant.parameters import parameters_of
 COUNT_M = 25.4e-3 / 8000.0
 PERIOD_S = 1e-3
 REST = {"wave": "hold", "valve_v": -5, "duration_s": 0.6}
-VENT = {**REST, "duration_s": 0.4}
 PROGRAMS = {
     "fit": [
         REST,

@@ -30,7 +30,6 @@ from pamctl.plant.model import PlantSettings
 Array = NDArray[np.float64]
 
 PERFECT = Sensors(perfect=True)
-NOISY = Sensors(pressure_noise_pa=300.0, coloured_share=0.3)
 PAPER = Truth()
 STEP_S = 50e-6
 WHOLE = random_levels(3)[0][0]

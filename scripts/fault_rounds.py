@@ -424,10 +424,7 @@ def rounds(
 
     With `drawn`, only so many cases, the same ones each time.
     """
-    with (
-        tempfile.TemporaryDirectory() as temporary,
-        benches(Path(temporary)) as rigs,
-    ):
+    with tempfile.TemporaryDirectory() as temporary, benches(Path(temporary)) as rigs:
         cases = [
             (f"{bench.name} {', '.join(map(' '.join, faults))}", bench, faults)
             for bench in rigs

@@ -12,14 +12,7 @@ import score_diagnosis
 from hidden import score_list
 from hidden.changes import CHANGES, compare_said
 from hidden.rungs import Said, mark
-from hidden.score_list import (
-    Handed,
-    ScoredCase,
-    draw_hostile,
-    draw_list,
-    draw_nulls,
-    draw_suite,
-)
+from hidden.score_list import Handed, ScoredCase, draw_hostile, draw_list, draw_nulls, draw_suite
 
 CASES = [
     *(c for c in [*draw_list(1), *draw_list(2)] if c.group != "dirty"),

@@ -22,13 +22,7 @@ PROGRAMS = {
         {"wave": "square", "frequency_hz": 1.25, "amplitude_v": 5, "cycles": 2},
         {"wave": "hold", "valve_v": 2, "duration_s": 0.12},
         {"wave": "staircase", "levels_v": [0.2, 0.5, 1.0], "hold_s": 0.1},
-        {
-            "wave": "multisine",
-            "low_hz": 0.5,
-            "high_hz": 40,
-            "amplitude_v": 2.5,
-            "duration_s": 3,
-        },
+        {"wave": "multisine", "low_hz": 0.5, "high_hz": 40, "amplitude_v": 2.5, "duration_s": 3},
     ],
     "judge": [
         REST,

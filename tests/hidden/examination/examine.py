@@ -49,9 +49,7 @@ def start_plant(case: Case) -> PlantSettings:
     if case.actuator == "muscle":
         return PlantSettings()
     drawing = MuscleParameters(
-        mass_kg=PULLED.mass_kg,
-        damping_n_s_per_m=PULLED.damping,
-        stiffness_n_per_m=PULLED.stiffness,
+        mass_kg=PULLED.mass_kg, damping_n_s_per_m=PULLED.damping, stiffness_n_per_m=PULLED.stiffness
     )
     return PlantSettings(actuator="direct", parameters=drawing)
 

@@ -329,10 +329,7 @@ def noise_situations() -> Iterator[Situation]:
             (Lab(dropouts=0.001), Lab(dropouts=0.005)),
             said("dropouts", silent_large=False),
         ),
-        "noise_with_flow": (
-            (Lab(noise_with_flow=1.0), Lab(noise_with_flow=4.0)),
-            said("flow"),
-        ),
+        "noise_with_flow": ((Lab(noise_with_flow=1.0), Lab(noise_with_flow=4.0)), said("flow")),
         "wander": ((Lab(wander_pa=500.0), Lab(wander_pa=2000.0)), said("wander")),
         "coarse": ((Lab(adc_bits=10), Lab(adc_bits=8)), said("coarse")),
         "stamp_jitter": (

@@ -14,10 +14,7 @@ from hidden.effects import Size
 from hidden.equations.truth import Truth
 from hidden.examination.oracle import SURE
 from hidden.excitations import Excitation
-from hidden.hostile.file_of_lab import (
-    record_of,
-    truth_over_time,
-)
+from hidden.hostile.file_of_lab import record_of, truth_over_time
 from hidden.hostile.lab import Lab
 from hidden.hostile.programs import EXCITATIONS, random_levels
 from hidden.hostile.situations import HostileCase, all_cases, all_situations

@@ -237,6 +237,8 @@ class LogWriter:
                 if self._unindexed.pop(channel, None) is not None:
                     self._index.add_message_index(channel, place[0], place[1] - place[0])
                     self._at = place[1]
+            case Opcode.MESSAGE:  # another program wrote it in no chunk
+                self._index.take_parts(loaded.parts)
             case Opcode.SCHEMA | Opcode.CHANNEL:
                 self.learn(record)
                 self._described |= _find_described(loaded.parts)

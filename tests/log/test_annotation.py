@@ -10,8 +10,10 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
+from mcap.writer import IndexType, Writer
 from support.small_log import write_small
 from typer.testing import CliRunner
 
@@ -31,7 +33,6 @@ from pamctl.log.recover import recover_file
 from pamctl.plain_text import clean_text
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "qsmc.mcap"
-DATA_END = 0x0F
 
 
 def copy_golden(tmp_path: Path) -> Path:
@@ -41,7 +42,7 @@ def copy_golden(tmp_path: Path) -> Path:
 def data_of(path: Path) -> bytes:
     """Return all bytes before the end of the data section."""
     file = map_log_file(path)
-    return bytes(file[: next(r.start for r in walk_records(file) if r.opcode == DATA_END)])
+    return bytes(file[: next(r.start for r in walk_records(file) if r.opcode == Opcode.DATA_END)])
 
 
 def test_an_annotation_leaves_every_byte_of_the_data_and_passes_the_check(tmp_path: Path) -> None:
@@ -102,6 +103,22 @@ def test_a_piece_of_a_log_keeps_what_is_said_of_it(tmp_path: Path) -> None:
     write_annotation(path, make_annotation(["good"]))
     cut_log(path, tmp_path / "piece.mcap", from_row=0, to_row=100)
     assert read_annotation(tmp_path / "piece.mcap").tags == ("good",)
+
+
+def test_no_index_is_added_behind_what_follows_its_chunk(tmp_path: Path) -> None:
+    path = tmp_path / "foreign.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=1, index_types=IndexType.NONE)
+        writer.start()
+        channel = writer.register_channel("/x", "json", 0)
+        writer.add_message(channel, 0, b"{}", 0)
+        writer.add_metadata("end", {"a": "b"})
+        writer.finish()
+    append_metadata(path, "remark", {"c": "d"})
+    data = data_of(path)
+    assert [r.opcode for r in walk_records(map_log_file(path)) if r.start < len(data)] == [
+        Opcode.HEADER, Opcode.CHUNK, Opcode.METADATA, Opcode.METADATA,
+    ]  # fmt: skip
 
 
 def test_damage_from_before_is_found_and_stays(tmp_path: Path) -> None:

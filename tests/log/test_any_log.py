@@ -18,7 +18,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from pamctl.log import Log, columns, info, read
 from pamctl.log.check import check_log
-from pamctl.log.edit import cut_log
+from pamctl.log.edit import append_metadata, cut_log
 from pamctl.log.reader import read_paged, read_some
 from pamctl.log.recover import recover_file
 from pamctl.log.schema import EVENT_TOPIC, TICK_TOPIC, tick_descriptor
@@ -114,6 +114,7 @@ def logs(draw: st.DrawFn, path: Path) -> Written:
                 text = json.dumps(events[row // 5]).encode()
                 writer.add_message(marks, at_ns, text, at_ns, number)
                 writer.add_message(foreign, at_ns, b"\xff\x00", at_ns)
+        writer.add_metadata("end", {"reason": "done"})  # behind a chunk that may have no index
         writer.finish()
     names = [field.name for field in fields]
     kinds = {field.name: field.kind for field in fields}
@@ -153,6 +154,12 @@ def test_every_way_to_read_a_log_finds_what_was_written(
     # Of what this writer leaves out, nothing is wrong; the log is no run of pamctl.
     wrong = {f.key for f in report.findings if f.level == "error"}
     assert wrong <= {"version", "units", "columns", "config", "empty"}, report.findings
+
+    for remark in ("first", "second"):
+        append_metadata(written.path, remark, {"a": "b"})
+        written.equals(read(written.path))
+        again = {f.key for f in check_log(written.path).findings if f.level == "error"}
+        assert again <= wrong, remark
 
     if count > 2:
         first = data.draw(st.integers(0, count - 2))

@@ -18,6 +18,7 @@ import numpy as np
 import openpyxl
 import pytest
 from nptdms import ChannelObject, RootObject, TdmsWriter
+from scipy.io import savemat
 from test_log_import import ATMOSPHERE_PA, Outcome
 
 import pamctl.log
@@ -204,6 +205,19 @@ def matlab_73_scope(folder: Path) -> Path:
         for name, references in parts.items():
             signals.create_dataset(name, data=np.array(references, h5py.ref_dtype)[:, None])
     return stamp_as_matlab(path)
+
+
+def test_a_matrix_and_signals_without_labels_are_called_by_their_numbers(tmp_path, parsed_here):
+    with h5py.File(tmp_path / "new.mat", "w", userblock_size=512) as file:
+        put(file, "yout", np.arange(6.0).reshape(2, 3))  # of three rows for MATLAB
+    new = file_formats.read_table(stamp_as_matlab(tmp_path / "new.mat"))
+    assert {c.name: c.values.tolist() for c in new.columns} == {
+        "yout(:,1)": [0.0, 1.0, 2.0], "yout(:,2)": [3.0, 4.0, 5.0],
+    }  # fmt: skip
+    signals = np.array([[(T_S,), (2.0 * T_S,)]], [("values", object)])
+    savemat(tmp_path / "old.mat", {"scope": {"time": T_S, "signals": signals}})
+    old = file_formats.read_table(tmp_path / "old.mat")
+    assert [column.name for column in old.columns] == ["scope.time", "scope(1)", "scope(2)"]
 
 
 WRITERS: tuple[Callable[[Path], Path], ...] = (

@@ -19,7 +19,7 @@ from pamctl.cli.app import app
 from pamctl.log import LogError, read
 from pamctl.log.check import LogCheckReport, Severity, check_log
 from pamctl.log.framing import FileRecord, map_log_file
-from pamctl.log.measured_signals import judge_ticks
+from pamctl.log.measured_signals import find_signal_problems, judge_ticks
 from pamctl.log.record_problems import judge_schema
 from pamctl.log.record_walk import walk_records
 from pamctl.log.recover import recover_file
@@ -61,8 +61,9 @@ def write_ticks(path: Path, changes: dict[str, Any], count: int = 50) -> Path:
         writer = LogWriter(stream)
         channels = begin_log(writer, RunMeta(str(path)))
         messages = make_message_records(layout.encode(table), time_ns, table["tick"])
-        writer.add(channels[TICK_TOPIC], messages)
-        writer.end_chunk()
+        for first in range(0, count, 100):
+            writer.add(channels[TICK_TOPIC], messages[first : first + 100])
+            writer.end_chunk()
         writer.finish()
     return path
 
@@ -188,6 +189,29 @@ def test_what_is_doubtful_is_said_with_its_rows_and_stands_on_the_page(tmp_path)
     assert (done.exit_code, doubt in done.stderr) == (0, True)
     assert "rows 200 to 399 (0.2 to 0.399 s)" in done.stderr
     assert f"Doubtful in a: {doubt}" in (tmp_path / "a.html").read_text()
+
+
+def test_a_long_log_is_checked_in_pieces_and_its_findings_are_those_of_the_whole(
+    tmp_path, monkeypatch
+):
+    noise = 2e5 + 300.0 * np.random.default_rng(1).standard_normal(900)
+    noise[350:450] = noise[350]
+    tick = np.arange(900) + 2 * (np.arange(900) >= 300)  # a loss where the second piece begins
+    path = write_ticks(tmp_path / "a.mcap", {"pressure_pa": noise, "tick": tick}, 900)
+    whole = check_log(path).findings
+    lengths = []
+
+    def find(ticks: Any) -> Any:
+        lengths.append(len(ticks["t_s"]))
+        return find_signal_problems(ticks)
+
+    monkeypatch.setattr("pamctl.log.wire._BATCH_TICKS", 100)
+    monkeypatch.setattr("pamctl.log.check.PIECE_TICKS", 300)
+    monkeypatch.setattr("pamctl.log.check.find_signal_problems", find)
+    assert check_log(path).findings == whole
+    assert lengths == [300, 301, 301]
+    assert any("rows 350 to 449" in finding.message for finding in whole)
+    assert any("2 ticks are missing between 299 and 302" in f.message for f in whole)
 
 
 def test_a_schema_version_that_never_was_is_named():

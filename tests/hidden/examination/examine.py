@@ -6,8 +6,9 @@ from dataclasses import replace
 from time import process_time
 from typing import Any
 
-from hidden.examination.cases import Case
-from hidden.examination.damage import damaged
+import numpy as np
+
+from hidden.examination.cases import Case, Damage
 from hidden.excitations import PROGRAMS
 from hidden.rig import PULLED, HiddenRig, Record, hidden_rig
 from pamctl.diagnose import Record as Measured
@@ -42,6 +43,26 @@ def records_of(case: Case) -> tuple[list[Record], list[Record]]:
 def _handed_in(record: Record, case: Case) -> Record:
     lacking = record.without(*case.lacks)
     return damaged(lacking, case.damage) if case.damage not in ("", "missed_ticks") else lacking
+
+
+def damaged(record: Record, damage: Damage) -> Record:
+    """Return the record with the faults of a careless user."""
+    pressure, position = record.pressure_pa, record.position_m
+    if pressure is None or position is None:
+        raise ValueError("only a whole record can be damaged")
+    if damage == "clipped":
+        return replace(record, pressure_pa=np.minimum(pressure, 290e3))
+    if damage == "millimetres":
+        return replace(record, position_m=position * 1e3)
+    if damage == "stuck":
+        return replace(record, position_m=np.full_like(position, position[0]))
+    if damage == "shifted":
+        return replace(record, pressure_pa=np.roll(pressure, 40))
+    if damage == "gap":
+        kept = np.ones(len(pressure), dtype=np.bool_)
+        kept[len(kept) // 2 : len(kept) // 2 + 400] = False
+        return replace(record, **{name: c[kept] for name, c in record.columns().items()})
+    return record
 
 
 def start_plant(case: Case) -> PlantSettings:

@@ -367,7 +367,9 @@ def test_a_matrix_with_a_signal_a_row_is_imported_by_its_rows(tmp_path, parsed_h
 def test_a_packed_text_is_found_by_its_first_bytes_whatever_it_is_called(tmp_path, pack):
     packed = pack(table().encode())
     require_good(Outcome(write(tmp_path, packed, "a.dat")))
-    assert Outcome(write(tmp_path, packed[:50] + packed[60:], "b.dat")).code == 65
+    for hurt in (packed[:50] + packed[60:], packed[:-60]):
+        done = Outcome(write(tmp_path, hurt, "b.dat"))
+        assert (done.code, "is damaged" in done.stderr) == (65, True)
 
 
 @pytest.mark.parametrize(

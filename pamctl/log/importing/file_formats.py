@@ -87,11 +87,14 @@ _CLOSED = {
     b"Rar!": ("RAR", "unpack it first"),
 }  # fmt: skip
 """Formats that are often tried, with what to do."""
+_ZSTANDARD = b"\x28\xb5\x2f\xfd"
+_ZSTANDARD_HEAD = 18
+"""The longest head of a frame, in bytes."""
 _PACKED: dict[bytes, Callable[[Path], Any]] = {
     b"\x1f\x8b": gzip.open,
     b"BZh": bz2.open,
     b"\xfd7zXZ\0": lzma.open,
-    b"\x28\xb5\x2f\xfd": zstandard.open,
+    _ZSTANDARD: zstandard.open,
 }
 _DAMAGED = (OSError, EOFError, ValueError, lzma.LZMAError, zlib.error, zstandard.ZstdError)
 
@@ -103,6 +106,11 @@ class _Unpacked(io.RawIOBase):
         self._path, self._stream = path, stream
         self._most = max(BOMB_BYTES, BOMB_RATIO * path.stat().st_size)
         self._taken = 0
+        with path.open("rb") as file:
+            head = file.read(_ZSTANDARD_HEAD)
+        # Its reader says nothing of a frame that is cut short.
+        is_framed = head.startswith(_ZSTANDARD)
+        self._least = zstandard.frame_content_size(head) if is_framed else 0
 
     def readable(self) -> bool:
         return True
@@ -114,6 +122,8 @@ class _Unpacked(io.RawIOBase):
     def readinto(self, buffer: Any) -> int:
         try:
             part = self._stream.read(len(buffer))
+            if not part and self._taken < self._least:
+                raise EOFError(f"it ends after {self._taken} of {self._least} bytes")
         except _DAMAGED as error:
             raise ImportRefused(f"{self._path} is damaged: {error}; unpack what is whole") from None
         self._taken += len(part)

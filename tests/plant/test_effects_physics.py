@@ -160,10 +160,9 @@ def test_the_mechanics_solve_the_effects_equations(case: str) -> None:
     if case != "paper":
         assert effect_um > 2.0
     assert error_um(2) < 8.0  # most below 0.3 um, bristles 0.5 to 1.2 um
-    # Springs on sliders are held against small steps, good to 0.6 um.
-    form = MECHANICS_CASES[case].get("form", 0.0)
-    small_steps = case.startswith("presliding") and form in (0.0, 3.0)
-    assert error_um(32) < (1.0 if small_steps else 0.1)
+    # Springs on sliders: their second order leaves 0.09 and 0.14 um.
+    sliders = case in ("presliding", "presliding/maxwell_slip")
+    assert error_um(32) < (0.2 if sliders else 0.1)
 
 
 def test_every_effect_is_compared_with_an_independent_solution() -> None:

@@ -7,7 +7,7 @@ speaks against it only where it clearly does better.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -66,6 +66,8 @@ class Finding:
     numbers: tuple[FittedNumber, ...]
     at_range: tuple[str, ...]
     """Numbers that stand at their range: then no name is said."""
+    channel: int
+    """Where it takes off most, over the sensor's noise."""
     is_rest: bool
     """Whether it is small beside what was found before it: it mends the model, and is no cause."""
     judged: tuple[JudgedRival, ...]
@@ -96,7 +98,21 @@ def climb_ladder(search: NameSearch, base: WeighedModel, m: WeighedModel) -> lis
     intervals = search.weigher.find_intervals(m)
     search.weigher.meet(base, m)
     whole = max(base.total - m.total, 1e-9)
-    return [_find_level(search, base, m, name, intervals, whole) for name in m.names]
+    found = [_find_level(search, base, m, name, intervals, whole) for name in m.names]
+    return [replace(f, says_name=f.says_name and _stands_alone(f, found)) for f in found]
+
+
+def _stands_alone(finding: Finding, found: Sequence[Finding]) -> bool:
+    """Tell whether no larger law of its channel is open: a name beside one may be its part.
+
+    A law is open that has no name, or a number at its range.
+    """
+    return not any(
+        (its.hypothesis.is_term or its.at_range)
+        and its.gain_nats > finding.gain_nats
+        and its.channel == finding.channel
+        for its in found
+    )
 
 
 def _find_level(
@@ -109,8 +125,9 @@ def _find_level(
     low, _, high = bound_gain(own)
     gained = float(own.sum()), (float(low), float(high)), float(own.sum()) / whole
     numbers, at_range = _list_numbers(m, name, intervals), list_at_range(m, name)
+    channel = int(weigher.find_imprint(without, m).argmax())
     if not is_first and own.sum() < NAME_SHARE * whole:  # nobody asks for its rivals
-        return Finding(mine, False, False, False, *gained, numbers, at_range, True, ())
+        return Finding(mine, False, False, False, *gained, numbers, at_range, channel, True, ())
     judged = _judge_rivals(search, without, m, mine, own)
     open_ = [j.hypothesis for j in judged if not j.is_freer and not j.is_beaten]
     freer = [j.hypothesis for j in judged if j.is_freer and j.is_better]
@@ -127,7 +144,7 @@ def _find_level(
     little = bool((taken2 < NAME_SHARE**2 * weigher.find_robust2(base)).all())
     is_rest = not is_first and ((little and not says_place) or not enough)
     return Finding(
-        mine, says_place, says_kind, says_name, *gained, numbers, at_range, is_rest,
+        mine, says_place, says_kind, says_name, *gained, numbers, at_range, channel, is_rest,
         tuple(sorted(judged, key=lambda j: j.behind_nats)),
     )  # fmt: skip
 

@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass
 from functools import cache, partial
+from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
@@ -271,6 +272,13 @@ class Runs:
         self.hidden: Mask = self.masked | ~self._counts[:, None]
         ends = np.cumsum([0, *self.sizes])
         self._fills = [find_neighbours(row.ravel(), ends) for row in self.hidden]
+
+    def find_fresh_starts(self) -> NDArray[np.int64]:
+        """Return the samples, but the first, from which a simulation knows nothing of before."""
+        ends = np.cumsum([0, *self.sizes])
+        every = round(WINDOW_S / self.period_s) if self.windowed else sum(self.sizes)
+        starts = [np.arange(a, b, every) for a, b in pairwise(ends.tolist())]
+        return np.concatenate(starts)[1:]
 
     def pack(self, parts: Sequence[Array], rest: float | None = None) -> Array:
         """Return rows of all stretches as blocks, shape (rows, n_blocks, block)."""

@@ -42,8 +42,10 @@ HIGHEST_HZ = 60.0
 """Of a ripple: pumps and mains are slower."""
 MOST_KEPT = 600_000
 """Numbers in secants that are kept: 2.4 MB of each hypothesis, for five minutes of records."""
-FILTER_S = 0.06
-"""The plant's memory, by which a force's imprint on the position lags."""
+LONGEST_ANSWER_S = 2.0
+"""Of a position to an impulse of force, in the search for waves."""
+LEAST_N_PER_M = 1e-6
+"""Of a spring: without one the position remembers a force for good."""
 LINE = ((1.0, 1.0), (1.0, 0.3), (1.0, 0.0), (0.2, 0.2), (0.2, 0.0), (0.03, 0.0))
 """Shares of a prediction, of the new sizes and of the model's numbers, at which a fit may start."""
 
@@ -252,15 +254,17 @@ class _Beside:
         """
         runs, m = self.weigher.train, self.m
         off = self.off - self.inverse @ self.slope @ self.weighed
-        pull = from_haar((off * self.root).reshape(self.m.d.shape)).reshape(len(self.shown), -1)
+        pull = from_haar((off * self.root).reshape(self.m.d.shape)).reshape(len(runs.channels), -1)
         if hypothesis.scan == "position":
             if "position_m" not in runs.channels:
                 return
             row = runs.channels.index("position_m")
             pull = pull[row][None]
             if hypothesis.place != "encoder":  # a force moves the mass first
-                pull = _lag_backwards(pull[0], runs.period_s / FILTER_S)[None]
-            over = self.shown[row]
+                response = self._respond_to_force()
+                pieces = np.split(pull[0], runs.find_fresh_starts())
+                pull = np.concatenate([_lag_backwards(p, response) for p in pieces])[None]
+            over = runs.shown[row].ravel()
         else:
             tank = "tank_pressure_pa"
             more = {**m.values, tank: m.values.get(tank, self.weigher.base[tank]) + 1e3}
@@ -305,11 +309,16 @@ class _Beside:
             total += square * np.interp(at, levels, usual / np.maximum(counts, 1.0))
         return np.maximum(total, 1e-300)
 
-    @property
-    def shown(self) -> Array:
-        """What the model shows, one row a channel."""
-        measured = self.weigher.train.shown
-        return (measured - from_haar(self.m.d)).reshape(len(measured), -1)
+    def _respond_to_force(self) -> Array:
+        """Return how the position answers an impulse of force, until that is forgotten."""
+        values, period_s = {**self.weigher.base, **self.m.values}, self.weigher.train.period_s
+        names = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")
+        mass, damping, stiffness = (values[name] for name in names)
+        fast, slow = sorted(np.roots([mass, damping, stiffness + LEAST_N_PER_M]), key=np.real)
+        lasts_s = min(5.0 / max(-slow.real, 1e-9), LONGEST_ANSWER_S)
+        t_s = period_s * np.arange(round(lasts_s / period_s))
+        answer = (np.exp(slow * t_s) - np.exp(fast * t_s)) / (slow - fast + 1e-9)
+        return np.asarray(answer.real)
 
 
 def _bound_share(variant: Variant, directions: Array, share: NDArray[Any]) -> Array:
@@ -325,11 +334,10 @@ def _bound_share(variant: Variant, directions: Array, share: NDArray[Any]) -> Ar
     return np.asarray(share)
 
 
-def _lag_backwards(row: Array, share: float) -> Array:
-    """Return a row behind a lag of 1 / share samples that runs from its end to its beginning."""
-    size = 2 * len(row)
-    lag = (1.0 - np.exp(-share)) * np.exp(-share * np.arange(len(row)))
-    product = np.fft.rfft(row[::-1], size) * np.fft.rfft(lag, size)
+def _lag_backwards(row: Array, response: Array) -> Array:
+    """Return a row behind an impulse response that runs from its end to its beginning."""
+    size = len(row) + len(response)
+    product = np.fft.rfft(row[::-1], size) * np.fft.rfft(response, size)
     return np.asarray(np.fft.irfft(product, size)[: len(row)][::-1])
 
 

@@ -77,6 +77,14 @@ class Verbs(TyperGroup):
                 _print_document(ExitCode.UNEXPECTED, f"{type(error).__name__}: {error}")
             raise
 
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the verb; raise `Failed` for the last word of one that has two, such as `import`."""
+        whole = [words for words in EXAMPLES if words.endswith(f" {args[0]}")]
+        if args[0] not in self.commands and whole:
+            meant = " or ".join(f"`pamctl {words}`" for words in whole)
+            raise Failed(ExitCode.USAGE, f"there is no verb {args[0]!r}; did you mean {meant}?")
+        return super().resolve_command(ctx, args)
+
     def make_context(self, *arguments: Any, **options: Any) -> Any:
         """Read the options before the verb; turn wrong ones into `Failed`."""
         try:

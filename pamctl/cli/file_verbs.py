@@ -227,7 +227,8 @@ def make_rig(asked: RigForPlantOptions) -> None:
     document = {"plant": asked.plant, "rig_file": str(out), "notes": notes}
     words = ["pamctl", "doctor", "--rig", str(out)]
     if known[asked.backend].is_simulated:
-        words = ["pamctl", "run", "--fast", "--plant", asked.plant, "--rig", str(out)]
+        words = ["pamctl", "run", "--fast", "--experiment", "diagnosis"]  # open loop: no gains yet
+        words += ["--plant", asked.plant, "--rig", str(out)]
     lines = [f"rig file: {out}", *notes, f"next: {shlex.join(words)}"]
     print_result(document, "\n".join(lines), as_json=asked.as_json)
 

@@ -285,7 +285,7 @@ def doubt_excitation(records: Sequence[Record], plant: PlantSettings) -> Iterato
                 "still",
                 f"{channel} varies by only {max(span for span, _ in spans):.3g} "
                 f"{CHANNELS[channel]} over all records: it is not excited",
-                fix="record a motion that drives it",
+                fix="record a motion that drives it, or give the unit of the column",
             )
 
 

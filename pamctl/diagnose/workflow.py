@@ -16,7 +16,7 @@ from pamctl.diagnose.audit import audit_evidence
 from pamctl.diagnose.deciding_program import choose_deciding_program
 from pamctl.diagnose.diagnosis import Diagnosis, Verdict, decide_verdict
 from pamctl.diagnose.evidence import EvidenceVerdict, weigh_evidence
-from pamctl.diagnose.evidence.run_pieces import TooLittleRecorded
+from pamctl.diagnose.evidence.run_pieces import CannotBeWeighed
 from pamctl.diagnose.explanations import assemble_plant, judge_forecasts, list_explanations
 from pamctl.diagnose.mend import align_resting_pressure, mend_records
 from pamctl.diagnose.record import Record, SensorFault, describe_channels, pool_stated_noise
@@ -64,7 +64,7 @@ def diagnose(
         found = weigh_evidence(
             train, holdout, plant, without=[*without], noise=stated, jobs=cores, tell=progress
         )
-    except (BadData, TooLittleRecorded) as error:
+    except (BadData, CannotBeWeighed) as error:
         given = tuple(records)
         return Diagnosis(Verdict.BAD_DATA, plant, plant, str(error), train=given)
     verdict = decide_verdict(found)

@@ -19,7 +19,7 @@ from pamctl.log.framing import LogError
 from pamctl.log.reader import NoSuchColumn, read
 from pamctl.log.schema import TICK_TOPIC, unit_of_column
 from pamctl.new_file import create_new_file, require_place
-from pamctl.plain_text import escape_name
+from pamctl.plain_text import advise_install, escape_name
 
 Columns = Mapping[str, NDArray[Any]]
 
@@ -93,8 +93,8 @@ def _choose_writer(destination: Path) -> Callable[[BufferedWriter, Columns, str]
         try:
             __import__("pyarrow")
         except ImportError:
-            fix = "install it with pip install pyarrow"
-            raise ExportError(f"Parquet needs the package pyarrow; {fix}") from None
+            reason = f"Parquet needs the package pyarrow; {advise_install('pyarrow')}"
+            raise ExportError(reason) from None
     return _WRITERS[suffix]
 
 

@@ -14,6 +14,7 @@ from types import FrameType
 from typing import Any
 
 from pamctl.exit_codes import ExitCode
+from pamctl.plain_text import advise_install
 
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 """What a package or a cache may meet that does not write through `pamctl.new_file`."""
@@ -72,7 +73,7 @@ def require_package(name: str) -> Any:
     try:
         return import_module(name)
     except ImportError:
-        reason = f"this needs the package {name}; install it with pip install {name}"
+        reason = f"this needs the package {name}; {advise_install(name)}"
         raise PamctlError(reason, ExitCode.USAGE) from None
 
 

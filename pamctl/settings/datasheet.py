@@ -203,7 +203,8 @@ _OPTIONAL = {"direct": {"drive_n_per_v"}}
 """Numbers that only `run` and `tune` need."""
 _DEFAULTS = {"temperature_k": ROOM_K}
 """Where the paper's number is no guess for a rig of one's own."""
-_EFFECTS = {"direct": ("piston",), "cylinder": ("external_load",)}
+_LOAD = ("external_load",)
+_EFFECTS = {"muscle": _LOAD, "cylinder": _LOAD, "direct": ("piston",)}
 """Effects that are part of an actuator, where the catalogue has them."""
 _FIRST = ("atmospheric_pressure_pa",)
 """A gauge pressure needs it."""

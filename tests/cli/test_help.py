@@ -135,3 +135,9 @@ def test_the_pressures_of_a_calibration_are_shown(what: str, points_kpa: tuple[f
 def test_the_whole_help_text_reaches_the_terminal(verb: str, shown: str) -> None:
     done = CliRunner().invoke(app, [verb, "--help"], terminal_width=200, env={"COLUMNS": "200"})
     assert shown in " ".join(done.output.replace("│", " ").split())
+
+
+def test_the_last_word_of_a_verb_of_two_words_is_answered_with_the_whole_verb() -> None:
+    done = CliRunner().invoke(app, ["import", "data.csv"])
+    assert done.exit_code == ExitCode.USAGE
+    assert "did you mean `pamctl log import`?" in done.output

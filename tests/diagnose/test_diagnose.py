@@ -136,3 +136,13 @@ def test_the_effects_of_the_start_model_are_recalibrated_with_its_numbers() -> N
     assert "creep.fast_share" not in numbers
     assert "cubic_stiffness.n_per_m3 +3" in list_shifts(found)
     assert found.plant.effects.creep.stiffness_n_per_m == pytest.approx(260.0, rel=0.05)
+
+
+def test_a_model_that_runs_away_from_all_that_was_measured_is_refused() -> None:
+    train, held_out = pair()
+    pulled = PlantSettings.model_validate(
+        {"parameters": {"stiffness_n_per_m": 1e-15}, "effects": {"external_load": {"force_n": 200}}}
+    )
+    found = diagnose(train, held_out, pulled)
+    assert found.verdict is Verdict.BAD_DATA
+    assert "runs away" in found.reason

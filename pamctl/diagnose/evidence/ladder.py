@@ -99,10 +99,10 @@ def climb_ladder(search: NameSearch, base: WeighedModel, m: WeighedModel) -> lis
     search.weigher.meet(base, m)
     whole = max(base.total - m.total, 1e-9)
     found = [_find_level(search, base, m, name, intervals, whole) for name in m.names]
-    return [replace(f, says_name=f.says_name and _stands_alone(f, found)) for f in found]
+    return [replace(f, says_name=f.says_name and stands_alone(f, found)) for f in found]
 
 
-def _stands_alone(finding: Finding, found: Sequence[Finding]) -> bool:
+def stands_alone(finding: Finding, found: Sequence[Finding]) -> bool:
     """Tell whether no larger law of its channel is open: a name beside one may be its part.
 
     A law is open that has no name, or a number at its range.

@@ -79,7 +79,11 @@ FAR = 1e4
 """What a simulation shows where the plant leaves the range of its model."""
 
 
-class TooLittleRecorded(ValueError):
+class CannotBeWeighed(ValueError):
+    """The plant file's model and these records cannot be compared; the message says why."""
+
+
+class TooLittleRecorded(CannotBeWeighed):
     """The records lack an input, or are shorter than a block; the message says what is needed."""
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.diagnose.evidence.command_instants import CommandInstants, find_instants
-from pamctl.diagnose.evidence.constants import FIT_STEPS, LEFT_TIMES, NAME_NATS
+from pamctl.diagnose.evidence.constants import COARSE_STEP_S, FIT_STEPS, LEFT_TIMES, NAME_NATS
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher, bound_gain
 from pamctl.diagnose.evidence.ladder import Finding, climb_ladder, fit_number
 from pamctl.diagnose.evidence.measuring_chain import free_home, list_of_chain
@@ -24,7 +24,7 @@ from pamctl.diagnose.evidence.pool import (
     list_effects,
     list_terms,
 )
-from pamctl.diagnose.evidence.run_pieces import Recording, Runs, hold_out
+from pamctl.diagnose.evidence.run_pieces import CannotBeWeighed, Recording, Runs, hold_out
 from pamctl.diagnose.evidence.sample_masks import find_resolution
 from pamctl.diagnose.plant_numbers import FittedNumber
 from pamctl.plant.catalogue import CATALOGUE
@@ -59,6 +59,8 @@ LOAD = "external_load.force_n"
 KNOWN_WELL = 0.1
 """A number with a smaller visible share is measured with a tape or a gauge: 6 shares are its range;
 all others are guesses, a factor of 12 (a direct mechanism: 50)."""
+RUN_AWAY = 1e3
+"""Times the span of a channel: so far from it no model of the rig can be."""
 ZERO_PA = 250.0
 """Homing leaves so much on a pressure sensor's zero; an encoder is homed within a count."""
 
@@ -141,6 +143,7 @@ def weigh_evidence(
     weigher, start = prepare_weigher(records, held_out, plant, noise, jobs, holds_out=True)
     instants = find_instants(weigher)
     base = _free_mistyped(weigher, start, weigher.settle(replace(start), FIT_STEPS))
+    _check_it_stays(weigher, base)
     tell("recalibrated")
     pool = {
         h.name: h
@@ -198,6 +201,19 @@ def _refit_instants(
     weigher.pushes.clear()
     weigher.secants.clear()
     return weigher.settle(WeighedModel((), base.numbers, {}, base.x.copy()), FIT_STEPS)
+
+
+def _check_it_stays(weigher: Weigher, base: WeighedModel) -> None:
+    """Raise CannotBeWeighed where even the recalibrated model leaves all that was measured."""
+    runs = weigher.train
+    off = np.abs(runs.shown - runs.simulate({**weigher.base, **base.values}, COARSE_STEP_S))
+    for channel, rows, shown in zip(runs.channels, off, runs.shown, strict=True):
+        if rows.max() > RUN_AWAY * np.ptp(shown):
+            raise CannotBeWeighed(
+                f"{channel}: the plant file's model runs away, whatever its free numbers are, and "
+                "nothing can be compared with it: is a spring or a stop missing, or has a load the "
+                "wrong size or sign?"
+            )
 
 
 def _free_mistyped(weigher: Weigher, start: WeighedModel, base: WeighedModel) -> WeighedModel:

@@ -38,6 +38,7 @@ from pamctl.log.importing.column_map import TextHints
 from pamctl.log.importing.measured_table import BOMB_BYTES, BOMB_RATIO, ImportRefused, MeasuredTable
 from pamctl.log.importing.table_rows import HEAD_ROWS, Row, TableBuilder, TableLayout, find_layout
 from pamctl.new_file import describe_irregular_file
+from pamctl.plain_text import advise_install
 
 MEMORY_BYTES = 6 << 30
 """Where the system can limit it. Every table that can be imported needs less."""
@@ -247,8 +248,8 @@ def _parse_here(path: Path, kind: _Format, hints: TextHints) -> MeasuredTable | 
     except ModuleNotFoundError as error:
         package = kind.package or error.name
         return (
-            f"cannot read {path}: {kind.name} files need the package {package}; install it with "
-            f"python -m pip install {package}"
+            f"cannot read {path}: {kind.name} files need the package {package}; "
+            f"{advise_install(str(package))}"
         )
     except OSError as error:
         return f"cannot read {path}: {error.strerror or error}"

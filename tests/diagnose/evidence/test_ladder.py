@@ -1,0 +1,41 @@
+"""How far up the ladder a finding may be said beside another."""
+
+from __future__ import annotations
+
+import pytest
+
+from pamctl.diagnose.evidence.ladder import Finding, stands_alone
+from pamctl.diagnose.evidence.pool import PAPER_SCALES, Hypothesis, list_effects, list_terms
+
+REACH = {"time": (0.0, 10.0), "position": (0.0, 0.02), "pressure": (0.0, 3e5)}
+EFFECTS = {h.name: h for h in list_effects("muscle", PAPER_SCALES)}
+TERMS = {h.name: h for h in list_terms("muscle", REACH, PAPER_SCALES)}
+
+
+def found(
+    hypothesis: Hypothesis, gain: float, channel: int = 0, at_range: tuple[str, ...] = ()
+) -> Finding:
+    interval = 0.9 * gain, 1.1 * gain
+    return Finding(
+        hypothesis, True, True, True, gain, interval, 0.5, (), at_range, channel, False, ()
+    )  # fmt: skip
+
+
+PLAY = found(EFFECTS["encoder_backlash"], 400.0)
+
+
+@pytest.mark.parametrize(
+    ("larger", "is_alone"),
+    [
+        (found(EFFECTS["spring_hysteresis"], 700.0), True),
+        (found(EFFECTS["spring_hysteresis"], 700.0, at_range=("way_m",)), False),
+        (found(TERMS["force~hysteresis(position)"], 700.0), False),
+        (found(TERMS["force~hysteresis(position)"], 700.0, channel=1), True),
+        (found(TERMS["force~hysteresis(position)"], 300.0), True),
+    ],
+    ids=["understood", "at its range", "without a name", "of another channel", "smaller"],
+)
+def test_nothing_is_named_beside_a_larger_law_of_its_channel_that_is_open(
+    larger: Finding, is_alone: bool
+) -> None:
+    assert stands_alone(PLAY, [larger, PLAY]) is is_alone

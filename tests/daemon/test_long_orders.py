@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from support.processes.daemons import NOT_HOMED, daemon, parked
+from support.processes.daemons import NOT_HOMED, Daemon, daemon, parked
 
 from pamctl.log import read
 from pamctl.replay import replay_log
 
 SILENT_FOR_20_MS_IS_KILLED = ("rig.loop.heartbeat_ms=20", "rig.loop.starved_ms=60000")
 """A loop that works on something else for so long; not one that a busy PC gives no time."""
+
+
+@pytest.fixture(scope="module")
+def strict(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    """A daemon whose loop is killed as soon as it works on something else."""
+    place = tmp_path_factory.mktemp("long")
+    with daemon(place, "long", NOT_HOMED, *SILENT_FOR_20_MS_IS_KILLED) as made:
+        yield made
 
 
 @pytest.mark.long
@@ -26,18 +35,17 @@ SILENT_FOR_20_MS_IS_KILLED = ("rig.loop.heartbeat_ms=20", "rig.loop.starved_ms=6
     ids=lambda experiment: experiment["kind"],
 )
 def test_a_long_program_does_not_make_the_loop_late(
-    tmp_path: Path, experiment: dict[str, Any]
+    strict: Daemon, experiment: dict[str, Any]
 ) -> None:
-    with daemon(tmp_path, "long", NOT_HOMED, *SILENT_FOR_20_MS_IS_KILLED) as made:
-        made.ask("goto", position_m=4e-3)
-        made.wait_for("ready")
-        log = Path(made.ask("start", experiment=experiment, name="long")["log"])
-        made.wait_until(lambda status: status["log"] == str(log) and status["tick"] is not None)
-        made.wait_ticks(200)
-        assert made.state() == "running"
-        made.ask("stop")
-        parked(made)
-        assert made.state() == "ready"
+    strict.ask("goto", position_m=4e-3)
+    strict.wait_for("ready")
+    log = Path(strict.ask("start", experiment=experiment, name="long")["log"])
+    strict.wait_until(lambda status: status["log"] == str(log) and status["tick"] is not None)
+    strict.wait_ticks(200)
+    assert strict.state() == "running"
+    strict.ask("stop")
+    parked(strict)
+    assert strict.state() == "ready"
     ran = read(log)
     (order,) = [event for event in ran.events if event["event"] == "order"]
     assert {**order["experiment"], **experiment} == order["experiment"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -15,6 +16,8 @@ from support.patience import BUSY_PC, PATIENCE_S
 from support.processes.card_runs import OWN_SAFE_V, of, own
 from support.processes.daemons import AO_STEP_V, as_root
 
+from hal.reservation import open_shared
+from hal.rig import RigError
 from hal.sim import SharedRegister, peek_v
 from pamctl.processes.backends import SHARED_MEMORY
 from pamctl.recording.ring import Ring, RingError
@@ -128,12 +131,20 @@ def test_a_daemon_refuses_a_fault_file_that_pamctl_did_not_make(shared: Path, pu
 
 
 @pytest.mark.parametrize("put", TRICKS)
+def test_no_file_that_pamctl_did_not_make_is_opened(shared: Path, put: Trick) -> None:
+    path = shared / f"pamctl-{DEVICE}.ao"
+    put(path)
+    with pytest.raises(RigError, match=re.escape(str(path))):
+        open_shared(path, 8)
+    assert_untouched(path)
+
+
 @pytest.mark.parametrize("kind", ["ao", "lock"])
 def test_a_run_refuses_files_of_its_device_that_pamctl_did_not_make(
-    shared: Path, kind: str, put: Trick
+    shared: Path, kind: str
 ) -> None:
     path = shared / f"pamctl-{DEVICE}.{kind}"
-    put(path)
+    put_link_to_nothing(path)
     done = run_verb(*RUN)
     assert done.returncode == 69, done.stderr
     assert str(path) in done.stderr.splitlines()[-1]

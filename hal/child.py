@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import runpy
 import select
+import shlex
 import sys
 import time
 from collections.abc import Iterator
@@ -21,6 +22,11 @@ from importlib import import_module
 def child_command(module: str, *arguments: object) -> list[str]:
     """Return the command that runs a module of `hal` or `pamctl` in a process of its own."""
     return [sys.executable, "-P", os.path.abspath(__file__), module, *map(str, arguments)]
+
+
+def advise_install(package: str) -> str:
+    """Say what to type for a package that is missing: into this Python, and no other."""
+    return f"install it with {shlex.quote(sys.executable)} -m pip install {package}"
 
 
 class ParentPipe:

@@ -8,8 +8,6 @@ are removed where text comes in, and again where it is shown: an old log may hol
 from __future__ import annotations
 
 import re
-import shlex
-import sys
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TextIO
 from unicodedata import category
@@ -98,11 +96,6 @@ class PlainStream:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.unfiltered, name)
-
-
-def advise_install(package: str) -> str:
-    """Say what to type for a package that is missing: into this Python, and no other."""
-    return f"install it with {shlex.quote(sys.executable)} -m pip install {package}"
 
 
 def hint_at_nearest(name: str, known: Iterable[str]) -> str:

@@ -81,7 +81,7 @@ class Verbs(TyperGroup):
         """Find the verb; raise `Failed` for the last word of one that has two, such as `import`."""
         whole = [words for words in EXAMPLES if words.endswith(f" {args[0]}")]
         if args[0] not in self.commands and whole:
-            meant = " or ".join(f"`pamctl {words}`" for words in whole)
+            meant = " or ".join(f"`{ctx.command_path} {words}`" for words in whole)
             raise Failed(ExitCode.USAGE, f"there is no verb {args[0]!r}; did you mean {meant}?")
         return super().resolve_command(ctx, args)
 

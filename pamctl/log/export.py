@@ -14,12 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.child import advise_install
 from pamctl.exit_codes import ExitCode
 from pamctl.log.framing import LogError
 from pamctl.log.reader import NoSuchColumn, read
 from pamctl.log.schema import TICK_TOPIC, unit_of_column
 from pamctl.new_file import create_new_file, require_place
-from pamctl.plain_text import advise_install, escape_name
+from pamctl.plain_text import escape_name
 
 Columns = Mapping[str, NDArray[Any]]
 

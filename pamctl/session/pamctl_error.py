@@ -13,8 +13,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from hal.child import advise_install
 from pamctl.exit_codes import ExitCode
-from pamctl.plain_text import advise_install
 
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 """What a package or a cache may meet that does not write through `pamctl.new_file`."""

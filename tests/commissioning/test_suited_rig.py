@@ -50,7 +50,10 @@ def test_open_loop_fills_stay_within_the_limits_that_were_made_for_the_plant(fol
     assert tripped.returncode == 4
     assert "`pamctl plant rig PLANT.yaml RIG.yaml`" in tripped.stderr
     made = run_pamctl("plant", "rig", f"{name}.yaml", "rig.yaml", cwd=folder)
-    assert f"next: pamctl run --fast --plant {name}.yaml --rig rig.yaml" in made.stdout
+    assert (
+        f"next: pamctl run --fast --experiment diagnosis --plant {name}.yaml --rig rig.yaml"
+        in made.stdout
+    )
     done = run_pamctl(*run, "--rig", "rig.yaml", "--log", "ends.mcap", cwd=folder)
     assert done.returncode == 0, done.stderr
 

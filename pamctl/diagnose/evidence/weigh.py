@@ -158,6 +158,7 @@ def weigh_evidence(
         search = NameSearch(weigher, pool, tell)
         m = search.run(base)
     m, findings = _climb_from_best(search, base, m)
+    weigher.secants.clear()  # they are large, and a verdict keeps its weigher
     weigher.set_floor(m)
     weigher.leave_out(m)
     gap = {

@@ -249,8 +249,8 @@ class _Beside:
         """Yield the variants at the two best periods, by directions that cost no simulation.
 
         The weighed residual, back in time, is correlated with what a wave of each period would do
-        to the readings: for a force a lag, for a supply the change by a constant pressure. A wave
-        in time also has a weight: that of the levels of its frequency.
+        to the readings: for a force an answer of the mass, for a supply the change by a constant
+        pressure. A wave in time also has a weight: that of the levels of its frequency.
         """
         runs, m = self.weigher.train, self.m
         off = self.off - self.inverse @ self.slope @ self.weighed

@@ -270,6 +270,14 @@ def test_empty_cells_and_other_line_ends_are_nothing(tmp_path, end):
     require_good(Outcome(write(tmp_path, table(end=end))))
 
 
+@pytest.mark.parametrize("apart", ["\t", ";", ","])
+def test_a_last_column_without_a_cell_keeps_the_names_of_all(tmp_path, apart):
+    columns = (*GOOD, [""] * len(T_S))
+    done = Outcome(write(tmp_path, table((*HEAD, "Comment"), columns, apart), "a.txt"))
+    require_good(done)
+    assert left_out(done) == ["Comment"]
+
+
 def test_a_line_break_within_quotes_is_no_line(tmp_path):
     head = tuple(f'"{name.replace(" [", chr(10) + "[")}"' for name in HEAD)
     require_good(Outcome(write(tmp_path, table(head, end="\r\n"))))

@@ -445,7 +445,7 @@ def _match_comment(text: str, cells: Sequence[str]) -> re.Match[str] | None:
 
 
 def _choose_delimiter(path: Path, head: TextBlock) -> tuple[str, TableLayout]:
-    """Return the mark that makes the most cells of the table numbers or times."""
+    """Return the mark that makes the most cells of the table numbers or times; empty ones apart."""
     best: tuple[float, str, TableLayout] | None = None
     for delimiter in _DELIMITERS:
         try:
@@ -457,7 +457,8 @@ def _choose_delimiter(path: Path, head: TextBlock) -> tuple[str, TableLayout]:
             continue
         numeric = sum(kind in "nt" for kind in layout.kinds)
         is_named = not all(map(str.isdecimal, layout.names))
-        score = numeric / len(layout.kinds) + (numeric > 1) + 0.1 * is_named
+        told = len(layout.kinds.replace("m", ""))
+        score = numeric / told + (numeric > 1) + 0.1 * is_named
         if best is None or score > best[0]:
             best = score, delimiter, layout
     if best is None:

@@ -26,6 +26,8 @@ from pamctl.units import find_units
 
 _LENGTHS = find_units("length_m")
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
+_THOUSAND = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
+"""What is read in two ways: a comma between thousands, or before a fraction."""
 _DEGREES = ("deg", "degree", "degrees", "\N{DEGREE SIGN}")
 
 NOMINAL_UPSTREAM_PA, NOMINAL_DOWNSTREAM_PA = 7e5, 6e5
@@ -68,6 +70,11 @@ def read_quantity(name: str, text: str, known: Mapping[str, float]) -> float:
     match = _NUMBER.fullmatch(text)
     if match is None:
         raise DatasheetError(f"{name}: {text!r} is no number; give {list_units(name)}")
+    if _THOUSAND.fullmatch(match[1]):
+        both = match[1].replace(",", ""), match[1].replace(",", ".")
+        raise DatasheetError(
+            f"{name}: {match[1]} may be {both[0]} or {both[1]}: write one of these"
+        )
     number = float(match[1].replace(",", "."))
     if not math.isfinite(number):
         raise DatasheetError(f"{name}: {text!r} is too large")

@@ -117,7 +117,8 @@ def find_runs(sweep: SweepPlan, *, whatever_ending: bool = False) -> dict[str, R
     found: dict[str, RunRow] = {}
     for row in rows:
         place = SweepRun(row.sweep["point"], row.sweep["repeat"], 0).place
-        if place in places and (row.ending == "ok" or (whatever_ending and place not in found)):
+        is_better = whatever_ending and (place not in found or found[place].ending != "ok")
+        if place in places and (row.ending == "ok" or is_better):
             found[place] = row
     return found
 

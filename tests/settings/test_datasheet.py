@@ -56,6 +56,7 @@ def test_a_number_with_its_unit_is_read_in_si(name: str, text: str, value: float
         ("piston.area_m2", "25 mm", "write `25 mm bore`"),
         ("braid_length_m", "60 deg", "between 0 and 54.7 deg"),
         ("mass_kg", "1e400", "too large"),
+        ("stiffness_n_per_m", "1,200 N/m", "may be 1200 or 1.200"),
         ("heat_capacity_ratio", "1.4 J", "a plain number"),
     ],
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from copy import deepcopy
 from typing import Any
 
 import pytest
@@ -17,7 +18,13 @@ from pamctl.processes.backends import SHARED_MEMORY
 from pamctl.settings import envelope
 from pamctl.settings.build import build_program, build_tick_setup
 from pamctl.settings.envelope import find_excesses
-from pamctl.settings.resolve import resolve, settings_to_data
+from pamctl.settings.resolve import (
+    RUN,
+    RawSettings,
+    resolve,
+    settings_to_data,
+    validate_settings,
+)
 
 EDGES = ("1e-320", "1e308", "-1e308", "-0.0", ".nan", ".inf", "99999999999999999999")
 PLANTS = {"plant": ("paper", "paper-valve109")}
@@ -62,11 +69,13 @@ def test_every_number_of_every_section_is_refused_at_the_edge_or_can_be_used(
 ) -> None:
     monkeypatch.setattr(envelope, "_MOST_SAMPLES", 200)  # each is computed alike
     chosen: dict[str, Any] = {section: name}
-    data = settings_to_data(resolve(**chosen))[section]
-    for key in numbers_in(data, section):
+    data = settings_to_data(resolve(**chosen))
+    for key in numbers_in(data[section], section):
         for edge in EDGES:
+            changed = RawSettings(deepcopy(data))
             try:
-                settings = resolve(overrides=[f"{key}={edge}"], **chosen)
+                changed.override(f"{key}={edge}")
+                settings = validate_settings(RUN, changed)
             except ConfigError:
                 continue
             build_tick_setup(settings)

@@ -71,11 +71,7 @@ class NameSearch:
 
     def run(self, base: WeighedModel) -> WeighedModel:
         """Return the model that nothing improves."""
-        return self.go_on(base, self.turn_columns(base))
-
-    def go_on(self, base: WeighedModel, m: WeighedModel) -> WeighedModel:
-        """Return the model that nothing improves, from one that has names already."""
-        been, asked = set[frozenset[str]](), list(self.pool)
+        m, been, asked = self.turn_columns(base), set[frozenset[str]](), list(self.pool)
         while len(m.names) < MOST_NAMES and frozenset(m.names) not in been:
             been.add(frozenset(m.names))
             self._fitted[frozenset(m.names)] = m

@@ -157,7 +157,7 @@ def weigh_evidence(
         base = _refit_instants(weigher, instants, m, base)
         search = NameSearch(weigher, pool, tell)
         m = search.run(base)
-    m, findings = _climb_from_best(search, base, m)
+    findings = tuple(climb_ladder(search, base, m)) if m.names else ()
     weigher.secants.clear()  # they are large, and a verdict keeps its weigher
     weigher.set_floor(m)
     weigher.leave_out(m)
@@ -168,29 +168,6 @@ def weigh_evidence(
     left = np.sqrt(weigher.find_noise2(m))
     noise_rms = dict(zip(weigher.train.channels, map(float, left), strict=True))
     return EvidenceVerdict(findings, start, base, m, weigher, pool, gap, noise_rms, instants)
-
-
-def _climb_from_best(
-    search: NameSearch, base: WeighedModel, m: WeighedModel
-) -> tuple[WeighedModel, tuple[Finding, ...]]:
-    """Return the model that no rival of a finding is ahead of, and what may be said of its names.
-
-    A name that was taken early may have stood in for several: now another does better.
-    """
-    been = set[frozenset[str]]()
-    while m.names:
-        been.add(frozenset(m.names))
-        findings = tuple(climb_ladder(search, base, m))
-        ahead = [j for f in findings for j in f.judged if j.model and not j.is_freer]
-        best = min(ahead, key=lambda j: j.behind_nats, default=None)
-        if best is None or best.model is None or best.behind_nats > -NAME_NATS:
-            return m, findings
-        search.tell(f"{best.hypothesis.name} does better in its place: asking again")
-        better = search.go_on(base, search.weigher.settle(best.model, 4))
-        if frozenset(better.names) in been:
-            return m, findings
-        m = better
-    return m, ()
 
 
 def _refit_instants(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import statistics
 from collections.abc import Mapping
@@ -21,7 +22,7 @@ from pamctl.log.edit import append_metadata, read_annotation, write_annotation
 from pamctl.runs.run_index import RunIndex
 from pamctl.runs.run_row import RunRow, read_row
 from pamctl.settings.resolve import resolve
-from pamctl.sweep.run_sweep import SweepPlan, run_sweep
+from pamctl.sweep.run_sweep import SweepPlan, find_runs, run_sweep
 from pamctl.sweep.sweep_plan import SweepError, SweepRun, list_runs, parse_sweep, require_end
 from pamctl.sweep.sweep_result import format_points_csv, summarise_points, tabulate_points
 
@@ -138,6 +139,21 @@ def test_a_sweep_of_a_real_muscle_ends_with_the_first_failure(
     assert len(runner.made) == (3 if goes_on else 2)
     assert end.ending.code == (ExitCode.CHECK_FAILED if goes_on else ExitCode.SAFETY_TRIP)
     assert end.left == (1 if goes_on else 2)
+
+
+def test_of_runs_that_all_failed_the_newest_is_shown(tmp_path: Path) -> None:
+    sweep = plan(tmp_path, 20.0, repeats=1)
+    (run,) = sweep.runs
+    point = json.dumps(run.point, separators=(",", ":"))
+    record = {"name": sweep.name, "base": sweep.base, "point": point, "repeat": str(run.repeat)}
+    for age_s, name in ((60, "trip-wire"), (0, "trip-nan")):
+        path = tmp_path / f"{name}.mcap"
+        shutil.copy(GOLDEN.with_name(path.name), path)
+        os.utime(path, (1e9 - age_s, 1e9 - age_s))
+        append_metadata(path, SWEEP, record)
+    (found,) = find_runs(sweep, whatever_ending=True).values()
+    assert found.path == "trip-nan.mcap"
+    assert not find_runs(sweep)
 
 
 def test_the_table_is_mean_and_deviation_of_the_runs_that_ended_well() -> None:

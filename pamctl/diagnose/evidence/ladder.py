@@ -103,9 +103,9 @@ def climb_ladder(search: NameSearch, base: WeighedModel, m: WeighedModel) -> lis
 
 
 def stands_alone(finding: Finding, found: Sequence[Finding]) -> bool:
-    """Tell whether no larger law of its channel is open: a name beside one may be its part.
+    """Tell whether no larger law of its channel is open.
 
-    A law is open that has no name, or a number at its range.
+    A law is open if it has no name, or a number at its range. A smaller name may be a part of it.
     """
     return not any(
         (its.hypothesis.is_term or its.at_range)

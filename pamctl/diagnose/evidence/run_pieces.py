@@ -157,10 +157,12 @@ class Runs:
         self.imposed: bool = like.imposed if like else motion[0]
         self.windowed: bool = like.windowed if like else motion[1]
         self.channels = _choose_channels(records, self.actuator, self.imposed)
+        self._window = round(WINDOW_S / self.period_s)
         levels = round(np.log2(BLOCK_S / self.period_s))
         self.block: int = like.block if like else 1 << max(LEAST_LEVELS, min(LEVELS, levels))
         self._atmosphere_pa = plant["atmospheric_pressure_pa"]
-        self.steps_s = (FINE_STEP_S, COARSE_STEP_S, SCORE_STEP_S)
+        self.steps_s = {FINE_STEP_S: LEAST_STEPS, COARSE_STEP_S: LEAST_STEPS, SCORE_STEP_S: 1}
+        """The steps of a simulation, with the least number of them in a sample."""
         self.stretches = [s for record in records for s in self._cut(record)]
         if not self.stretches:
             raise TooLittleRecorded(
@@ -213,11 +215,10 @@ class Runs:
     ) -> dict[float, SampleGrid]:
         return {
             step: build_grid(
-                between_s, len(between_s) + 1,
-                max(1 if step == SCORE_STEP_S else LEAST_STEPS, round(self.period_s / step)),
+                between_s, len(between_s) + 1, max(least, round(self.period_s / step)),
                 acts_after_s, held_v,
             )
-            for step in self.steps_s
+            for step, least in self.steps_s.items()
         }  # fmt: skip
 
     def set_instants(self, acts_after_s: Sequence[Array | None]) -> None:
@@ -280,7 +281,7 @@ class Runs:
     def find_fresh_starts(self) -> NDArray[np.int64]:
         """Return the samples, but the first, from which a simulation knows nothing of before."""
         ends = np.cumsum([0, *self.sizes])
-        every = round(WINDOW_S / self.period_s) if self.windowed else sum(self.sizes)
+        every = self._window if self.windowed else sum(self.sizes)
         starts = [np.arange(a, b, every) for a, b in pairwise(ends.tolist())]
         return np.concatenate(starts)[1:]
 
@@ -389,7 +390,7 @@ class Runs:
             pressure = np.full(n, p.paper.atmospheric_pressure_pa)
         again = NO_RESTARTS
         if self.windowed:
-            every = np.arange(round(WINDOW_S / self.period_s), n, round(WINDOW_S / self.period_s))
+            every = np.arange(self._window, n, self._window)
             again = Restarts(every, rates["smooth"][every], rates["speed"][every])
         start = rest_state(p, float(rates["smooth"][0]), float(pressure[0]))
         start = start._replace(velocity_m_per_s=float(rates["speed"][0]))

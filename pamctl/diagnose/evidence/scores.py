@@ -8,7 +8,7 @@ fit of dose and numbers predicts the residual, and the likelihood what that is w
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -65,14 +65,14 @@ class EvidenceScore(NamedTuple):
 
 
 def score_all(
-    weigher: Weigher, m: WeighedModel, hypotheses: Iterable[Hypothesis]
+    weigher: Weigher, m: WeighedModel, hypotheses: Sequence[Hypothesis]
 ) -> list[EvidenceScore]:
     """Return the scores of hypotheses beside a model, the best first.
 
-    What would be far behind by what it did beside a model before is not simulated again.
+    A hypothesis is not simulated again if its secants beside an earlier model leave it far behind.
     """
     beside = _Beside(weigher, m)
-    guesses = {h.name: beside.guess(h) for h in hypotheses}
+    guesses = {h.name: beside.guess(h) for h in hypotheses} if len(hypotheses) > KEPT else {}
     known = sorted((s for s in guesses.values() if s is not None), key=lambda s: -s.gain)
     far = {s.name for s in known[KEPT:]}
     found = [guesses[h.name] if h.name in far else beside.score(h) for h in hypotheses]

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.diagnose.evidence.command_instants import CommandInstants, find_instants
-from pamctl.diagnose.evidence.constants import COARSE_STEP_S, FIT_STEPS, LEFT_TIMES, NAME_NATS
+from pamctl.diagnose.evidence.constants import FIT_STEPS, LEFT_TIMES, NAME_NATS
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher, bound_gain
 from pamctl.diagnose.evidence.ladder import Finding, climb_ladder, fit_number
+from pamctl.diagnose.evidence.likelihood import from_haar
 from pamctl.diagnose.evidence.measuring_chain import free_home, list_of_chain
 from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.pool import (
@@ -184,9 +185,8 @@ def _refit_instants(
 def _check_it_stays(weigher: Weigher, base: WeighedModel) -> None:
     """Raise CannotBeWeighed where even the recalibrated model leaves all that was measured."""
     runs = weigher.train
-    off = np.abs(runs.shown - runs.simulate({**weigher.base, **base.values}, COARSE_STEP_S))
-    for channel, rows, shown in zip(runs.channels, off, runs.shown, strict=True):
-        if rows.max() > RUN_AWAY * np.ptp(shown):
+    for channel, off, shown in zip(runs.channels, from_haar(base.d), runs.shown, strict=True):
+        if np.abs(off).max() > RUN_AWAY * np.ptp(shown):
             raise CannotBeWeighed(
                 f"{channel}: the plant file's model runs away, whatever its free numbers are, and "
                 "nothing can be compared with it: is a spring or a stop missing, or has a load the "

@@ -445,7 +445,10 @@ def _match_comment(text: str, cells: Sequence[str]) -> re.Match[str] | None:
 
 
 def _choose_delimiter(path: Path, head: TextBlock) -> tuple[str, TableLayout]:
-    """Return the mark that makes the most cells of the table numbers or times; empty ones apart."""
+    """Return the mark that makes the most cells of the table numbers or times.
+
+    A column of empty cells does not count.
+    """
     best: tuple[float, str, TableLayout] | None = None
     for delimiter in _DELIMITERS:
         try:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from pamctl.control.experiment import ProgramSettings, plan_experiment
 from pamctl.diagnose import Diagnosis, Record
+from pamctl.diagnose.evidence.weigh import list_pool, prepare_weigher
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.drive import drive_coupled
+from pamctl.plant.model import PlantSettings
 from pamctl.plant.parameters import parameters_of
 
 COUNT_M = 25.4e-3 / 8000.0
@@ -71,6 +74,18 @@ def pair(**hidden: float) -> tuple[list[Record], list[Record]]:
 def all_but(*names: str) -> set[str]:
     """Return the rest of the catalogue, which a test leaves out to save time."""
     return {*CATALOGUE} - {*names}
+
+
+@cache
+def list_asked() -> frozenset[str]:
+    """Return the name of all that is asked of a muscle."""
+    weigher, _ = prepare_weigher([measured("fit")], (), PlantSettings())
+    return frozenset(h.name for h in list_pool(weigher.train, weigher.base, PlantSettings()))
+
+
+def ask_only(*names: str) -> set[str]:
+    """Return all that a test leaves out to save time; `(time)` asks every law of the time."""
+    return {n for n in list_asked() if not any(part in n for part in names)}
 
 
 def names_of(found: Diagnosis) -> list[str]:

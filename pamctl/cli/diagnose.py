@@ -86,7 +86,7 @@ def diagnose(asked: DiagnoseOptions) -> None:
     DIR gets diagnosis.json, report.html and plant.yaml, and next-experiment.yaml where a program
     would decide between explanations. plant.yaml is for --plant of compare and a next diagnose;
     of what a law can move, of run and tune, too. The exit code is 0 for every verdict, and 65
-    if the data cannot be used.
+    if the data cannot be used. Ctrl-C keeps what was found so far.
     """
     out = asked.out
     _require_one_kind(asked)
@@ -101,8 +101,8 @@ def diagnose(asked: DiagnoseOptions) -> None:
         diagnose_on_rig(asked, plant)
         return
     assert out is not None  # only --dry-run, which is for --on-rig, goes without
+    from pamctl.diagnose import DiagnosisInterrupted, report_diagnosis
     from pamctl.diagnose import diagnose as find_missing_effects
-    from pamctl.diagnose import report_diagnosis
     from pamctl.diagnose.record import require_held_out
     from pamctl.diagnose.refuse import read_acceptances
     from pamctl.diagnose.report.diagnosis_page import write_diagnosis
@@ -114,16 +114,23 @@ def diagnose(asked: DiagnoseOptions) -> None:
     train, held = records[: len(asked.logs)], records[len(asked.logs) :]
     if not held:
         tell("no --holdout: two stretches of each log are held out")
-    diagnosis = find_missing_effects(
-        train,
-        held,
-        plant,
-        without=asked.without,
-        accept=accepted,
-        noise=stated,
-        jobs=asked.jobs,
-        progress=tell,
-    )
+    code = ExitCode.OK
+    try:
+        with end_on_signals():
+            diagnosis = find_missing_effects(
+                train,
+                held,
+                plant,
+                without=asked.without,
+                accept=accepted,
+                noise=stated,
+                jobs=asked.jobs,
+                progress=tell,
+            )
+    except DiagnosisInterrupted as interrupted:
+        diagnosis, code = interrupted.diagnosis, _find_exit_code(interrupted)
+    except KeyboardInterrupt as interrupt:
+        raise Failed(_find_exit_code(interrupt), "interrupted; nothing is kept") from None
     names = [path.name for path in (*asked.logs, *asked.holdout)]
     failure, end = None, ""
     try:
@@ -132,7 +139,7 @@ def diagnose(asked: DiagnoseOptions) -> None:
     except NewFileError as error:
         failure = error
     print_report(report_diagnosis(diagnosis), as_json=asked.as_json, failure=failure, end=end)
-    raise typer.Exit(ExitCode.BAD_DATA if diagnosis.reason else ExitCode.OK)
+    raise typer.Exit(ExitCode.BAD_DATA if diagnosis.reason else code)
 
 
 _FOR_RIG = ("experiment", "runs", "minutes", "dry_run", "yes", "socket")
@@ -208,8 +215,7 @@ def _run_rounds(rig: Any, investigation: Any) -> tuple[ExitCode, str]:
             decide_on_rig(rig, investigation, progress=tell)
     except KeyboardInterrupt as interrupt:
         investigation.stopped = "it was interrupted"
-        code = ExitCode.SIGTERM if isinstance(interrupt, _Terminated) else ExitCode.SIGINT
-        return code, "interrupted"
+        return _find_exit_code(interrupt), "interrupted"
     except PamctlError as error:
         investigation.stopped = f"the run failed: {error.reason}"
         return error.exit_code, error.reason
@@ -218,12 +224,17 @@ def _run_rounds(rig: Any, investigation: Any) -> tuple[ExitCode, str]:
 
 
 class _Terminated(KeyboardInterrupt):
-    """SIGTERM or SIGHUP: the rounds end as after Ctrl-C."""
+    """SIGTERM or SIGHUP: the work ends as after Ctrl-C."""
+
+
+def _find_exit_code(interrupt: KeyboardInterrupt) -> ExitCode:
+    is_terminated = isinstance(interrupt.__cause__ or interrupt, _Terminated)
+    return ExitCode.SIGTERM if is_terminated else ExitCode.SIGINT
 
 
 @contextmanager
 def end_on_signals() -> Iterator[None]:
-    """End the block by an exception on SIGTERM and SIGHUP, so that the rig is left as it should."""
+    """End the block by an exception on SIGTERM and SIGHUP, as on Ctrl-C."""
 
     def end(number: int, frame: object) -> None:
         raise _Terminated

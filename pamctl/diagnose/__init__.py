@@ -8,7 +8,7 @@ report            document, sentence, page, plant file
 Read `workflow.py` first, then `evidence/weigh.py`.
 """
 
-from pamctl.diagnose.diagnosis import Diagnosis, Verdict
+from pamctl.diagnose.diagnosis import Diagnosis, DiagnosisInterrupted, Verdict
 from pamctl.diagnose.record import Record, record_of
 from pamctl.diagnose.report.diagnosis_document import report_diagnosis
 from pamctl.diagnose.report.verdict_words import sentence
@@ -16,6 +16,7 @@ from pamctl.diagnose.workflow import diagnose
 
 __all__ = [
     "Diagnosis",
+    "DiagnosisInterrupted",
     "Record",
     "Verdict",
     "diagnose",

@@ -38,6 +38,8 @@ class Verdict(StrEnum):
     NONE_KNOWN = "none_known"
     """Nothing that was asked explains anything, and something is left."""
     BAD_DATA = "bad_data"
+    INTERRUPTED = "interrupted"
+    """The search did not end: what was found so far is not compared with what looks like it."""
 
 
 class HeldOutGap(NamedTuple):
@@ -141,8 +143,19 @@ class Diagnosis:
         return value_of(self.nominal, name)
 
 
+class DiagnosisInterrupted(KeyboardInterrupt):
+    """A diagnosis was interrupted; `diagnosis` has what was found until then."""
+
+    def __init__(self, diagnosis: Diagnosis) -> None:
+        """Keep the diagnosis."""
+        super().__init__()
+        self.diagnosis = diagnosis
+
+
 def decide_verdict(evidence: EvidenceVerdict) -> Verdict:
     """Return the word for what the evidence says: that of the least of its findings."""
+    if evidence.stopped_by is not None:
+        return Verdict.INTERRUPTED
     said = [f for f in evidence.findings if f.level != "rest"]
     if not said:
         left = max(evidence.left_over_noise.values(), default=0.0)

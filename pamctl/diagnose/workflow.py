@@ -14,7 +14,12 @@ from dataclasses import replace
 
 from pamctl.diagnose.audit import audit_evidence
 from pamctl.diagnose.deciding_program import choose_deciding_program
-from pamctl.diagnose.diagnosis import Diagnosis, Verdict, decide_verdict
+from pamctl.diagnose.diagnosis import (
+    Diagnosis,
+    DiagnosisInterrupted,
+    Verdict,
+    decide_verdict,
+)
 from pamctl.diagnose.evidence import EvidenceVerdict, weigh_evidence
 from pamctl.diagnose.evidence.run_pieces import CannotBeWeighed
 from pamctl.diagnose.explanations import assemble_plant, judge_forecasts, list_explanations
@@ -44,7 +49,7 @@ def diagnose(
     of `quality_rules.RULES`, by rule. `noise` states the sensors' standard deviations in SI by
     channel, before what the plant file or the records state. `jobs` records are simulated side by
     side [default: as many as there are cores]. Data that cannot be diagnosed give the verdict
-    `bad_data`.
+    `bad_data`. A KeyboardInterrupt after the first fit becomes `DiagnosisInterrupted`.
     """
     stated = {**(plant.noise.stated if plant.noise else {}), **(noise or {})}
     plants_pa = plant.parameters.atmospheric_pressure_pa
@@ -75,11 +80,16 @@ def diagnose(
         evidence=found,
         train=tuple(train),
         holdout=tuple(holdout),
-        audit=audit_evidence(found, pairs=False),
         accepted=accepted,
         noise=describe_channels(records, found.noise_rms, [*faults, *_tell_instants(found)]),
     )
-    return _decide_next(diagnosis, found, records, progress)
+    if found.stopped_by is not None:
+        raise DiagnosisInterrupted(diagnosis) from found.stopped_by
+    try:
+        diagnosis = replace(diagnosis, audit=audit_evidence(found, pairs=False))
+        return _decide_next(diagnosis, found, records, progress)
+    except KeyboardInterrupt as interrupt:
+        raise DiagnosisInterrupted(diagnosis) from interrupt
 
 
 def _tell_instants(found: EvidenceVerdict) -> Iterator[SensorFault]:

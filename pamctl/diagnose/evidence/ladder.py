@@ -72,6 +72,8 @@ class Finding:
     """Whether it is small beside what was found before it: it mends the model, and is no cause."""
     judged: tuple[JudgedRival, ...]
     """All rivals that were fitted, the nearest first."""
+    is_judged: bool = True
+    """Whether rivals were asked at all; not where the search was interrupted."""
 
     @property
     def rivals(self) -> tuple[Hypothesis, ...]:
@@ -86,6 +88,8 @@ class Finding:
     @property
     def level(self) -> str:
         """The rung that is reached: name, kind, place, or set; `rest` of what is only mended."""
+        if not self.is_judged:
+            return "unjudged"
         if self.is_rest:
             return "rest"
         if self.says_place and self.says_kind:
@@ -93,12 +97,17 @@ class Finding:
         return "place" if self.says_place else "set"
 
 
-def climb_ladder(search: NameSearch, base: WeighedModel, m: WeighedModel) -> list[Finding]:
-    """Return what may be said of each name of a model, in the order in which they were found."""
+def climb_ladder(
+    search: NameSearch, base: WeighedModel, m: WeighedModel, *, judges: bool = True
+) -> list[Finding]:
+    """Return what may be said of each name of a model, in the order in which they were found.
+
+    Unless it `judges`, no rival is asked, and nothing is said.
+    """
     intervals = search.weigher.find_intervals(m)
     search.weigher.meet(base, m)
     whole = max(base.total - m.total, 1e-9)
-    found = [_find_level(search, base, m, name, intervals, whole) for name in m.names]
+    found = [_find_level(search, base, m, name, intervals, whole, judges) for name in m.names]
     return [replace(f, says_name=f.says_name and stands_alone(f, found)) for f in found]
 
 
@@ -117,7 +126,7 @@ def stands_alone(finding: Finding, found: Sequence[Finding]) -> bool:
 
 def _find_level(
     search: NameSearch, base: WeighedModel, m: WeighedModel, name: str, intervals: Intervals,
-    whole: float,
+    whole: float, judges: bool,
 ) -> Finding:  # fmt: skip
     weigher, mine = search.weigher, search.pool[name]
     without, is_first = search.drop(m, name), name == m.names[0]
@@ -126,8 +135,11 @@ def _find_level(
     gained = float(own.sum()), (float(low), float(high)), float(own.sum()) / whole
     numbers, at_range = _list_numbers(m, name, intervals), list_at_range(m, name)
     channel = int(weigher.find_imprint(without, m).argmax())
-    if not is_first and own.sum() < NAME_SHARE * whole:  # nobody asks for its rivals
-        return Finding(mine, False, False, False, *gained, numbers, at_range, channel, True, ())
+    is_small = not is_first and own.sum() < NAME_SHARE * whole
+    if is_small or not judges:  # nobody asks for its rivals
+        return Finding(
+            mine, False, False, False, *gained, numbers, at_range, channel, is_small, (), judges
+        )
     judged = _judge_rivals(search, without, m, mine, own)
     open_ = [j.hypothesis for j in judged if not j.is_freer and not j.is_beaten]
     freer = [j.hypothesis for j in judged if j.is_freer and j.is_better]

@@ -63,6 +63,8 @@ class NameSearch:
     ) -> None:
         """Begin with nothing seen; `tell` hears what is done."""
         self.weigher, self.pool, self.tell = weigher, pool, tell
+        self.found: WeighedModel | None = None
+        """The best model so far, for a search that is interrupted."""
         self.best_scores: dict[str, float] = {}
         """The best gain that each hypothesis of a shortlist promised in any round."""
         self._scored: dict[frozenset[str], list[EvidenceScore]] = {}
@@ -74,7 +76,7 @@ class NameSearch:
         m, been, asked = self.turn_columns(base), set[frozenset[str]](), list(self.pool)
         while len(m.names) < MOST_NAMES and frozenset(m.names) not in been:
             been.add(frozenset(m.names))
-            self._fitted[frozenset(m.names)] = m
+            self._fitted[frozenset(m.names)] = self.found = m
             self.weigher.set_floor(m)
             self.weigher.leave_out(m)
             scored = self.score(m, asked)
@@ -95,7 +97,8 @@ class NameSearch:
                 break
             taken = self.choose_form(m, taken)
             m = self.exchange(base, self.settle_anew(self.weigher.settle(taken, 4)))
-        return self.prune(m)
+        self.found = self.prune(m)
+        return self.found
 
     def take(self, m: WeighedModel, fits: Sequence[WeighedModel]) -> WeighedModel | None:
         """Return the first that counts; what is too small by its name counts by no law either."""

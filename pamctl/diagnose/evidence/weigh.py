@@ -86,6 +86,8 @@ class EvidenceVerdict:
     """Of each channel's sensor, SI."""
     instants: Sequence[CommandInstants] = ()
     """When the commands acted, where the files do not have all of them."""
+    stopped_by: KeyboardInterrupt | None = None
+    """What interrupted the search; then no finding is judged, and more may be missing."""
 
     @property
     def held_s(self) -> float:
@@ -137,28 +139,33 @@ def weigh_evidence(
     """Find what is missing from a plant file. Raise ValueError where records lack an input.
 
     Names in `without` are left out of the pool. `noise` states standard deviations of sensors, SI,
-    by channel. `jobs` records are simulated side by side; the
-    result is the same for any number.
+    by channel. `jobs` records are simulated side by side; the result is the same for any number.
+    A KeyboardInterrupt in the search ends it with what was found until then.
     """
     plant = plant or PlantSettings()
     weigher, start = prepare_weigher(records, held_out, plant, noise, jobs, holds_out=True)
     instants = find_instants(weigher)
     base = _free_mistyped(weigher, start, weigher.settle(replace(start), FIT_STEPS))
     _check_it_stays(weigher, base)
-    tell("recalibrated")
     pool = {
         h.name: h
         for h in list_pool(weigher.train, weigher.base, plant)
         if not {h.name, h.family} & {*without}
     }
-    search = NameSearch(weigher, pool, tell)
-    m = search.run(base)
-    if instants:
-        tell("fitting when the commands acted, beside what was found; then asking again")
-        base = _refit_instants(weigher, instants, m, base)
-        search = NameSearch(weigher, pool, tell)
+    search, stopped_by = NameSearch(weigher, pool, tell), None
+    try:
+        tell("recalibrated")
         m = search.run(base)
-    findings = tuple(climb_ladder(search, base, m)) if m.names else ()
+        if instants:
+            tell("fitting when the commands acted, beside what was found; then asking again")
+            base = _refit_instants(weigher, instants, m, base)
+            search = NameSearch(weigher, pool, tell)
+            m = search.run(base)
+        findings = climb_ladder(search, base, m) if m.names else []
+    except KeyboardInterrupt as interrupt:
+        tell("interrupted: writing what was found so far; a second Ctrl-C leaves at once")
+        m, stopped_by = search.found or base, interrupt
+        findings = climb_ladder(search, base, m, judges=False) if m.names else []
     weigher.secants.clear()  # they are large, and a verdict keeps its weigher
     weigher.set_floor(m)
     weigher.leave_out(m)
@@ -168,7 +175,9 @@ def weigh_evidence(
     }
     left = np.sqrt(weigher.find_noise2(m))
     noise_rms = dict(zip(weigher.train.channels, map(float, left), strict=True))
-    return EvidenceVerdict(findings, start, base, m, weigher, pool, gap, noise_rms, instants)
+    return EvidenceVerdict(
+        tuple(findings), start, base, m, weigher, pool, gap, noise_rms, instants, stopped_by
+    )
 
 
 def _refit_instants(

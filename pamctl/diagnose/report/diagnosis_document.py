@@ -141,7 +141,7 @@ def find_masked_shares(diagnosis: Diagnosis) -> dict[str, float]:
 
 
 MOST_RIVALS = 3
-_SURE = {"rest": "mends the model", "set": "one of these"}
+_SURE = {"rest": "mends the model", "set": "one of these", "unjudged": "not judged"}
 
 
 def report_diagnosis(diagnosis: Diagnosis) -> Report:

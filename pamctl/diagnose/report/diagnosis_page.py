@@ -145,6 +145,7 @@ _SURE = {
     "place": "the place",
     "set": "that one of these is there",
     "rest": "nothing: it mends the model, and is small beside what was found before it",
+    "unjudged": "nothing: the search was interrupted before its rivals were fitted",
 }
 
 

@@ -158,7 +158,7 @@ def spell_finding(diagnosis: Diagnosis, finding: Finding) -> str:
     hypothesis = finding.hypothesis
     if finding.level == "set":
         return spell_set(list_candidates(finding))
-    if finding.level in ("name", "rest"):
+    if finding.level in ("name", "rest", "unjudged"):
         return spell_names(label_hypothesis(hypothesis))
     if hypothesis.is_term and finding.level == "kind":
         return FreeTerm.read(diagnosis, finding).text

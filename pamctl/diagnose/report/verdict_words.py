@@ -171,6 +171,19 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
                 ),
                 "bad",
             )
+        case Verdict.INTERRUPTED:
+            unjudged = spell_findings(diagnosis, "unjudged") or "nothing"
+            return VerdictWords(
+                f"Interrupted; found until then: {unjudged}{ended}",
+                f"Nothing is sure: no rival was fitted, and more may be missing. {gap}",
+                "The search did not end. The numbers of the model were fitted, and what did best "
+                "was added. What looks like it was not compared with it.",
+                (
+                    "Give the same command again, with another folder, and let it end. plant.yaml "
+                    "has the model as far as it came.",
+                ),
+                "note",
+            )
 
 
 def advise_next_steps(diagnosis: Diagnosis) -> Iterator[str]:

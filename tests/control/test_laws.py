@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from support.equations.paper_equations import (
+from support.paper_equations import (
     P_ATM,
     P_TANK,
     C,

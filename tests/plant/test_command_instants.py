@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-import support.equations.paper_equations as paper
+import support.paper_equations as paper
 from scipy.integrate import solve_ivp
 
 from pamctl.plant.drive import build_grid, build_steps, drive_coupled, drive_pressure

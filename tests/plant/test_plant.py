@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 import pytest
-import support.equations.paper_equations as paper
+import support.paper_equations as paper
 from hypothesis import assume, given
 from hypothesis import settings as examples
 from hypothesis import strategies as st

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
-from support.equations.paper_equations import pressure_rate
+from support.paper_equations import pressure_rate
 from support.runs import COUNT_M, run_settings
 
 from hal.calibration import Zero, calibration

@@ -7,6 +7,7 @@ import math
 from hidden.equations.air import (
     air_after,
     air_of,
+    fast_tank_after,
     flows,
     gas_after,
     pressure_of,
@@ -45,6 +46,7 @@ def at_rest(p, command_v):
         gas_k=p.wall_k,
         line_air=vented * p.line_m3,
         tank_pa=supply_pa(p, 0.0),
+        fast_tank_pa=0.0,
         pressure_pa=vented,
         line_pa=vented,
         x=x,
@@ -65,13 +67,21 @@ def at_rest(p, command_v):
 def line_flow(p, entering, line_pa, muscle_pa, h):
     """Return the flow from the line into the muscle, the stiff pair solved implicitly."""
     swell = h * p.gas_j_per_kg_k * p.wall_k / p.line_m3
-    return (line_pa - muscle_pa + swell * entering) / (p.line_pa_s_per_kg + swell)
+    given = line_pa - muscle_pa + swell * entering
+    flow = given / (p.line_pa_s_per_kg + swell)
+    if p.line_pa_s2_per_kg2 > 0.0:  # P_1^2 - P^2 = 2 P_atm R_t g|g|, by Newton's method
+        rough = 2.0 * p.atmosphere_pa * p.line_pa_s2_per_kg2
+        for _ in range(8):
+            end_pa = math.sqrt(max(muscle_pa * muscle_pa + rough * flow * abs(flow), 1.0))
+            miss = (p.line_pa_s_per_kg + swell) * flow + end_pa - muscle_pa - given
+            flow -= miss / (p.line_pa_s_per_kg + swell + rough * abs(flow) / end_pa)
+    return flow
 
 
 def moved(p, s, gauge_pa, force_n, x, h):
     """Return (velocity, bristle forces) after h, under the pressure of the middle of h."""
     low, high = band(p, x, gauge_pa, s.v, s.t_s)
-    net = pull(p, x, gauge_pa, force_n) - elastic(p, s, x)
+    net = pull(p, x, gauge_pa, force_n) - elastic(p, s, x, s.t_s)
     ahead, back = drag(p, x, gauge_pa, True, s.t_s), drag(p, x, gauge_pa, False, s.t_s)
     if p.bristle_n_per_m > 0.0:
         half = strained(s.bristle_n, p.bristle_n_per_m, low, high, 0.5 * h * s.v)
@@ -111,16 +121,17 @@ def followed(z, before, after, time, h):
 
 def small_step(p, s, command_v, force_n, h):
     """Advance by h: midpoint rule for the air, trapezoidal rule for the mechanism."""
-    drive = min(max(command_v, -p.drive_limit_v), p.drive_limit_v)
+    drive = min(max(command_v + p.null_v, -p.drive_limit_v), p.drive_limit_v)
     play_v = slewed(p, s.play_v, play(s.play_v, drive, p.play_v), h)
     spool_v, spool_rate = spool(p, s.spool_v, s.spool_rate, play_v, h)
     middle_v = 0.5 * (s.spool_v + spool_v) if p.spool_rad_per_s > 0.0 else spool_v
     area = opening(p, middle_v, s.t_s + 0.5 * h)
 
     has_line = p.line_pa_s_per_kg > 0.0
+    tank_pa = s.tank_pa - s.fast_tank_pa
     port_pa = s.line_pa if has_line else s.pressure_pa
     x_mid = s.x + 0.5 * h * s.v
-    taken, entering, lost = flows(p, area, middle_v, s.tank_pa, port_pa, s.pressure_pa, s.gas_k)
+    taken, entering, lost = flows(p, area, middle_v, tank_pa, port_pa, s.pressure_pa, s.gas_k)
     if has_line:
         entering = line_flow(p, entering, s.line_pa, s.pressure_pa, h)
     half_air = air_after(p, s.air, entering - lost, s.pressure_pa, s.x, 0.5 * h)
@@ -134,12 +145,12 @@ def small_step(p, s, command_v, force_n, h):
 
     if has_line:
         line_air = s.line_air
-        taken, at_port, lost = flows(p, area, middle_v, s.tank_pa, s.line_pa, half_pa, s.gas_k)
+        taken, at_port, lost = flows(p, area, middle_v, tank_pa, s.line_pa, half_pa, s.gas_k)
         entering = line_flow(p, at_port, s.line_pa, half_pa, h)
         line_air += h * p.gas_j_per_kg_k * p.wall_k * (at_port - entering)
     else:
         line_air = s.line_air
-        taken, entering, lost = flows(p, area, middle_v, s.tank_pa, half_pa, half_pa, s.gas_k)
+        taken, entering, lost = flows(p, area, middle_v, tank_pa, half_pa, half_pa, s.gas_k)
     air = air_after(p, s.air, entering - lost, half_pa, x_mid, h)
     growth = volume_growth(p, s.x, x, half_pa - p.atmosphere_pa) / h
     gas_k = gas_after(p, air, s.gas_k, entering - lost, half_pa * growth, h)
@@ -154,6 +165,7 @@ def small_step(p, s, command_v, force_n, h):
         gas_k=gas_k,
         line_air=line_air,
         tank_pa=tank_after(p, s.tank_pa, taken, s.t_s, h),
+        fast_tank_pa=fast_tank_after(p, s.fast_tank_pa, taken, h),
         pressure_pa=pressure,
         line_pa=line_pa,
         x=x,

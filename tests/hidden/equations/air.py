@@ -17,7 +17,7 @@ def valve_flows(p, area, leak, tank_pa, port_pa, gas_k):
 
 def supply_pa(p, t_s):
     """Return what the regulator holds."""
-    held = p.supply_pa + p.ripple_pa * math.sin(2.0 * math.pi * p.ripple_hz * t_s)
+    held = p.supply_pa + p.ripple_pa * math.sin(2.0 * math.pi * p.ripple_hz * t_s + p.ripple_rad)
     if p.saw_pa != 0.0:
         turns = t_s / p.saw_s
         held += p.saw_pa * (0.5 - (turns - math.floor(turns)))
@@ -28,9 +28,22 @@ def tank_after(p, tank_pa, taken, t_s, h):
     """Return the tank's pressure after h: emptied by the valve, refilled by the regulator."""
     if p.regulator_pa_s_per_kg == 0.0:
         return supply_pa(p, t_s + h)
-    full = supply_pa(p, t_s) - p.regulator_pa_s_per_kg * taken
-    time = p.tank_m3 * p.regulator_pa_s_per_kg / (p.gas_j_per_kg_k * p.wall_k)
-    return full + (tank_pa - full) * math.exp(-h / time)
+    resistance = p.regulator_pa_s_per_kg * (1.0 - p.fast_tank_share)
+    full = supply_pa(p, t_s) - resistance * taken
+    return full + (tank_pa - full) * math.exp(-h / refill_s(p))
+
+
+def refill_s(p):
+    """Return the time in which the regulator fills the tank."""
+    return p.tank_m3 * p.regulator_pa_s_per_kg / (p.gas_j_per_kg_k * p.wall_k)
+
+
+def fast_tank_after(p, fast_pa, taken, h):
+    """Return by how much the second tank is below the first after h."""
+    if p.fast_tank_share == 0.0:
+        return 0.0
+    empty = p.fast_tank_share * p.regulator_pa_s_per_kg * taken
+    return empty + (fast_pa - empty) * math.exp(-h / (0.1 * refill_s(p)))
 
 
 def pressure_of(p, air, gas_k, x, guess_pa):

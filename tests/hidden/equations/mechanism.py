@@ -22,12 +22,18 @@ def band(p, x, gauge_pa, speed, t_s):
         rise += p.stribeck * math.exp(-((abs(speed) / p.stribeck_m_per_s) ** p.stribeck_exponent))
     if p.grip_wave != 0.0:
         rise *= 1.0 + p.grip_wave * math.sin(2.0 * math.pi * x / p.grip_wave_m)
-    return -rise * (p.return_share * grip + p.coulomb_n), rise * (grip + p.coulomb_n)
+    dry = p.coulomb_n
+    if p.dry_per_pa > 0.0:
+        dry += p.dry_per_pa * max(gauge_pa, 0.0)
+    low, high = -rise * (p.return_share * grip + dry), rise * (grip + dry)
+    return low * (1.0 - p.dry_tilt), high * (1.0 + p.dry_tilt)
 
 
-def elastic(p, state, x):
+def elastic(p, state, x, t_s):
     """Return everything that pulls back with position: Eq. 4's k x, and what may be added."""
     force = p.stiffness * x + p.cubic * (x * x * x)
+    if p.stiffness_trend_per_s != 0.0:
+        force += p.stiffness_trend_per_s * t_s * p.stiffness * x
     if p.creep_n_per_m > 0.0:
         fast = p.creep_fast_share
         force += p.creep_n_per_m * (
@@ -55,12 +61,14 @@ def pull(p, x, gauge_pa, force_n):
     effective = gauge_pa
     if p.threshold_pa > 0.0:
         effective = max(gauge_pa - p.threshold_pa, 0.0)
-    return effective * pull_area(p, x, gauge_pa) * (1.0 + p.pull_per_m * x) - p.load_n
+    muscle = effective * pull_area(p, x, gauge_pa) * (1.0 + p.pull_per_m * x)
+    return muscle + p.piston_m2 * gauge_pa - p.load_n
 
 
 def drag(p, x, gauge_pa, forward, t_s):
     """Return the viscous coefficient of one direction: Eq. 5's grip only where x grows."""
     viscous = p.damping + p.pressure_damping * max(gauge_pa, 0.0) + p.drag_per_m * x
+    viscous *= 1.0 + p.viscous_tilt if forward else 1.0 - p.viscous_tilt
     if forward and p.direct == 0.0:
         viscous += braid_grip(p, x, gauge_pa, t_s)
     return viscous

@@ -23,6 +23,7 @@ def pull_area(p, x, gauge_pa):
 def braid_grip(p, x, gauge_pa, t_s):
     """mu_k N P A_b of Eq. 5, in N per metre of braid lever (and per m/s)."""
     mu = p.mu_k * (1.0 + p.mu_slope_per_m * x) * math.exp(-p.mu_decay_per_s * t_s)
+    mu *= 1.0 + p.mu_trend_per_s * t_s
     mu *= 1.0 + p.mu_per_pa * max(gauge_pa, 0.0)
     return mu * p.braids * p.contact_m2 * max(gauge_pa, 0.0)
 
@@ -44,6 +45,9 @@ def gas_jet(p, up_pa, down_pa, up_k):
     """Psi of Eq. 8: isentropic and choked below the critical ratio, or ISO 6358's ellipse."""
     g = p.heat_ratio
     ratio = down_pa / up_pa
+    if p.critical_shift != 0.0:  # the unchoked branch is stretched
+        begin = (2.0 / (g + 1.0)) ** (g / (g - 1.0))
+        ratio = 1.0 - (1.0 - ratio) * (1.0 - begin) / (1.0 - begin - p.critical_shift)
     choked = (
         up_pa
         * math.sqrt(g / (p.gas_j_per_kg_k * up_k))

@@ -1,7 +1,6 @@
 """The truths are fine enough, and what they hide can be seen, before the diagnosis is examined.
 
-That they move as the paper says: `test_two_readings.py`, against the plant, which is held against
-SciPy's solvers in `tests/plant`.
+That they move as the paper says: `tests/plant/test_against_truth.py`.
 """
 
 from __future__ import annotations

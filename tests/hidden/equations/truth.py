@@ -27,6 +27,7 @@ class Truth(NamedTuple):
     heat_ratio: float = 1.4
 
     # --- valve
+    null_v: float = 0.0
     overlap_fill_v: float = 0.0
     overlap_vent_v: float = 0.0
     vent_gain: float = 1.0
@@ -44,6 +45,7 @@ class Truth(NamedTuple):
     null_leak_m2: float = 0.0
     null_leak_zone_v: float = 0.0
     """Beyond it the laps cover half of the leak; 0: the leak is the same everywhere."""
+    null_leak_fade_per_v: float = 0.0
     gain_wobble: float = 0.0
     gain_wobble_hz: float = 0.0
     gain_trend_per_s: float = 0.0
@@ -52,10 +54,16 @@ class Truth(NamedTuple):
     chamber_leak_m2: float = 0.0
     critical_ratio: float = 0.0
     """Of ISO 6358's ellipse; 0: isentropic nozzle."""
+    critical_shift: float = 0.0
+    """Of the isentropic nozzle: where its unchoked branch begins."""
     regulator_pa_s_per_kg: float = 0.0
     tank_m3: float = 0.0
+    fast_tank_share: float = 0.0
+    """Share of the regulator's resistance before a second tank with a tenth of the time."""
     line_pa_s_per_kg: float = 0.0
     line_m3: float = 4e-6
+    line_pa_s2_per_kg2: float = 0.0
+    """Turbulent resistance, in air of the atmosphere's pressure."""
     dead_m3: float = 0.0
     hose_m3_per_pa: float = 0.0
     """A hose that swells under pressure."""
@@ -64,6 +72,7 @@ class Truth(NamedTuple):
     """Above 0 the gas has a temperature of its own, warmed through the wall."""
     ripple_pa: float = 0.0
     ripple_hz: float = 0.7
+    ripple_rad: float = 0.0
     saw_pa: float = 0.0
     """A compressor refills the tank in jerks: from peak to peak, each `saw_s`."""
     saw_s: float = 1.0
@@ -79,7 +88,12 @@ class Truth(NamedTuple):
     """2: Gaussian; 1: Tustin's exponential."""
     return_share: float = 0.0
     coulomb_n: float = 0.0
+    dry_per_pa: float = 0.0
+    dry_tilt: float = 0.0
+    """Dry friction is greater forward and smaller back by this share; so the viscous one."""
+    viscous_tilt: float = 0.0
     pressure_damping: float = 0.0
+    stiffness_trend_per_s: float = 0.0
     cubic: float = 0.0
     creep_n_per_m: float = 0.0
     creep_s: float = 1.0
@@ -89,8 +103,10 @@ class Truth(NamedTuple):
     stretch_per_pa: float = 0.0
     cap_m: float = 0.0
     load_n: float = 0.0
+    piston_m2: float = 0.0
     mu_slope_per_m: float = 0.0
     mu_decay_per_s: float = 0.0
+    mu_trend_per_s: float = 0.0
     mu_per_pa: float = 0.0
     drag_per_m: float = 0.0
     """Viscous damping that grows along the stroke, N s/m for each m."""
@@ -132,6 +148,8 @@ class State(NamedTuple):
     gas_k: float
     line_air: float
     tank_pa: float
+    fast_tank_pa: float
+    """By how much the second tank is below the first."""
     pressure_pa: float
     line_pa: float
     x: float

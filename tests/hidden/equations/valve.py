@@ -50,6 +50,8 @@ def opening(p, spool_v, t_s):
 
 def null_leak(p, spool_v):
     """Return the area of each of the two leaks past the spool."""
+    if p.null_leak_fade_per_v > 0.0:
+        return p.null_leak_m2 / (1.0 + p.null_leak_fade_per_v * abs(spool_v))
     if p.null_leak_zone_v > 0.0 and abs(spool_v) > p.null_leak_zone_v:
         return 0.5 * p.null_leak_m2
     return p.null_leak_m2

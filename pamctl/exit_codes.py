@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -46,3 +50,28 @@ class Ending(NamedTuple):
 
     code: ExitCode
     reason: str
+
+
+@contextmanager
+def end_on_signals() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP end the block as Ctrl-C does, by a `KeyboardInterrupt`."""
+
+    def end(number: int, frame: object) -> None:
+        raise KeyboardInterrupt(number)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    numbers = [getattr(signal, name, None) for name in ("SIGTERM", "SIGHUP")]  # Windows lacks one
+    before = {number: signal.signal(number, end) for number in numbers if number}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def name_interrupt(stop: KeyboardInterrupt) -> ExitCode:
+    """Return the exit code of what Ctrl-C or `end_on_signals` ended."""
+    first = stop.__cause__ or stop
+    return ExitCode(128 + first.args[0]) if first.args else ExitCode.SIGINT

@@ -5,10 +5,8 @@ On the rig `diagnose` asks before the first motion, runs the rounds, and keeps w
 
 from __future__ import annotations
 
-import signal
 import string
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,7 +30,7 @@ from pamctl.cli.options import (
 )
 from pamctl.cli.output import print_report, print_result, read_records, tell
 from pamctl.cli.settings_from_options import find_argument_file
-from pamctl.exit_codes import ExitCode
+from pamctl.exit_codes import ExitCode, end_on_signals, name_interrupt
 from pamctl.new_file import NewFileError, require_empty_folder
 from pamctl.plain_text import hint_at_nearest
 from pamctl.settings.resolve import resolve
@@ -128,9 +126,9 @@ def diagnose(asked: DiagnoseOptions) -> None:
                 progress=tell,
             )
     except DiagnosisInterrupted as interrupted:
-        diagnosis, code = interrupted.diagnosis, _find_exit_code(interrupted)
+        diagnosis, code = interrupted.diagnosis, name_interrupt(interrupted)
     except KeyboardInterrupt as interrupt:
-        raise Failed(_find_exit_code(interrupt), "interrupted; nothing is kept") from None
+        raise Failed(name_interrupt(interrupt), "interrupted; nothing is kept") from None
     names = [path.name for path in (*asked.logs, *asked.holdout)]
     failure, end = None, ""
     try:
@@ -215,36 +213,12 @@ def _run_rounds(rig: Any, investigation: Any) -> tuple[ExitCode, str]:
             decide_on_rig(rig, investigation, progress=tell)
     except KeyboardInterrupt as interrupt:
         investigation.stopped = "it was interrupted"
-        return _find_exit_code(interrupt), "interrupted"
+        return name_interrupt(interrupt), "interrupted"
     except PamctlError as error:
         investigation.stopped = f"the run failed: {error.reason}"
         return error.exit_code, error.reason
     bad = investigation.diagnosis is not None and investigation.diagnosis.reason
     return (ExitCode.BAD_DATA if bad else ExitCode.OK), ""
-
-
-class _Terminated(KeyboardInterrupt):
-    """SIGTERM or SIGHUP: the work ends as after Ctrl-C."""
-
-
-def _find_exit_code(interrupt: KeyboardInterrupt) -> ExitCode:
-    is_terminated = isinstance(interrupt.__cause__ or interrupt, _Terminated)
-    return ExitCode.SIGTERM if is_terminated else ExitCode.SIGINT
-
-
-@contextmanager
-def end_on_signals() -> Iterator[None]:
-    """End the block by an exception on SIGTERM and SIGHUP, as on Ctrl-C."""
-
-    def end(number: int, frame: object) -> None:
-        raise _Terminated
-
-    before = {n: signal.signal(n, end) for n in (signal.SIGTERM, signal.SIGHUP)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _finish(investigation: Any, asked: DiagnoseOptions, code: ExitCode, reason: str) -> None:

@@ -112,12 +112,9 @@ def tune(asked: TuneOptions) -> None:
         if not override.startswith(("rig.", "experiment.")):
             message = f"{override}: changes settings of rig.* and experiment.* here"
             raise typer.BadParameter(message, param_hint="--set")
-    wanted = asked.law
-    if asked.controller_from is not None:
-        file_law = use_law_file(asked.controller_from)
-        wanted = file_law if asked.law is None and asked.check is None else asked.law
+    file_law = "pid" if asked.controller_from is None else use_law_file(asked.controller_from)
     if asked.check is None:
-        wanted = wanted or "pid"
+        asked.law = asked.law or file_law
         asked.out = asked.out or Path("gains.yaml")
     base = None
     if asked.experiment or asked.rig or asked.overrides:
@@ -129,7 +126,7 @@ def tune(asked: TuneOptions) -> None:
     own_motion = asked.experiment is not None or any(
         override.startswith("experiment.") for override in asked.overrides
     )
-    task = TuningTask.of(asked, wanted, base, own_motion=own_motion)
+    task = TuningTask.of(asked, base, own_motion=own_motion)
     if task.checked is not None:
         scores = check_gains(task, asked.jobs, asked.cluster)
         said = report_gains(task, scores, {"gains": settings_to_data(task.checked)})

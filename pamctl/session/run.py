@@ -266,11 +266,10 @@ def find_gains(
     usual ones]; `progress` gets the generation and the best figure so far. `pamctl tune` searches
     longer, on many plants and in many processes. Raises `PamctlError`.
     """
-    from pamctl.tune import GainsSearch, Jury, make_fixed_members
-    from pamctl.tune.gains_trial import GainsTrial
+    from pamctl.tune import GainsSearch, GainsTrial, Jury, Member
 
     with translate_errors():
-        jury = Jury((), tuple(make_fixed_members([("plant", _read_plant(plant))])))
+        jury = Jury((), (Member("plant", _read_plant(plant)),))
         near = None if start is None else dict(start)
         search = GainsSearch(law, jury, seed, near, trial=GainsTrial("short"))
         for generation in range(max(1, generations)):

@@ -26,6 +26,13 @@ class Merit(NamedTuple):
     rms_m: float
     steady_m: float
 
+    def as_dict(self) -> dict[str, float | None]:
+        """Return the errors by name for a document, where one that is not known is None."""
+        return {name: None if value != value else value for name, value in self._asdict().items()}
+
+
+NO_MERIT = Merit(np.nan, np.nan, np.nan)
+
 
 class PaperRow(NamedTuple):
     """A column of Table IV, in m."""
@@ -41,6 +48,16 @@ TABLE_IV = (
     PaperRow("tracking-2", "smc", Merit(284e-6, 43.2e-6, np.nan)),
     PaperRow("tracking-2", "qsmc", Merit(291e-6, 55.3e-6, np.nan)),
 )
+
+
+def find_paper_rows(experiment: str | None) -> list[PaperRow]:
+    """Return the rows of Table IV for an experiment; none where it is not the paper's."""
+    return [row for row in TABLE_IV if row.experiment == experiment]
+
+
+def find_strictest(experiment: str) -> Merit:
+    """Return the smallest of each error that the paper states for an experiment, of any law."""
+    return Merit(*map(min, *(row.merit for row in find_paper_rows(experiment))))
 
 
 def compute_merit(t_s: Floats, phase: NDArray[np.int64], error_m: Floats) -> Merit | None:

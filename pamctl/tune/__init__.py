@@ -8,13 +8,12 @@ Everything runs on the compiled closed loop, with the same tick as the loop proc
 Read `tune_gains.py` first.
 """
 
-from pamctl.tune.gains_search import BestGains, GainsSearch, Jury, SearchError
+from pamctl.tune.gains_search import BestGains, GainsSearch, Jury
 from pamctl.tune.gains_trial import (
     GainsTrial,
     GainsVerdict,
     Member,
     draw_ensemble,
-    make_fixed_members,
 )
 
 __all__ = [
@@ -24,7 +23,5 @@ __all__ = [
     "GainsVerdict",
     "Jury",
     "Member",
-    "SearchError",
     "draw_ensemble",
-    "make_fixed_members",
 ]

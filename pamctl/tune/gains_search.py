@@ -20,9 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.control.law import GainAxis, SearchSpace
+from pamctl.control.law import SearchSpace
 from pamctl.control.law_registry import find_law, read_controller
-from pamctl.exit_codes import ExitCode
 from pamctl.tune.gains_trial import GainsTrial, Member
 
 Floats = NDArray[np.float64]
@@ -44,19 +43,14 @@ class GainSpace:
     space: SearchSpace
 
     @property
-    def axes(self) -> tuple[GainAxis, ...]:
-        """The axes of the search."""
-        return self.space.axes
-
-    @property
     def bounds(self) -> list[tuple[float, float]]:
         """Bounds of the search, in powers of ten."""
-        return [(float(np.log10(a.low)), float(np.log10(a.high))) for a in self.axes]
+        return [(float(np.log10(a.low)), float(np.log10(a.high))) for a in self.space.axes]
 
     @property
     def usual(self) -> Floats:
         """The point where a search begins by default."""
-        return np.log10([a.usual for a in self.axes])
+        return np.log10([a.usual for a in self.space.axes])
 
     def gains(self, point: Floats) -> dict[str, Any]:
         """Return a point (powers of ten, shape (axes,)) as a gains file has it.
@@ -64,17 +58,20 @@ class GainSpace:
         The gains are rounded as the file will be: what is scored is what is written.
         """
         values = (10.0 ** np.asarray(point, dtype=np.float64)).tolist()
-        numbers = dict(zip((a.name for a in self.axes), values, strict=True))
+        numbers = dict(zip((a.name for a in self.space.axes), values, strict=True))
         return {**self.space.fixed, **_round_gains(self.space.to_gains(numbers))}
 
     def controller(self, point: Floats) -> Any:
-        """Return a point as validated settings."""
-        return read_controller(self.gains(point))
+        """Return a point as validated settings; None where its gains contradict each other."""
+        try:
+            return read_controller(self.gains(point))
+        except ValueError:
+            return None
 
     def point(self, gains: dict[str, Any]) -> Floats:
         """Return a gains file's keys as a point, moved inside the bounds."""
         numbers = self.space.from_gains(gains)
-        found = [np.log10(max(numbers[a.name], a.low)) for a in self.axes]
+        found = [np.log10(max(numbers[a.name], a.low)) for a in self.space.axes]
         low, high = np.array(self.bounds).T
         inside: Floats = np.clip(found, low, high)
         return inside
@@ -117,12 +114,6 @@ _COST_LIMIT = 10.0
 _NO_GAINS = 1e3
 QUANTILE = 0.95
 """Quantile of the drawn plants that counts: the worst twentieth may be beyond any law."""
-
-
-class SearchError(Exception):
-    """A search has no gains yet. The message says why."""
-
-    exit_code = ExitCode.USAGE
 
 
 class BestGains(NamedTuple):
@@ -169,7 +160,7 @@ def compute_cost(
     The quantile of the drawn ones counts. They run in the given order. As soon as the gains are
     known to exceed the limit, the other plants are left out.
     """
-    if controller is None:  # these gains contradict each other
+    if controller is None:
         return Cost(_NO_GAINS, 0)
     worst_named = 0.0
     for runs, member in enumerate(jury.named, 1):
@@ -207,20 +198,19 @@ class GainsSearch:
         """Draw the first population."""
         self._space = find_space(self.law, self.compensate, self.trial.highest_hz)
         self._order = list(range(len(self.jury.drawn)))
-        self._generation = 0
+        self.generation = 0
+        """How many are done."""
         self._runs = self._longer_runs = 0
         self._population = self._draw_population()
         self._costs = np.full(len(self._population), np.inf)
 
     def _draw_population(self) -> Floats:
-        from scipy.stats import qmc  # a second to import, and no worker process needs it
-
+        """Draw a Latin hypercube; its first half lies around the start."""
         low, high = np.array(self._space.bounds).T
-        size = POPULATION_PER_AXIS * len(low)
-        points = qmc.LatinHypercube(len(low), rng=self.seed).random(size)
-        population: Floats = low + points * (high - low)
+        size, draw = POPULATION_PER_AXIS * len(low), np.random.default_rng(self.seed)
+        rows = np.argsort(draw.random((size, len(low))), axis=0)
+        population: Floats = low + (rows + draw.random(rows.shape)) / size * (high - low)
         start = self._space.usual if self.start is None else self._space.point(self.start)
-        draw = np.random.default_rng(self.seed)
         beside = START_SPREAD * draw.standard_normal((size // 2, len(low))) * (high - low)
         beside[0] = 0.0
         population[: size // 2] = np.clip(start + beside, low, high)
@@ -228,8 +218,8 @@ class GainsSearch:
 
     def advance(self, executor: Executor | None = None) -> BestGains:
         """Go on by one generation; return the best so far."""
-        points = self._population if self._generation == 0 else self._make_offspring()
-        controllers = [self._controller(point) for point in points]
+        points = self._population if self.generation == 0 else self._make_offspring()
+        controllers = [self._space.controller(point) for point in points]
         everybody = np.arange(len(points))
         tried = self._try_gains(self.trial, controllers, everybody, executor)
         self._runs += sum(each.runs for each in tried)
@@ -239,7 +229,7 @@ class GainsSearch:
         better = costs < self._costs
         self._population = np.where(better[:, None], points, self._population)
         self._costs = np.where(better, costs, self._costs)
-        self._generation += 1
+        self.generation += 1
         if better[np.argmin(self._costs)]:
             # A rival fails soonest on the plants that are hardest for the best: they run first.
             ratios = np.array(tried[int(np.argmin(self._costs))].ratios)
@@ -294,15 +284,9 @@ class GainsSearch:
         """Return which are among the best, the best one first."""
         return np.argsort(costs, kind="stable")[: max(2, round(_BEST_SHARE * len(costs)))]
 
-    def _controller(self, point: Floats) -> Any:
-        try:
-            return self._space.controller(point)
-        except ValueError:
-            return None
-
     def _make_offspring(self) -> Floats:
         """Return a rival for each: a stride towards one of the best and along a difference."""
-        draw = np.random.default_rng([self.seed, self._generation])
+        draw = np.random.default_rng([self.seed, self.generation])
         old = self._population
         size, axes = old.shape
         towards = old[draw.choice(self._find_best(self._costs), size)]
@@ -316,20 +300,13 @@ class GainsSearch:
         return np.where(crossed, new, old)
 
     @property
-    def generation(self) -> int:
-        """How many generations are done."""
-        return self._generation
-
-    @property
     def best(self) -> BestGains:
-        """The best so far; raises `SearchError` before the first generation."""
-        if self._generation == 0:
-            raise SearchError("no gains have been tried yet")
+        """The best so far."""
         at = int(np.argmin(self._costs))
         return BestGains(
             self._space.gains(self._population[at]),
             float(self._costs[at]),
-            self._generation,
+            self.generation,
             self._runs,
             self._longer_runs,
         )

@@ -13,9 +13,9 @@ own dynamics, a dead band, delay, leaks, sensor noise and friction that creeps b
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -28,7 +28,7 @@ from pamctl.plant.paper import braid_lever_m, force_area_m2
 from pamctl.settings.resolve import RUN, RunSettings, resolve
 from pamctl.signals import Phase
 from pamctl.simulate.closed_loop import SimulatedRun, simulate_run
-from pamctl.simulate.merit import TABLE_IV, compute_merit
+from pamctl.simulate.merit import find_strictest
 
 PARAMETER_TOLERANCE = 0.2
 """Share by which the paper's parameters may be off, either way."""
@@ -72,23 +72,14 @@ class Member:
         return _rebuild_member, (self.plant.model_dump_json(), *rest)
 
 
-def _rebuild_member(plant: str, name: str, noise_v: float, delay_ticks: int, seed: int) -> Member:
-    return Member(name, _parse_plant(plant), noise_v, delay_ticks, seed)
-
-
 @lru_cache(maxsize=1024)
-def _parse_plant(text: str) -> PlantSettings:
-    return PlantSettings.model_validate_json(text)
+def _rebuild_member(plant: str, name: str, *rest: Any) -> Member:
+    return Member(name, PlantSettings.model_validate_json(plant), *rest)
 
 
 def draw_ensemble(size: int, seed: int) -> list[Member]:
     """Draw plants; the same seed gives the same ones."""
     return [_draw_member(number, seed) for number in range(size)]
-
-
-def make_fixed_members(plants: Sequence[tuple[str, PlantSettings]]) -> list[Member]:
-    """Take plants as they are, each behind the simulated rig's own sensor."""
-    return [Member(name, plant) for name, plant in plants]
 
 
 def _draw_member(number: int, seed: int) -> Member:
@@ -155,32 +146,10 @@ TRIP_COST = 100.0
 """Cost of a run that safety ended at its beginning; less, the longer the run lasted."""
 
 SHORT = TrackingSettings(kind="tracking", rest_s=10.0, cycles=1, approach_s=3.0, settle_s=0.5)
-SHORT_S, WHOLE_S = 33.5, 67.0 + 37.0
-"""How long that takes, and both experiments."""
-
-
-class Bounds(NamedTuple):
-    """The strictest column of Table IV, in m."""
-
-    max_m: float
-    rms_m: float
-    moving_rms_m: float
-    """RMS of experiment 2, where nothing rests."""
-    steady_m: float
-
-
-def _find_strictest_bounds() -> Bounds:
-    resting = [row.merit for row in TABLE_IV if row.experiment == "tracking-1"]
-    moving = [row.merit for row in TABLE_IV if row.experiment == "tracking-2"]
-    return Bounds(
-        min(m.max_m for m in resting),
-        min(m.rms_m for m in resting),
-        min(m.rms_m for m in moving),
-        min(m.steady_m for m in resting),
-    )
-
-
-BOUNDS = _find_strictest_bounds()
+RESTING, MOVING = find_strictest("tracking-1"), find_strictest("tracking-2")
+"""The strictest column of Table IV; in experiment 2 nothing rests."""
+_BOUNDS = {"max": RESTING.max_m, "RMS": RESTING.rms_m, "steady": RESTING.steady_m}
+_BOUNDS_MOVING = {"max": MOVING.max_m, "RMS": MOVING.rms_m}
 
 
 class GainsVerdict(NamedTuple):
@@ -208,8 +177,13 @@ class GainsVerdict(NamedTuple):
         return self.worst <= 1.0
 
 
-_Errors = dict[str, tuple[float, float]]
-"""Errors and their bounds, in m, by name."""
+class _Case(NamedTuple):
+    """A motion on which gains are judged, and the bounds of its errors, in m by name."""
+
+    experiment: Any
+    bounds: Mapping[str, float]
+    number: str = ""
+    """Behind the name of each error."""
 
 
 @dataclass(frozen=True)
@@ -225,34 +199,60 @@ class GainsTrial:
     @property
     def duration_s(self) -> float:
         """How long the muscle moves for a verdict."""
-        if self.own_motion:
-            experiment = _read_base(self.base).experiment
-            return sum(segment.duration_s for segment in plan_experiment(experiment).segments)
-        return SHORT_S if self.length == "short" else WHOLE_S
+        return sum(plan_experiment(case.experiment).duration_s for case in self._list_cases())
 
     @property
     def highest_hz(self) -> float:
         """The highest cut-off of a filter at the rig's rate."""
         return float(HIGHEST_PER_RATE * _read_base(self.base).rig.loop.rate_hz)
 
+    def _list_cases(self) -> list[_Case]:
+        if self.own_motion:
+            return [_Case(_read_base(self.base).experiment, _BOUNDS)]
+        if self.length == "short":
+            return [_Case(SHORT, {**_BOUNDS, "moving RMS": MOVING.rms_m})]
+        return [
+            _Case(_resolve_base("tracking-1").experiment, _BOUNDS, " 1"),
+            _Case(_resolve_base("tracking-2").experiment, _BOUNDS_MOVING, " 2"),
+        ]
+
     def verdict(self, controller: Any, member: Member) -> GainsVerdict:
         """Run gains (a controller's settings) on one plant."""
-        rig = _read_base(self.base).rig
         if max(controller.lpf1_hz, controller.lpf2_hz) > self.highest_hz:
             return GainsVerdict(TRIP_COST, "filter above the rate", {}, TRIP_COST)
-        if self.own_motion:
-            own = _read_base(self.base).experiment
-            return _judge_own(simulate_run(_make_settings(controller, member, rig, own)))
-        if self.length == "short":
-            return _judge_short(simulate_run(_make_settings(controller, member, rig, SHORT)))
-        errors: _Errors = {}
-        for name in ("tracking-1", "tracking-2"):
-            experiment = _resolve_base(name).experiment
-            batch = simulate_run(_make_settings(controller, member, rig, experiment))
-            if batch.run.tripped_tick >= 0:
-                return _judge_tripped(batch)
-            errors |= _errors_of(batch, name)
-        return _make_verdict(errors)
+        rig = _read_base(self.base).rig
+        figures_um: dict[str, float] = {}
+        ratios: dict[str, float] = {}
+        for case in self._list_cases():
+            run = simulate_run(_make_settings(controller, member, rig, case.experiment))
+            if run.tripped_s is not None:
+                share = len(run.t_s) / len(run.run.reference)
+                lost = TRIP_COST * (1.0 - 0.9 * share)
+                return GainsVerdict(lost, "safety trip", {}, lost)
+            errors = _measure_errors(run)
+            bounds = {**case.bounds}
+            if math.isnan(errors["steady"]):  # it moves all the time, as experiment 2 does
+                bounds["RMS"] = MOVING.rms_m
+            for name, error_m in errors.items():
+                if name in bounds and error_m == error_m:
+                    figures_um[name + case.number] = error_m * 1e6
+                    ratios[name + case.number] = error_m / bounds[name]
+        why = max(ratios, key=lambda name: ratios[name])
+        return GainsVerdict(ratios[why], why, figures_um, sum(ratios.values()) / len(ratios))
+
+
+def _measure_errors(run: SimulatedRun) -> dict[str, float]:
+    """Return the errors in m by name; `steady` is NaN where nothing rested for long."""
+    found = run.merit()
+    if found is None:
+        raise ValueError("the experiment tracks nothing: it has no reference displacement")
+    moving_m = run.error_m[run["phase"] == Phase.TRACK]
+    return {
+        "max": found.max_m,
+        "RMS": found.rms_m,
+        "moving RMS": float(np.sqrt(np.mean(moving_m**2))) if len(moving_m) else 0.0,
+        "steady": found.steady_m,
+    }
 
 
 @lru_cache(maxsize=8)
@@ -260,13 +260,14 @@ def _read_base(text: str) -> RunSettings:
     return RUN.validate_json(text) if text else _resolve_base("tracking-1")
 
 
+@cache
+def _resolve_base(experiment: str) -> RunSettings:
+    return resolve(experiment=experiment)
+
+
 def _make_settings(controller: Any, member: Member, rig: Any, experiment: Any) -> RunSettings:
-    sim = rig.device_settings.model_copy(
-        update={
-            "sensor_noise_v": member.noise_v,
-            "output_delay_ticks": member.output_delay_ticks,
-        }
-    )
+    sensor = {"sensor_noise_v": member.noise_v, "output_delay_ticks": member.output_delay_ticks}
+    sim = rig.device_settings.model_copy(update=sensor)
     return _resolve_base("tracking-1").model_copy(
         update={
             "controller": controller,
@@ -276,71 +277,3 @@ def _make_settings(controller: Any, member: Member, rig: Any, experiment: Any) -
             "seed": member.seed,
         }
     )
-
-
-_bases: dict[str, RunSettings] = {}
-
-
-def _resolve_base(name: str) -> RunSettings:
-    if name not in _bases:
-        _bases[name] = resolve(experiment=name)
-    return _bases[name]
-
-
-def _judge_short(batch: SimulatedRun) -> GainsVerdict:
-    if batch.run.tripped_tick >= 0:
-        return _judge_tripped(batch)
-    found = compute_merit(batch.t_s, batch.run["phase"].astype(np.int64), batch.error_m)
-    assert found is not None
-    moving = batch.run["phase"] == Phase.TRACK
-    moving_rms_m = float(np.sqrt(np.mean(batch.error_m[moving] ** 2)))
-    return _make_verdict(
-        {
-            "max": (found.max_m, BOUNDS.max_m),
-            "RMS": (found.rms_m, BOUNDS.rms_m),
-            "moving RMS": (moving_rms_m, BOUNDS.moving_rms_m),
-            "steady": (found.steady_m, BOUNDS.steady_m),
-        }
-    )
-
-
-def _judge_own(batch: SimulatedRun) -> GainsVerdict:
-    """Judge a motion that is not the paper's, on the scale of Table IV all the same."""
-    if batch.run.tripped_tick >= 0:
-        return _judge_tripped(batch)
-    found = batch.merit()
-    if found is None:
-        raise ValueError("the experiment tracks nothing: it has no reference displacement")
-    rests = not np.isnan(found.steady_m)
-    errors = {
-        "max": (found.max_m, BOUNDS.max_m),
-        "RMS": (found.rms_m, BOUNDS.rms_m if rests else BOUNDS.moving_rms_m),
-    }
-    return _make_verdict(errors | ({"steady": (found.steady_m, BOUNDS.steady_m)} if rests else {}))
-
-
-def _errors_of(batch: SimulatedRun, name: str) -> _Errors:
-    found = batch.merit()
-    assert found is not None
-    bounds = [row.merit for row in TABLE_IV if row.experiment == name]
-    number = name[-1]
-    errors = {
-        f"max {number}": (found.max_m, min(b.max_m for b in bounds)),
-        f"RMS {number}": (found.rms_m, min(b.rms_m for b in bounds)),
-    }
-    if name == "tracking-1":
-        errors["steady 1"] = (found.steady_m, BOUNDS.steady_m)
-    return errors
-
-
-def _make_verdict(errors: _Errors) -> GainsVerdict:
-    ratios = {name: error / bound for name, (error, bound) in errors.items()}
-    why = max(ratios, key=lambda name: ratios[name])
-    figures_um = {name: error * 1e6 for name, (error, _) in errors.items()}
-    return GainsVerdict(ratios[why], why, figures_um, sum(ratios.values()) / len(ratios))
-
-
-def _judge_tripped(batch: SimulatedRun) -> GainsVerdict:
-    share = len(batch.t_s) / len(batch.run.reference)
-    lost = TRIP_COST * (1.0 - 0.9 * share)
-    return GainsVerdict(lost, "safety trip", {}, lost)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import signal
 import textwrap
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +15,7 @@ from typing import Any, NamedTuple, Protocol
 from pamctl.cluster.worker_processes import start_workers
 from pamctl.control.law_registry import find_law, installed_laws
 from pamctl.errors import ConfigError, Problem
-from pamctl.exit_codes import ExitCode
+from pamctl.exit_codes import ExitCode, end_on_signals, name_interrupt
 from pamctl.log.run_meta import bare_name
 from pamctl.new_file import NewFileError, require_place, write_files
 from pamctl.report.progress_line import WorkProgress
@@ -36,12 +34,12 @@ from pamctl.settings.resolve import (
 from pamctl.settings.yaml12 import dump_yaml
 from pamctl.tune.gains_search import QUANTILE, BestGains, GainsSearch, Jury, find_space
 from pamctl.tune.gains_trial import (
-    BOUNDS,
+    MOVING,
+    RESTING,
     GainsTrial,
     GainsVerdict,
     Member,
     draw_ensemble,
-    make_fixed_members,
 )
 
 _DEFAULT_SIZE = 16
@@ -50,12 +48,10 @@ _FRESH_SEED_OFFSET = 1_000_003
 """Added to the seed for plants that the search has not seen."""
 
 
-WHOLE = GainsTrial("whole")
-
-
 class TuningWishes(Protocol):
     """The options of `pamctl tune` that settle which plants judge, and where a search begins."""
 
+    law: str | None
     plants: list[str]
     size: int | None
     """Of the ensemble; without plants a usual one is drawn."""
@@ -71,10 +67,7 @@ class TuningTask:
     """What is tuned, for which plants, and what judges the result."""
 
     law: str
-    drawn: list[Member]
-    """Plants of which a quantile counts."""
-    named: list[Member]
-    """Plants of which each counts."""
+    jury: Jury
     fresh: list[Member]
     """Drawn plants for the score, none of which the search sees."""
     seed: int
@@ -82,62 +75,62 @@ class TuningTask:
     checked: Any
     """Controller to score; None to seek one."""
     start: dict[str, Any] | None
-    compensate: tuple[str, ...] = ()
+    compensate: tuple[str, ...]
     """Effects that the gains undo, each with the numbers of the plant that it is judged on."""
-    whole_trial: GainsTrial = WHOLE
+    whole_trial: GainsTrial
     """What the score rests on: the paper's two experiments, or the motion that was asked for."""
 
     @property
     def trial(self) -> GainsTrial:
         """How gains are judged in a search: on a few named plants by the whole experiments."""
-        return replace(self.whole_trial, length="short" if self.drawn else "whole")
+        return replace(self.whole_trial, length="short" if self.jury.drawn else "whole")
 
     @property
     def elite_trial(self) -> GainsTrial | None:
         """What the best gains of a search on drawn plants must stand as well."""
-        return self.whole_trial if self.drawn and not self.whole_trial.own_motion else None
+        is_needed = self.jury.drawn and not self.whole_trial.own_motion
+        return self.whole_trial if is_needed else None
 
     @classmethod
     def of(
-        cls,
-        asked: TuningWishes,
-        law: str | None,
-        base: RunSettings | None = None,
-        *,
-        own_motion: bool = False,
+        cls, asked: TuningWishes, base: RunSettings | None = None, *, own_motion: bool = False
     ) -> TuningTask:
-        """Make a task of the options of `pamctl tune` for a law; raise `ConfigError`.
+        """Make a task of the options of `pamctl tune`; raise `ConfigError`.
 
         `base` has the rig that is simulated, and with `own_motion` the experiment that is judged.
         """
         checked = None if asked.check is None else _read("controller", asked.check, "--check")
-        law = checked.law if checked is not None else law or ""
+        law = asked.law or "" if checked is None else checked.law
         if law not in installed_laws():
             known = ", ".join(installed_laws())
             raise _option_error(f"--law {law}".strip(), f"must be one of {known}")
         if checked is None:
-            _require_space(law)
-            _require_new(asked.out)
+            try:
+                find_space(law)
+            except ValueError as error:
+                raise _option_error(f"--law {law}", str(error)) from None
+            if asked.out is None:
+                raise _option_error("--out is required", "name a new file for the gains")
+            require_place(asked.out)
         elif asked.compensate:
             checked = checked.model_copy(update={"compensate": tuple(asked.compensate)})
-        read = [(bare_name(name), _read_plant(name, base)) for name in asked.plants]
-        named = make_fixed_members(read)
+        named = [Member(bare_name(name), _read_plant(name, base)) for name in asked.plants]
         draws = asked.size is not None or not asked.plants
         if asked.compensate and draws:
             raise _option_error(
                 f"--compensate {asked.compensate[0]}",
                 "undoes what a plant file says: give --plant FILE, and no --ensemble",
             )
-        _require_undoable(asked.compensate, named, base)
-        whole = WHOLE
+        _require_undoable(asked.compensate, named, base or resolve())
+        whole = GainsTrial("whole")
         if base is not None:
             simulated = _simulate_rig(base, own_motion=own_motion)
             whole = GainsTrial("whole", simulated.model_dump_json(), own_motion)
         fresh_ones = _FRESH if checked is None or asked.size is None else asked.size
+        drawn = draw_ensemble(asked.size or _DEFAULT_SIZE, asked.seed) if draws else []
         return cls(
-            law=law,
-            drawn=draw_ensemble(asked.size or _DEFAULT_SIZE, asked.seed) if draws else [],
-            named=named,
+            law,
+            Jury(tuple(drawn), tuple(named)),
             fresh=draw_ensemble(fresh_ones, asked.seed + _FRESH_SEED_OFFSET) if draws else [],
             seed=asked.seed,
             out=asked.out,
@@ -173,30 +166,14 @@ def _simulate_rig(base: RunSettings, *, own_motion: bool) -> RunSettings:
     return base.model_copy(update={"rig": sim})
 
 
-def _require_undoable(
-    names: Sequence[str], members: Sequence[Member], base: RunSettings | None
-) -> None:
+def _require_undoable(names: Sequence[str], members: Sequence[Member], base: RunSettings) -> None:
     """Refuse what a run on one of the plants would refuse."""
-    base = base or resolve()
     controller = base.controller.model_copy(update={"compensate": tuple(names)})
     for member in members:
         try:
             build_compensation(member.plant, base.rig, controller)
         except ValueError as error:
             raise _option_error(f"--compensate {' '.join(names)}", str(error)) from None
-
-
-def _require_space(law: str) -> None:
-    try:
-        find_space(law)
-    except ValueError as error:
-        raise _option_error(f"--law {law}", str(error)) from None
-
-
-def _require_new(out: Path | None) -> None:
-    if out is None:
-        raise _option_error("--out is required", "name a new file for the gains")
-    require_place(out)
 
 
 def _read_plant(name: str, base: RunSettings | None) -> Any:
@@ -214,7 +191,10 @@ def _read(section: str, name: str, option: str = "") -> Any:
     return read_section_file(section, find_config_file(section, name, option))
 
 
-_WIDTH = 98
+# --- how good gains are -----------------------------------------------------------------------
+
+_ERROR_NAMES = {"max": "largest error", "RMS": "RMS error", "steady": "steady error"}
+_PLANT_SETS = {"fresh": "fresh plants", "named": "named plants"}
 
 
 class Scores(NamedTuple):
@@ -236,6 +216,13 @@ class Scores(NamedTuple):
         """Share of the plants inside."""
         return self.inside / self.plants
 
+    def describe(self, *, own_motion: bool) -> str:
+        """Say how good the gains are: inside Table IV, or for another motion the errors."""
+        if not own_motion:
+            return f"{self.inside} inside Table IV ({100 * self.share:.1f} %)"
+        said = (f"{_ERROR_NAMES[name]} {um:.1f} µm" for name, um in self.errors_um.items())
+        return ", ".join(said) or "safety ended the run"
+
 
 def summarise_verdicts(members: Sequence[Member], verdicts: Sequence[GainsVerdict]) -> Scores:
     """Summarise verdicts, one for each plant."""
@@ -256,139 +243,95 @@ def summarise_verdicts(members: Sequence[Member], verdicts: Sequence[GainsVerdic
     )
 
 
+_WIDTH = 98
+
+
 def format_gains_file(
-    gains: Mapping[str, Any], command: str, effort: str, reported: str, *, own_motion: bool = False
+    task: TuningTask, best: BestGains, scores: Mapping[str, Scores], command: str
 ) -> str:
-    """Return the text of a controller file; the arguments after the gains are for its header."""
-    law = find_law(str(gains["law"]))
-    below = "only the proportion counts" if own_motion else "below 1 is inside"
-    paragraphs = [
-        f"{law.title}: {law.equation}. Units: mm, s, V.",
-        f"Made by:  {command}",
-        f"{effort} {reported}",
-        f"Score: the largest of every error over {_name_scale(own_motion)} "
-        f"(max {BOUNDS.max_m * 1e6:g}, RMS {BOUNDS.rms_m * 1e6:g}, steady "
-        f"{BOUNDS.steady_m * 1e6:g} um; experiment 2 RMS {BOUNDS.moving_rms_m * 1e6:g} um); "
-        f"{below}. Cost: the score plus a tenth of the mean of these errors, of the "
-        "named plants and of the drawn ones added up. Simulated; nothing was measured on a rig.",
-    ]
-    lines: list[str] = []
-    for paragraph in paragraphs:
-        lines += [
-            f"# {line}"
-            for line in textwrap.wrap(
-                paragraph, _WIDTH, break_long_words=False, break_on_hyphens=False
-            )
-        ]
-    return "\n".join(lines) + "\n" + dump_yaml(dict(gains))
-
-
-_SHOWN_FAILURES = 8
-_ERROR_NAMES = {"max": "largest error", "RMS": "RMS error", "steady": "steady error"}
-_PLANT_SET_NAMES = {"fresh": "fresh plants", "named": "named plants"}
-
-
-def describe_effort(task: TuningTask, best: BestGains) -> str:
-    """Return how the gains were found, for the gains file."""
-    drawn = f"the quantile {QUANTILE:g} of {len(task.drawn)} drawn plants" if task.drawn else ""
-    named = " and ".join(member.name for member in task.named)
-    judges = ", and for ".join(filter(None, [drawn, named]))
+    """Return the text of a controller file; its header says how the gains were found."""
+    law, own = find_law(task.law), task.whole_trial.own_motion
+    drawn, named = task.jury
+    judges = [f"the quantile {QUANTILE:g} of {len(drawn)} drawn plants"] * bool(drawn)
+    judges += [" and ".join(member.name for member in named)] * bool(named)
     runs = f"{best.evaluations} runs of {task.trial.duration_s:g} s"
     if task.elite_trial is not None:
         runs += f" and {best.longer_evaluations} of {task.elite_trial.duration_s:g} s"
-    return (
-        f"Differential evolution, {best.generation} generations, {runs}, for {judges}; "
-        f"cost {best.cost:.3f}."
-    )
-
-
-def report_scores(task: TuningTask, found: Mapping[str, Scores]) -> str:
-    """Return how good the gains are, for the gains file."""
-    if not found:
-        return "Not scored: interrupted."
-    own = task.whole_trial.own_motion
-    said = [
-        f"on {one.plants} {_PLANT_SET_NAMES[which]} {_describe_score(one, own_motion=own)}, "
-        f"score median {one.median:.2f}, 95 % {one.p95:.2f}, worst {one.worst:.2f}"
-        for which, one in found.items()
-    ]
-    what = "Own experiment" if own else "Both experiments in full"
-    return f"{what}: {'; '.join(said)}."
-
-
-def _name_scale(own_motion: bool) -> str:
-    """Return what errors are divided by: for a motion of one's own it is a scale, and no bound."""
     table = "the strictest column of Table IV"
-    return f"that of the paper's own motion in {table}" if own_motion else f"its bound in {table}"
+    scored = "; ".join(
+        f"on {one.plants} {_PLANT_SETS[which]} {one.describe(own_motion=own)}, "
+        f"score median {one.median:.2f}, 95 % {one.p95:.2f}, worst {one.worst:.2f}"
+        for which, one in scores.items()
+    )
+    what = "Own experiment" if own else "Both experiments in full"
+    paragraphs = [
+        f"{law.title}: {law.equation}. Units: mm, s, V.",
+        f"Made by:  {command}",
+        f"Differential evolution, {best.generation} generations, {runs}, for "
+        f"{', and for '.join(judges)}; cost {best.cost:.3f}. "
+        + (f"{what}: {scored}." if scored else "Not scored: interrupted."),
+        "Score: the largest of every error over "
+        f"{'that of the paper for its own motion' if own else 'its bound'} in {table} "
+        f"(max {RESTING.max_m * 1e6:g}, RMS {RESTING.rms_m * 1e6:g}, steady "
+        f"{RESTING.steady_m * 1e6:g} um; experiment 2 RMS {MOVING.rms_m * 1e6:g} um); "
+        f"{'only the proportion counts' if own else 'below 1 is inside'}. Cost: the score plus a "
+        "tenth of the mean of these errors, of the named plants and of the drawn ones added up. "
+        "Simulated; nothing was measured on a rig.",
+    ]
+    wrap = partial(textwrap.wrap, width=_WIDTH, break_long_words=False, break_on_hyphens=False)
+    lines = [f"# {line}" for paragraph in paragraphs for line in wrap(paragraph)]
+    return "\n".join(lines) + "\n" + dump_yaml(dict(best.gains))
 
 
-def _describe_score(one: Scores, *, own_motion: bool) -> str:
-    """Return how good gains are: inside Table IV, or for a motion of one's own the errors."""
-    if not own_motion:
-        return f"{one.inside} inside Table IV ({100 * one.share:.1f} %)"
-    if not one.errors_um:
-        return "safety ended the run"
-    return ", ".join(f"{_ERROR_NAMES[name]} {um:.1f} µm" for name, um in one.errors_um.items())
+_SHOWN_FAILURES = 8
 
 
 def report_gains(
     task: TuningTask, scores: Mapping[str, Scores], document: Mapping[str, object]
 ) -> Report:
     """Return how good gains are; `document` says more of them, for programs."""
-    whole = {"law": task.law, **document, "scores": _make_scores_document(scores)}
-    report = Report(f"Gains of {task.law}", document=whole)
-    if not scores:
-        report.verdict = "not scored"
+    found = {which: _make_document(one) for which, one in scores.items()} or None
+    whole = {"law": task.law, **document, "scores": found}
+    report = Report(f"Gains of {task.law}", "" if scores else "not scored", document=whole)
     own = task.whole_trial.own_motion
     for which, one in scores.items():
-        verdict = f"{task.law}, {_PLANT_SET_NAMES[which]}: "
-        if own:
-            verdict += _describe_score(one, own_motion=True)
-        else:
-            verdict += (
-                f"{one.inside} of {one.plants} inside every "
-                f"bound of Table IV ({100 * one.share:.1f} %)"
-            )
-        if report.verdict:
-            report.add(Section(verdict))
+        inside = f"{one.inside} of {one.plants} inside every bound of Table IV"
+        said = one.describe(own_motion=True) if own else f"{inside} ({100 * one.share:.1f} %)"
+        verdict = f"{task.law}, {_PLANT_SETS[which]}: {said}"
+        report.add(*[Section(verdict)] * bool(report.verdict))
         report.verdict = report.verdict or verdict
-        report.add(
-            Text(
-                f"largest error over {'that of the paper' if own else 'its bound'}: "
-                f"median {one.median:.2f}, 95 % {one.p95:.2f}, worst {one.worst:.2f}"
-            )
-        )
+        over = "that of the paper" if own else "its bound"
+        spread = f"median {one.median:.2f}, 95 % {one.p95:.2f}, worst {one.worst:.2f}"
+        report.add(Text(f"largest error over {over}: {spread}"))
         if one.errors_um and not own:
             errors = ", ".join(f"{name} {um:.1f} µm" for name, um in one.errors_um.items())
             report.add(Text(f"errors on the median plant: {errors}"))
         failures = [f for f in one.failures if not own or f[1] not in _ERROR_NAMES]
-        shown = failures[:_SHOWN_FAILURES]
-        outside = [f"outside: plant {n}: {_describe_failure(why, w)}" for n, why, w in shown]
+        outside = [
+            f"outside: plant {name}: {_describe_failure(why, worst)}"
+            for name, why, worst in failures[:_SHOWN_FAILURES]
+        ]
         if len(failures) > _SHOWN_FAILURES:
             outside.append(f"and {len(failures) - _SHOWN_FAILURES} more")
-        if outside:
-            report.add(Points(outside))
+        report.add(*[Points(outside)] * bool(outside))
     return report
+
+
+def _make_document(scores: Scores) -> dict[str, Any]:
+    failures = [{"plant": n, "why": why, "worst": worst} for n, why, worst in scores.failures]
+    return {**scores._asdict(), "share": scores.share, "failures": failures}
 
 
 def _describe_failure(why: str, worst: float) -> str:
     """Say which error is too large; `why` is such as "max 1", or the name of an ending."""
-    kind, _, experiment = why.rpartition(" ")
-    if why in _ERROR_NAMES:
-        return f"{_ERROR_NAMES[why]} is {worst:.2f} times the bound"
+    kind, _, experiment = why.partition(" ")
     if kind not in _ERROR_NAMES:
         return why
-    return f"{_ERROR_NAMES[kind]} of experiment {experiment} is {worst:.2f} times the paper's"
+    of = f" of experiment {experiment}" * bool(experiment)
+    return f"{_ERROR_NAMES[kind]}{of} is {worst:.2f} times the paper's"
 
 
-def _make_scores_document(found: Mapping[str, Scores]) -> dict[str, Any] | None:
-    """Return the scores as one document; None where there are none."""
-    return {which: _score_fields(one) for which, one in found.items()} or None
-
-
-def _score_fields(found: Scores) -> dict[str, Any]:
-    failures = [{"plant": n, "why": why, "worst": worst} for n, why, worst in found.failures]
-    return {**found._asdict(), "share": found.share, "failures": failures}
+# --- the work ---------------------------------------------------------------------------------
 
 
 class FoundGains(NamedTuple):
@@ -410,7 +353,7 @@ def check_gains(
     task: TuningTask, jobs: int | None, cluster: str | None = None
 ) -> dict[str, Scores]:
     """Score the given gains on fresh plants, or on named ones."""
-    with WorkProgress("tune") as progress, start_workers(jobs, cluster) as executor:
+    with WorkProgress("tune") as progress, _share_work(jobs, cluster) as executor:
         return _score_gains(executor, task.checked, task, progress)
 
 
@@ -426,16 +369,16 @@ def search_gains(
 
     `command` goes into the file as its origin; `progress` is called after each generation with
     the seconds so far. The plants run in `jobs` processes of this machine, or on the Dask cluster
-    at the address `cluster`. Raises `ClusterError`, and `KeyboardInterrupt` where
-    that comes before the end of the first generation.
+    at the address `cluster`. Raises `ClusterError`, and `SystemExit` where a signal comes before
+    the end of the first generation.
     """
     assert task.out is not None
     began_s, ending = time.monotonic(), ExitCode.OK
-    scores: dict[str, Scores]
-    with _stop_on_signals(), WorkProgress("tune") as show, start_workers(jobs, cluster) as executor:
+    scores: dict[str, Scores] = {}
+    with end_on_signals(), WorkProgress("tune") as show, _share_work(jobs, cluster) as executor:
         search = GainsSearch(
             task.law,
-            Jury(tuple(task.drawn), tuple(task.named)),
+            task.jury,
             task.seed,
             task.start,
             task.trial,
@@ -454,24 +397,16 @@ def search_gains(
             while search.generation < generations:
                 progress(search.advance(executor), time.monotonic() - began_s)
         except KeyboardInterrupt as stop:
+            ending = name_interrupt(stop)
             if not search.generation:
-                raise SystemExit(_name_ending(stop)) from None
-            ending = _name_ending(stop)
+                raise SystemExit(ending) from None
         best = search.best
         controller = SECTIONS["controller"].validate_python(best.gains)
         try:
             scores = _score_gains(executor, controller, task, show)
         except KeyboardInterrupt as stop:  # a second one: the gains are written without scores
-            ending, scores = _name_ending(stop), {}
-    effort = describe_effort(task, best)
-    text = format_gains_file(
-        best.gains,
-        command,
-        effort,
-        report_scores(task, scores),
-        own_motion=task.whole_trial.own_motion,
-    )
-    failure = None
+            ending = name_interrupt(stop)
+    text, failure = format_gains_file(task, best, scores, command), None
     try:
         write_files({task.out: text})
     except NewFileError as error:
@@ -479,40 +414,24 @@ def search_gains(
     return FoundGains(best, scores, time.monotonic() - began_s, ending, text, failure)
 
 
-@contextmanager
-def _stop_on_signals() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP end the search as Ctrl-C does: with the best so far."""
-
-    def stop(number: int, frame: object) -> None:
-        raise KeyboardInterrupt(number)
-
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {n: signal.signal(n, stop) for n in (signal.SIGTERM, signal.SIGHUP)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _name_ending(stop: KeyboardInterrupt) -> ExitCode:
-    return ExitCode(128 + stop.args[0]) if stop.args else ExitCode.SIGINT
+def _share_work(jobs: int | None, cluster: str | None) -> AbstractContextManager[Executor | None]:
+    """Return the workers; None where one job is asked for, which this process does itself."""
+    return nullcontext() if jobs == 1 else start_workers(jobs, cluster)
 
 
 def _score_gains(
-    executor: Executor, controller: Any, task: TuningTask, show: WorkProgress
+    executor: Executor | None, controller: Any, task: TuningTask, show: WorkProgress
 ) -> dict[str, Scores]:
     """Return the scores on the fresh plants and on the named ones, where there are any."""
     verdict = partial(task.whole_trial.verdict, controller)
-    members = [*task.fresh, *task.named]
+    members = [*task.fresh, *task.jury.named]
+    chunk = max(1, len(members) // 50)
+    share_out = map if executor is None else partial(executor.map, chunksize=chunk)
     verdicts = []
-    for each in executor.map(verdict, members, chunksize=max(1, len(members) // 50)):
+    for each in share_out(verdict, members):
         verdicts.append(each)
         show(len(verdicts), len(members), f"scored on {len(verdicts)} of {len(members)} plants")
-    drawn = len(task.fresh)
-    parts = {"fresh": slice(drawn), "named": slice(drawn, None)}
+    parts = {"fresh": slice(len(task.fresh)), "named": slice(len(task.fresh), None)}
     return {
         which: summarise_verdicts(members[part], verdicts[part])
         for which, part in parts.items()

@@ -15,7 +15,7 @@ import pytest
 from pamctl.cluster import worker_processes as cluster
 from pamctl.cluster.worker_processes import ClusterError, connect_to_cluster, describe_versions
 from pamctl.settings.resolve import resolve
-from pamctl.tune import GainsSearch, Jury, make_fixed_members
+from pamctl.tune import GainsSearch, Jury, Member
 
 distributed = pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
 pytestmark = pytest.mark.filterwarnings("default")  # Dask's own, at the end of a process
@@ -35,8 +35,7 @@ def address(two_workers: Any) -> str:
 
 
 def start_search() -> GainsSearch:
-    plants = make_fixed_members([("paper", resolve().plant)])
-    return GainsSearch("pid", Jury((), tuple(plants)), seed=1)
+    return GainsSearch("pid", Jury((), (Member("paper", resolve().plant),)), seed=1)
 
 
 @pytest.mark.long

@@ -12,7 +12,7 @@ from pamctl.settings.config_files import find_config_file
 from pamctl.settings.resolve import resolve
 from pamctl.simulate.closed_loop import simulate_run
 from pamctl.simulate.merit import TABLE_IV, Merit
-from pamctl.tune import GainsTrial, make_fixed_members
+from pamctl.tune import GainsTrial, Member
 
 EXPERIMENTS = ("tracking-1", "tracking-2")
 DEFAULTS = ("qsmc", "smc", "pid")
@@ -86,7 +86,7 @@ def test_a_tuned_file_says_how_it_was_made_and_what_it_does_on_the_papers_plants
     said = re.search(r"on 2 named plants 2 inside .*? worst (\d+\.\d+)", header)
     assert said is not None
     settings = resolve(controller=controller).controller
-    plants = make_fixed_members([(p, resolve(plant=p).plant) for p in ("paper", "paper-valve109")])
+    plants = [Member(p, resolve(plant=p).plant) for p in ("paper", "paper-valve109")]
     worst = max(GainsTrial("whole").verdict(settings, plant).worst for plant in plants)
     assert float(said[1]) == pytest.approx(worst, abs=0.005)
 

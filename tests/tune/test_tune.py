@@ -23,16 +23,17 @@ from pamctl.control.law import respond
 from pamctl.control.law_registry import installed_laws, law_of
 from pamctl.control.sliding import Absement
 from pamctl.plant.model import PlantSettings
+from pamctl.report.report import format_terminal
 from pamctl.settings.resolve import check_config_file, resolve, settings_to_data
 from pamctl.signals import Estimate, Phase, Reference
 from pamctl.simulate.closed_loop import simulate_run
 from pamctl.tune import (
+    BestGains,
     GainsSearch,
     GainsTrial,
     Jury,
     Member,
     draw_ensemble,
-    make_fixed_members,
 )
 from pamctl.tune.gains_search import compute_cost, find_space
 from pamctl.tune.gains_trial import (
@@ -42,9 +43,15 @@ from pamctl.tune.gains_trial import (
     GainsVerdict,
     holds_the_farthest_point,
 )
+from pamctl.tune.tune_gains import (
+    TuningTask,
+    format_gains_file,
+    report_gains,
+    summarise_verdicts,
+)
 
 PID = resolve(controller="pid").controller
-PAPER = make_fixed_members([("paper", resolve().plant)])
+PAPER = [Member("paper", resolve().plant)]
 LAWS = tuple(installed_laws())
 ARMED = Absement(0.0)
 BEFORE_PAPER = Jury((), tuple(PAPER))
@@ -146,7 +153,7 @@ def test_the_stiffness_of_the_search_is_the_response_of_the_law_to_an_error(law:
     """All laws are therefore searched within the same bounds of it."""
     space = find_space(law)
     point = space.usual
-    sought = dict(zip((axis.name for axis in space.axes), 10.0**point, strict=True))
+    sought = dict(zip((axis.name for axis in space.space.axes), 10.0**point, strict=True))
     controller = space.controller(point)
     gains = law_of(controller).to_gains(controller)
     resting = Reference(Phase.REST, 11.81e-3, 0.0, 0.0, 0.0, np.nan)
@@ -273,12 +280,24 @@ def tune(*options: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     return run_pamctl("tune", *options, cwd=cwd)
 
 
-def test_given_gains_are_scored_and_nothing_is_written(tmp_path: Path) -> None:
-    made = tune("--check", "pid", "--plant", "paper", "--jobs", "1", cwd=tmp_path)
-    assert made.returncode == 0, made.stderr
-    said = "pid, named plants: 1 of 1 inside every bound of Table IV (100.0 %)"
-    assert made.stdout.startswith(said)
-    assert not list(tmp_path.iterdir())
+def test_a_score_says_how_many_plants_are_inside_and_what_is_too_large_on_the_others() -> None:
+    members = [Member(name, PAPER[0].plant) for name in ("good", "bad", "worse")]
+    good = GainsVerdict(0.5, "max 1", {"max 1": 136.0, "RMS 1": 15.0}, 0.4)
+    bad, worse = good._replace(worst=1.5, why="RMS 2"), GainsVerdict(90.0, "safety trip", {}, 90.0)
+    scores = summarise_verdicts(members, [good, worse, bad])
+    assert (scores.inside, scores.median, scores.worst) == (1, 1.5, 90.0)
+    task = TuningTask("pid", BEFORE_PAPER, [], 0, None, PID, None, (), GainsTrial("whole"))
+    said = format_terminal(report_gains(task, {"named": scores}, {}))
+    assert said.startswith("pid, named plants: 1 of 3 inside every bound of Table IV (33.3 %)")
+    assert "outside: plant bad: safety trip" in said
+    assert "outside: plant worse: RMS error of experiment 2 is 1.50 times the paper's" in said
+    best = BestGains({"law": "pid"}, 1.25, 3, 75)
+    header = format_gains_file(task, best, {"named": scores}, "pamctl tune --law pid")
+    words = " ".join(header.replace("# ", "").split())
+    assert "PID: u = -(K_p e" in words
+    assert "3 generations, 75 runs of 104 s, for paper; cost 1.250." in words
+    assert "on 3 named plants 1 inside Table IV (33.3 %), score median 1.50" in words
+    assert "pamctl tune --law pid" in words
 
 
 @pytest.mark.long
@@ -286,6 +305,7 @@ def test_drawn_plants_reach_other_processes(tmp_path: Path) -> None:
     which = ["--ensemble", "2", "--plant", "paper"]
     made = tune("--check", "pid", *which, "--jobs", "2", "--json", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
+    assert not list(tmp_path.iterdir())
     found = json.loads(made.stdout)["scores"]
     ratios = [
         GainsTrial("whole").verdict(PID, member).worst for member in draw_ensemble(2, 1_000_003)
@@ -335,7 +355,7 @@ effects: {coulomb_friction: {force_n: 6}}
 def test_three_commands_lead_from_a_plant_of_ones_own_to_gains_and_a_run(tmp_path: Path) -> None:
     """An axis that a force drives, which is no muscle: law, file and errors have their defaults."""
     (tmp_path / "plant.yaml").write_text(AXIS)
-    rows = "\n".join(f"{t},{x}" for t, x in ((0, 0), (1, 0), (2, 60), (3, 60), (4, 0), (5, 0)))
+    rows = "\n".join(f"{t},{x}" for t, x in ((0, 0), (1, 60), (2, 0)))
     (tmp_path / "motion.csv").write_text(f"t_s,position_mm\n{rows}\n")
     (tmp_path / "mine.yaml").write_text("kind: table\nfile: motion.csv\n")
     which = ["--plant", "plant.yaml", "--rig", "axis", "--experiment", "mine.yaml"]
@@ -360,7 +380,7 @@ def test_three_commands_lead_from_a_plant_of_ones_own_to_gains_and_a_run(tmp_pat
 def test_gains_are_sought_for_a_motion_of_ones_own_at_another_rate_and_on_a_card(
     tmp_path: Path,
 ) -> None:
-    rows = "\n".join(f"{t},{x}" for t, x in ((0, 2), (1, 2), (2, 6), (3, 6), (4, 3), (5, 3)))
+    rows = "\n".join(f"{t},{x}" for t, x in ((0, 2), (1, 6), (2, 3)))
     (tmp_path / "motion.csv").write_text(f"t_s,position_mm\n{rows}\n")
     (tmp_path / "mine.yaml").write_text("kind: table\nfile: motion.csv\n")
     which = ["--plant", "paper", "--experiment", "mine.yaml", "--rig", "pci6221"]
@@ -379,9 +399,11 @@ def test_gains_are_sought_for_a_motion_of_ones_own_at_another_rate_and_on_a_card
 
 @pytest.mark.long
 def test_a_signal_keeps_the_best_gains_so_far(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "pamctl", "tune", "--law", "pid", "--plant", "paper"]
+    (tmp_path / "short.yaml").write_text("kind: hold\nposition_mm: 3\ntransition_s: 1\nhold_s: 1\n")
+    command = [sys.executable, "-m", "pamctl", "tune", "--plant", "paper"]
+    short = ["--experiment", "short.yaml", "--generations", "1000", "--jobs", "2"]
     process = subprocess.Popen(
-        [*command, "--generations", "1000", "--jobs", "2", "--out", "mine.yaml"],
+        [*command, *short, "--out", "mine.yaml"],
         stderr=subprocess.PIPE,
         stdout=subprocess.PIPE,
         cwd=tmp_path,

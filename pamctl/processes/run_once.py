@@ -189,7 +189,8 @@ def _compute_figures(
     # Slow imports: a run does not wait for them before its first tick.
     from pamctl.log.reader import LogError, read_some
     from pamctl.log.schema import TICK_TOPIC
-    from pamctl.report.reported_run import FIGURE_FIELDS, format_run_summary, summarise_run
+    from pamctl.report.report import format_terminal
+    from pamctl.report.reported_run import FIGURE_FIELDS, report_run, summarise_run
 
     try:
         log = read_some(path, FIGURE_FIELDS, TICK_TOPIC)
@@ -198,7 +199,7 @@ def _compute_figures(
     if not len(log):
         return {"ticks": 0}, ""
     figures = summarise_run(log)
-    text = format_run_summary(figures, settings.controller.law)
+    text = format_terminal(report_run(figures, settings.controller.law))
     if ending.code in (ExitCode.SAFETY_TRIP, ExitCode.OVERRUNS):
         from pamctl.log.reader import read_paged
         from pamctl.log.run_meta import dump_last_seconds

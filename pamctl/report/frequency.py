@@ -74,36 +74,21 @@ class RunResponses(NamedTuple):
     basis: str
 
 
-class _Window(NamedTuple):
-    """The part of a run that is judged."""
-
-    form: MultisineForm | ChirpForm
-    begin_s: float
-    """Since the end of homing."""
-    duration_s: float
-
-
-class _Grid(NamedTuple):
-    """The signals of a window on an even grid, each of shape (n,)."""
-
-    excitation: Floats
-    valve_v: Floats
-    position_m: Floats
-    duration_s: float
-
-
 def find_responses(run: ReportedRun) -> RunResponses | None:
     """Return the frequency responses of a multisine or a chirp.
 
     None for every other experiment, and for a run that ended within it.
     """
-    window = _find_window(run)
-    if window is None:
+    try:
+        form: object = _EXPERIMENT.validate_python(run.log.config.get("experiment"))
+    except ValidationError:
         return None
-    form, grid = window.form, _read_grid(run, window)
-    if grid is None:
+    if not isinstance(form, MultisineForm | ChirpForm):
         return None
-    signals = (grid.excitation, grid.valve_v, grid.position_m)
+    begin_s, duration_s = _find_window_s(form)
+    signals = _read_signals(run, form, begin_s, duration_s)
+    if signals is None:
+        return None
     if isinstance(form, MultisineForm):
         kept = form.periods - (form.periods >= _FEWEST_PERIODS_TO_DROP_ONE)
         lines = np.array(form.list_harmonics())
@@ -114,11 +99,11 @@ def find_responses(run: ReportedRun) -> RunResponses | None:
     else:
         # Each signal begins and ends at rest; a drift is taken off.
         whole = [np.fft.rfft(s - np.linspace(s[0], s[-1], len(s))) for s in signals]
-        bands = list(_cut_bands(*_find_ends_hz(form), grid.duration_s))
+        bands = list(_cut_bands(*_find_ends_hz(form), duration_s))
         if not bands:
             return None
         middle = [math.sqrt(band.start * (band.stop - 1)) for band in bands]
-        frequency_hz = np.array(middle) / grid.duration_s
+        frequency_hz = np.array(middle) / duration_s
         groups = [tuple(one[band] for one in whole) for band in bands]
         basis = f"intervals from {_FEWEST_LINES} or more lines of the spectrum at each point"
     return RunResponses(
@@ -132,45 +117,37 @@ _FEWEST_PERIODS_TO_DROP_ONE = 3
 """From so many on, the first period is left out: the loop settles in it."""
 
 
-def _find_window(run: ReportedRun) -> _Window | None:
-    try:
-        experiment = _EXPERIMENT.validate_python(run.log.config.get("experiment"))
-    except ValidationError:
-        return None
-    form: object = experiment
-    if not isinstance(form, MultisineForm | ChirpForm):
-        return None
+def _find_window_s(form: MultisineForm | ChirpForm) -> tuple[float, float]:
+    """Return where the part that is judged begins, since the end of homing, and its length."""
     begins_s, now_s, spans = [], 0.0, []
-    for segment in plan_experiment(experiment).segments:
+    for segment in plan_experiment(form).segments:
         if segment.shape is not None:
             begins_s.append(now_s)
             spans.append(segment.duration_s)
         now_s += segment.duration_s
     if isinstance(form, MultisineForm):  # without the times in which it grows and decays
-        return _Window(form, begins_s[1], spans[1])
-    return _Window(form, begins_s[0], sum(spans))
+        return begins_s[1], spans[1]
+    return begins_s[0], sum(spans)
 
 
-def _read_grid(run: ReportedRun, window: _Window) -> _Grid | None:
-    """Return the signals of a window; None if the run has not all of it."""
-    position, valve = run.column("position_m"), run.column("valve_v")
-    name = "reference_valve_v" if window.form.IS_VALVE else "reference_m"
-    excitation = run.column(name)
-    if position is None or valve is None or excitation is None or len(run) < 2:
+def _read_signals(
+    run: ReportedRun, form: MultisineForm | ChirpForm, begin_s: float, duration_s: float
+) -> list[Floats] | None:
+    """Return reference, valve and displacement on an even grid; None where the run ended within."""
+    names = ("reference_valve_v" if form.IS_VALVE else "reference_m", "valve_v", "position_m")
+    columns = [column for name in names if (column := run.column(name)) is not None]
+    if len(columns) < len(names) or len(run) < 2:
         return None
-    running = run.shown & np.isfinite(excitation)
+    running = run.shown & np.isfinite(columns[0])
     t_s = run.t_s[running]
-    if not len(t_s) or t_s[-1] < window.begin_s + window.duration_s - 0.01:
+    if not len(t_s) or t_s[-1] < begin_s + duration_s - 0.01:
         return None
     step_s = float(np.median(np.diff(t_s)))
-    count = round(window.duration_s / step_s)
-    if isinstance(window.form, MultisineForm):  # whole periods
-        count = round(window.form.period_s / step_s) * window.form.periods
-    grid_s = window.begin_s + np.arange(count) * (window.duration_s / count)
-    asked, put_in, came_out = (
-        np.interp(grid_s, t_s, signal[running]) for signal in (excitation, valve, position)
-    )
-    return _Grid(asked, put_in, came_out, window.duration_s)
+    count = round(duration_s / step_s)
+    if isinstance(form, MultisineForm):  # whole periods
+        count = round(form.period_s / step_s) * form.periods
+    grid_s = begin_s + np.arange(count) * (duration_s / count)
+    return [np.interp(grid_s, t_s, column[running]) for column in columns]
 
 
 def _find_ends_hz(form: ChirpForm) -> tuple[float, float]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,14 +12,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.control.law_registry import LawWords, find_law, read_law_words
+from pamctl.control.law_registry import LawWords, read_law_words
 from pamctl.log import Log
 from pamctl.log.run_meta import Moment, list_moments
 from pamctl.plant.model import PlantSettings
-from pamctl.report.report import Report, ReportTable, Text, format_terminal, spell_um
+from pamctl.report.report import Report, ReportTable, Text, spell_um
 from pamctl.settings.resolve import resolve, settings_to_data
 from pamctl.signals import Phase
-from pamctl.simulate.merit import TABLE_IV, Merit, compute_log_merits, summarise_timing
+from pamctl.simulate.merit import (
+    NO_MERIT,
+    Merit,
+    compute_log_merits,
+    find_paper_rows,
+    summarise_timing,
+)
 
 Floats = NDArray[np.float64]
 
@@ -146,12 +151,6 @@ class ReportedRun:
         return find_paper_experiment(self.log.config)
 
 
-def rms_of_finite(values: np.ndarray) -> float:
-    """Return the root mean square of the finite values; NaN if there are none."""
-    finite = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(finite**2))) if len(finite) else math.nan
-
-
 def name_runs(logs: Sequence[Log]) -> list[ReportedRun]:
     """Return the logs under names that are as short as possible."""
     paths = [log.path for log in logs]
@@ -165,16 +164,6 @@ def name_runs(logs: Sequence[Log]) -> list[ReportedRun]:
         ReportedRun(log, f"{name} ({number})" if numbered else name, number - 1)
         for number, (log, name) in enumerate(zip(logs, names, strict=True), 1)
     ]
-
-
-def law_name(law: str) -> str:
-    """Return a law's name as people write it."""
-    return find_law(law).title
-
-
-def paper_rows(experiment: str | None) -> list[Any]:
-    """Return the rows of Table IV for an experiment."""
-    return [row for row in TABLE_IV if row.experiment == experiment]
 
 
 # --- the figures of a run ---------------------------------------------------------------------
@@ -215,12 +204,11 @@ def summarise_run(log: Log) -> dict[str, Any]:
         "ticks": len(log),
         "missed_ticks": int(log["missed"].sum()),
         "readonly": bool(log.config.get("readonly")),
-        "tracking": {name: _plain_merit(m) for name, m in compute_log_merits(log).items()},
-        "paper": [
-            {"law": row.law, **_plain_merit(row.merit)}
-            for row in TABLE_IV
-            if row.experiment == experiment
-        ],
+        "tracking": {
+            name: (merit or NO_MERIT).as_dict()
+            for name, merit in compute_log_merits(log.columns).items()
+        },
+        "paper": [{"law": r.law, **r.merit.as_dict()} for r in find_paper_rows(experiment)],
         "timing": None
         if log.config.get("fast")
         else {name: spread._asdict() for name, spread in summarise_timing(log).items()},
@@ -232,12 +220,6 @@ def summarise_run(log: Log) -> dict[str, Any]:
     }
 
 
-def _plain_merit(merit: Merit | None) -> dict[str, Any]:
-    if merit is None:
-        return dict.fromkeys(Merit._fields)
-    return {name: None if math.isnan(v) else v for name, v in merit._asdict().items()}
-
-
 MERIT_HEADER = ("tracking error, µm", "max", "RMS", "steady")
 
 
@@ -246,47 +228,40 @@ def make_merit_row(name: str, errors_m: Iterable[float | None]) -> list[str]:
     return [name, *map(spell_um, errors_m)]
 
 
-def format_run_summary(figures: Mapping[str, Any], law: str) -> str:
-    """Lay the figures out for a terminal."""
-    return format_terminal(report_run(figures, law))
-
-
 def report_run(figures: Mapping[str, Any], law: str) -> Report:
     """Return what is said of a run at its end, from the document of `summarise_run`."""
     ran = f"{figures['ticks']} ticks, {figures['missed_ticks']} missed"
     if figures["timing"] is None:
         ran += "; simulated without a clock"
-    report = Report(f"Run of {law}", ran, document=figures).add(_report_tracking(figures, law))
+    report = Report(f"Run of {law}", ran, document=figures)
+    tracked = [
+        make_merit_row(f"{law}, {name} displacement", merit.values())
+        for name, merit in figures["tracking"].items()
+        if merit["max_m"] is not None
+    ]
+    if figures["readonly"]:
+        report.add(Text("Read only: the output stayed at the safe voltage; nothing was tracked."))
+    elif not tracked:
+        report.add(Text("Nothing was tracked in this run."))
+    else:
+        papers = [
+            make_merit_row(f"paper, {row['law']} on its rig", [row[key] for key in Merit._fields])
+            for row in figures["paper"]
+        ]
+        report.add(ReportTable(MERIT_HEADER, [*tracked, *papers]))
     if figures["timing"] is not None:
-        spreads = ((name, figures["timing"][key]) for key, name in _TIMING_NAMES.items())
         rows = [
-            [name, *(spell_um(spread[part]) for part in ("p50_s", "p99_s", "max_s"))]
-            for name, spread in spreads
+            [name, *(spell_um(figures["timing"][key][part]) for part in _SPREAD)]
+            for key, name in _TIMING_NAMES.items()
         ]
         report.add(ReportTable(("timing, µs", "p50", "p99", "max"), rows))
     refused = figures["not_real_time"].items()
     return report.add(*(Text(f"not real time: {step} refused: {why}") for step, why in refused))
 
 
+_SPREAD = ("p50_s", "p99_s", "max_s")
 _TIMING_NAMES = {
     "wake_up": "wake-up behind deadline",
     "tick": "tick, sample to command",
     "period_work": "read, tick and write",
 }
-
-
-def _report_tracking(figures: Mapping[str, Any], law: str) -> ReportTable | Text:
-    if figures["readonly"]:
-        return Text("Read only: the output stayed at the safe voltage; nothing was tracked.")
-    rows = [
-        make_merit_row(f"{law}, {name} displacement", merit.values())
-        for name, merit in figures["tracking"].items()
-        if merit["max_m"] is not None
-    ]
-    if not rows:
-        return Text("Nothing was tracked in this run.")
-    rows += [
-        make_merit_row(f"paper, {row['law']} on its rig", [row[name] for name in Merit._fields])
-        for row in figures["paper"]
-    ]
-    return ReportTable(MERIT_HEADER, rows)

@@ -8,10 +8,12 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from pamctl.control.law import Term
+from pamctl.control.law_registry import find_law
 from pamctl.log.run_meta import Moment
 from pamctl.report.figure import MUTED, Plot, PlotAxis, plot_apart
 from pamctl.report.report import Figure, Points, Report, Section, Text
-from pamctl.report.reported_run import MICRO, ReportedRun, law_name, paper_rows, rms_of_finite
+from pamctl.report.reported_run import MICRO, ReportedRun
+from pamctl.simulate.merit import find_paper_rows
 
 KPA, MM = 1e-3, 1e3
 
@@ -92,8 +94,8 @@ def _make_caption(group: Sequence[ReportedRun]) -> str:
     experiment = group[0].paper_experiment
     if experiment:
         figures = ", ".join(
-            f"{law_name(row.law)} {row.merit.max_m * MICRO:.0f} µm"
-            for row in paper_rows(experiment)
+            f"{find_law(row.law).title} {row.merit.max_m * MICRO:.0f} µm"
+            for row in find_paper_rows(experiment)
         )
         said.append(f"Largest errors of the paper's rig in this experiment: {figures}.")
     return " ".join(said)
@@ -124,16 +126,17 @@ def _plot_error(group: Sequence[ReportedRun]) -> Plot | None:
         drawn = True
         error_um = run.error_m * MICRO
         if run.tracked.any():
-            band = rms_of_finite(error_um[run.tracked])
+            known = error_um[run.tracked & np.isfinite(error_um)]
+            band = float(np.sqrt(np.mean(known**2))) if len(known) else np.nan
             over = run.t_s[run.tracked][[0, -1]]
             said = _label_run(group, run, "error") + f", band ± RMS {band:.1f} µm"
             plot.band(over, -band, band, colour=run.colour)
         else:
             said = _label_run(group, run, "error")
         plot.line(run.t_s[run.shown], error_um[run.shown], said, colour=run.colour)
-    for row in paper_rows(group[0].paper_experiment):
+    for row in find_paper_rows(group[0].paper_experiment):
         for side in (-1.0, 1.0):
-            label = f"paper's {law_name(row.law)}, max" if side > 0 else ""
+            label = f"paper's {find_law(row.law).title}, max" if side > 0 else ""
             plot.level(side * row.merit.max_m * MICRO, label)
     return plot if drawn else None
 
@@ -204,12 +207,8 @@ def _draw_column(
     return drawn
 
 
-CLOSE_S = 0.06
-"""Time before and after the place of the close-up."""
-
-
 def write_filtering(page: Report, runs: Sequence[ReportedRun]) -> None:
-    """Write the effect of LPF_1 and LPF_2 for each run that has a filtered displacement."""
+    """Write what LPF_1 does to the displacement of each run that has it filtered."""
     filtering = [run for run in runs if _compute_shift_um(run) is not None]
     if not filtering:
         return
@@ -221,11 +220,6 @@ def write_filtering(page: Report, runs: Sequence[ReportedRun]) -> None:
                 "The difference that the filter makes to the displacement, lag included.",
             )
         )
-    for run in filtering:
-        if (close := _plot_close_look(run)) is not None:
-            page.add(
-                Figure([*close], _describe_close_look(run, alone=len(filtering) == 1), is_grid=True)
-            )
 
 
 def _plot_shift(group: Sequence[ReportedRun]) -> Plot:
@@ -241,43 +235,6 @@ def _plot_shift(group: Sequence[ReportedRun]) -> Plot:
 def _compute_shift_um(run: ReportedRun) -> np.ndarray | None:
     raw, filtered = run.column("position_m", MICRO), run.column("position_filtered_m", MICRO)
     return None if raw is None or filtered is None else filtered - raw
-
-
-def _describe_close_look(run: ReportedRun, *, alone: bool) -> str:
-    controller = run.log.config.get("controller", {})
-    cutoffs = ", ".join(
-        f"{name} {controller[key]:g} Hz"
-        for name, key in (("LPF_1", "lpf1_hz"), ("LPF_2", "lpf2_hz"))
-        if isinstance(controller.get(key), int | float)
-    )
-    whose = "" if alone else f"{run.name}. "
-    return f"{whose}Close-up of the place where the filter changes the displacement most. {cutoffs}"
-
-
-def _plot_close_look(run: ReportedRun) -> list[Plot] | None:
-    moved_um, error_m = _compute_shift_um(run), run.error_m
-    if moved_um is None or error_m is None:
-        return None
-    moved = np.where(run.tracked, np.abs(moved_um), np.nan)
-    if not np.isfinite(moved).any():
-        return None
-    middle_s = run.t_s[np.nanargmax(moved)]
-    near = (np.abs(run.t_s - middle_s) <= CLOSE_S) & run.shown
-    t_s, axis = run.t_s[near], PlotAxis(make_time_axis([run]).label, "s", tight=True)
-    # Without the reference: the motion would hide a difference of micrometres.
-    error_um = error_m[near] * MICRO
-    close = Plot("Error, close-up", axis, PlotAxis("x \N{MINUS SIGN} x_D", "µm"))
-    close.line(t_s, error_um, "raw", colour=MUTED, step=True)
-    close.line(t_s, error_um + moved_um[near], "after LPF_1")
-    plots = [close]
-    rate = run.column("error_rate_m_per_s", MM)
-    if rate is not None and len(t_s) > 1:
-        raw_rate = np.gradient(error_m[near] * MM, t_s)
-        derivative = Plot("Rate of the error, close-up", axis, PlotAxis("e'", "mm/s"))
-        derivative.line(t_s, raw_rate, "raw difference", colour=MUTED)
-        derivative.line(t_s, rate[near], "after LPF_2")
-        plots.append(derivative)
-    return plots
 
 
 _ERROR = PlotAxis("e", "µm")

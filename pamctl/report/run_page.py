@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from pamctl.control.law_registry import find_law
 from pamctl.exit_codes import ExitCode
 from pamctl.json_text import flatten_keys, to_json
 from pamctl.log import Log
@@ -22,14 +23,12 @@ from pamctl.report.reported_run import (
     MERIT_HEADER,
     MICRO,
     ReportedRun,
-    law_name,
     make_merit_row,
     name_runs,
-    paper_rows,
 )
 from pamctl.report.run_motion import write_filtering, write_law, write_motion
 from pamctl.safety import VERDICTS
-from pamctl.simulate.merit import compute_merit, summarise_durations
+from pamctl.simulate.merit import compute_log_merits, find_paper_rows, summarise_durations
 
 
 def write_summary(page: Report, runs: Sequence[ReportedRun]) -> None:
@@ -96,7 +95,12 @@ def _collect_facts(run: ReportedRun) -> dict[str, object]:
 
 
 def _write_merits(page: Report, runs: Sequence[ReportedRun]) -> None:
-    rows = [row for run in runs for row in make_merit_rows(run)]
+    rows = [
+        make_merit_row(f"{run.name}, {what}", merit)
+        for run in runs
+        for what, merit in compute_log_merits(run.log.columns).items()
+        if merit is not None
+    ]
     if not rows:
         if any(len(run) and not run.log.is_imported for run in runs):
             page.add(Text("Nothing was tracked: there is no error to state."))
@@ -104,8 +108,8 @@ def _write_merits(page: Report, runs: Sequence[ReportedRun]) -> None:
     experiments = {run.paper_experiment for run in runs if run.tracked.any()}
     for experiment in sorted(name for name in experiments if name):
         rows += [
-            make_merit_row(f"paper's {law_name(row.law)} on its rig, {experiment}", row.merit)
-            for row in paper_rows(experiment)
+            make_merit_row(f"paper's {find_law(row.law).title} on its rig, {experiment}", row.merit)
+            for row in find_paper_rows(experiment)
         ]
     page.add(
         ReportTable(
@@ -118,41 +122,27 @@ def _write_merits(page: Report, runs: Sequence[ReportedRun]) -> None:
         page.add(
             Text("Where settings differ from the paper's experiments, Table IV does not apply.")
         )
-    if any(differs_by_zero(run) for run in runs):
-        page.add(Text(ZERO_WORDS))
-
-
-def make_merit_rows(run: ReportedRun) -> list[list[str]]:
-    """Return the table rows of a run: measured, and true if it was simulated."""
-    reference, rows = run.column("reference_m"), []
-    if reference is None:
-        return []
-    for what, position in (("measured", run.followed_m), ("true", run.column("true_position_m"))):
-        found = (
-            None if position is None else compute_merit(run.t_s, run.phase, position - reference)
+    if any(map(_differs_by_zero, runs)):
+        page.add(
+            Text(
+                "The true error is larger than the measured one: homing takes the encoder's zero "
+                "where the vented muscle came to rest, and friction lets it rest elsewhere than "
+                "the model's zero."
+            )
         )
-        if found is not None:
-            rows.append(make_merit_row(f"{run.name}, {what}", found))
-    return rows
 
 
-ZERO_WORDS = (
-    "The true error is larger than the measured one: homing takes the encoder's zero where the "
-    "vented muscle came to rest, and friction lets it rest elsewhere than the model's zero."
-)
-
-
-def differs_by_zero(run: ReportedRun) -> bool:
+def _differs_by_zero(run: ReportedRun) -> bool:
     """Tell whether the true error of a simulated run has an offset that the measured one lacks."""
     reference, true = run.column("reference_m"), run.column("true_position_m")
     measured = run.followed_m
     if reference is None or true is None or measured is None or not run.tracked.any():
         return False
     apart = np.abs(true - measured)[run.tracked]
-    return float(np.nanmedian(apart)) > LARGE_ZERO_M
+    return float(np.nanmedian(apart)) > _LARGE_ZERO_M
 
 
-LARGE_ZERO_M = 50e-6
+_LARGE_ZERO_M = 50e-6
 """The counts of an encoder and the lag of a filter make less."""
 
 
@@ -169,7 +159,12 @@ def write_safety(page: Report, runs: Sequence[ReportedRun]) -> None:
             page.add(Text("The log was made without these safety rules: clips are unknown."))
             continue
         rows = [
-            ["clip" if bit < 1 << 8 else "trip", meaning, str(len(at)), *_show_span(run, at)]
+            [
+                "clip" if bit < 1 << 8 else "trip",
+                meaning,
+                str(len(at)),
+                *(f"{run.t_s[tick]:.3f}" for tick in at[[0, -1]]),
+            ]
             for bit, meaning in VERDICTS.items()
             if len(at := np.flatnonzero(np.asarray(verdicts, np.int64) & bit))
         ]
@@ -177,10 +172,6 @@ def write_safety(page: Report, runs: Sequence[ReportedRun]) -> None:
             page.add(ReportTable(["", "reason", "ticks", "first, s", "last, s"], rows))
         else:
             page.add(Text("Safety clipped no command and did not trip."))
-
-
-def _show_span(run: ReportedRun, at: np.ndarray) -> tuple[str, str]:
-    return f"{run.t_s[at[0]]:.3f}", f"{run.t_s[at[-1]]:.3f}"
 
 
 def write_events(page: Report, runs: Sequence[ReportedRun]) -> None:

@@ -5,8 +5,7 @@ paper_cases -> Fig. 3: squares, Fig. 4 and 5: tracking, Table IV -> page and num
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -15,7 +14,7 @@ import numpy as np
 
 from pamctl import __version__
 from pamctl.control.law_registry import find_law
-from pamctl.control.smc import SmcSettings, linearise_model
+from pamctl.control.smc import linearise_model
 from pamctl.plant.model import plant_parameters
 from pamctl.report.figure import MUTED, Plot, PlotAxis
 from pamctl.report.report import (
@@ -30,7 +29,7 @@ from pamctl.report.report import (
 from pamctl.settings.resolve import resolve
 from pamctl.signals import Phase
 from pamctl.simulate.closed_loop import SimulatedRun, simulate_run
-from pamctl.simulate.merit import TABLE_IV
+from pamctl.simulate.merit import NO_MERIT, find_paper_rows
 
 PLANTS = {"paper": "of Tables I and II", "paper-valve109": "with the valve's 109 Hz"}
 """Shipped plants on which the reproduction runs."""
@@ -45,9 +44,23 @@ class Case:
     overrides: tuple[str, ...] = ()
     remark: str = ""
 
+    @lru_cache(maxsize=64)  # noqa: B019  (cases are few, and last as long as the program)
     def run(self, experiment: str, plant: str, seed: int) -> SimulatedRun:
-        """Simulate it."""
-        return _simulate_case(self.controller, self.overrides, experiment, plant, seed)
+        """Simulate it, once."""
+        return simulate_run(
+            resolve(
+                controller=self.controller,
+                experiment=experiment,
+                plant=plant,
+                overrides=self.overrides,
+                seed=seed,
+            )
+        )
+
+    def summarise(self, experiment: str, plant: str, seed: int) -> dict[str, float | None]:
+        """Return the errors of a run in m, None if there are none, and the time of a trip."""
+        run = self.run(experiment, plant, seed)
+        return {**(run.merit() or NO_MERIT).as_dict(), "tripped_s": run.tripped_s}
 
 
 PRINTED_QSMC = Case("qSMC as printed", "paper-table3-qsmc", remark="Table III literally, in inches")
@@ -81,21 +94,6 @@ TUNED = (
 ALL = (PRINTED_QSMC, IN_MILLIMETRES, PRINTED_SMC, UNHINDERED_SMC, FITTED_SMC, *TUNED)
 
 
-@lru_cache(maxsize=64)
-def _simulate_case(
-    controller: str, overrides: tuple[str, ...], experiment: str, plant: str, seed: int
-) -> SimulatedRun:
-    return simulate_run(
-        resolve(
-            controller=controller,
-            experiment=experiment,
-            plant=plant,
-            overrides=overrides,
-            seed=seed,
-        )
-    )
-
-
 FREQUENCIES = ("0.25", "0.5", "1", "2")
 _ANY_LAW = Case("open loop", "paper-table3-qsmc")
 """No law acts in open loop, but the settings of a run need one."""
@@ -115,18 +113,19 @@ def write_fig3(page: Report, seed: int) -> dict[str, Any]:
     )
     numbers: dict[str, Any] = {}
     plots: list[Plot] = []
+    rows = []
     for frequency in FREQUENCIES:
         runs = {plant: _ANY_LAW.run(f"square-{frequency}", plant, seed) for plant in PLANTS}
         plots += _make_plots(frequency, runs)
-        numbers[frequency] = {
-            plant: _measure_last_cycle(run, float(frequency)) for plant, run in runs.items()
-        }
+        found = {plant: _measure_last_cycle(run, float(frequency)) for plant, run in runs.items()}
+        numbers[frequency] = found
+        for plant, measured in found.items():
+            cells = zip(measured.values(), _FORMATS, strict=True)
+            shown = [
+                "-" if v is None else f"{v * scale:.{digits}f}" for v, (scale, digits) in cells
+            ]
+            rows.append([f"{frequency} Hz, {PLANTS[plant]}", *shown])
     page.add(Figure([*plots], "Displacement and pressure at 0.25, 0.5, 1 and 2 Hz.", is_grid=True))
-    rows = [
-        [f"{frequency} Hz, {PLANTS[plant]}", *_format_cells(found)]
-        for frequency, of_plants in numbers.items()
-        for plant, found in of_plants.items()
-    ]
     page.add(
         ReportTable(
             ["last cycle", "mm, low", "high", "kPa, low", "high", "up, ms", "down, ms"],
@@ -143,6 +142,10 @@ def write_fig3(page: Report, seed: int) -> dict[str, Any]:
         )
     )
     return numbers
+
+
+_FORMATS = ((1e3, 2), (1e3, 2), (1e-3, 1), (1e-3, 1), (1e3, 0), (1e3, 0))
+"""Factor and digits of each figure of a cycle."""
 
 
 def _make_plots(frequency: str, runs: dict[str, SimulatedRun]) -> list[Plot]:
@@ -185,15 +188,6 @@ def _measure_rise_time(t_s: np.ndarray, x: np.ndarray) -> float | None:
     return float(t_s[np.argmax(share >= 0.9)] - t_s[np.argmax(share >= 0.1)])
 
 
-def _format_cells(found: dict[str, float | None]) -> list[str]:
-    scales = (1e3, 1e3, 1e-3, 1e-3, 1e3, 1e3)
-    digits = (2, 2, 1, 1, 0, 0)
-    return [
-        "-" if value is None else f"{value * scale:.{places}f}"
-        for value, scale, places in zip(found.values(), scales, digits, strict=True)
-    ]
-
-
 FIGURES = {
     "fig4": ("tracking-1", "Fig. 4: experiment 1"),
     "fig5": ("tracking-2", "Fig. 5: experiment 2"),
@@ -218,7 +212,17 @@ def write_tracking(page: Report, figure: str, seed: int) -> dict[str, Any]:
             "qSMC as printed, and SMC as printed except K_p, which was fitted to Table IV.",
         )
     )
-    _write_literal_smc(page, experiment, seed)
+    literal = PRINTED_SMC.run(experiment, "paper", seed)
+    if literal.tripped_s is not None:
+        page.add(
+            Text(
+                "SMC with the printed gains does not move the muscle: its command stays within "
+                f"{np.abs(literal['command_v']).max() * 1e3:.2g} mV, and safety ends the run after "
+                f"{literal.tripped_s:.2f} s, still in the approach, because the error exceeds its "
+                "limit.",
+                "bad",
+            )
+        )
     page.add(Section("With tuned gains", is_part=True))
     page.add(
         Figure(
@@ -226,30 +230,7 @@ def write_tracking(page: Report, figure: str, seed: int) -> dict[str, Any]:
         )
     )
     cases = (PRINTED_QSMC, PRINTED_SMC, FITTED_SMC, qsmc, smc)
-    return {case.name: summarise_outcome(case.run(experiment, "paper", seed)) for case in cases}
-
-
-def summarise_outcome(run: SimulatedRun) -> dict[str, float | None]:
-    """Return the figures of merit in m, None if there are none, and the time of a trip."""
-    found = run.merit()
-    figures: dict[str, float | None] = dict.fromkeys(("max_m", "rms_m", "steady_m"))
-    if found is not None:
-        figures = {name: None if np.isnan(v) else v for name, v in found._asdict().items()}
-    return {**figures, "tripped_s": run.tripped_s}
-
-
-def _write_literal_smc(page: Report, experiment: str, seed: int) -> None:
-    run = PRINTED_SMC.run(experiment, "paper", seed)
-    if run.tripped_s is None:
-        return
-    page.add(
-        Text(
-            f"SMC with the printed gains does not move the muscle: its command stays within "
-            f"{np.abs(run['command_v']).max() * 1e3:.2g} mV, and safety ends the run after "
-            f"{run.tripped_s:.2f} s, still in the approach, because the error exceeds its limit.",
-            "bad",
-        )
-    )
+    return {case.name: case.summarise(experiment, "paper", seed) for case in cases}
 
 
 def _plot_stack(cases: Sequence[Case], experiment: str, seed: int) -> list[Plot]:
@@ -276,7 +257,12 @@ def _plot_stack(cases: Sequence[Case], experiment: str, seed: int) -> list[Plot]
 
 EXPERIMENTS = ("tracking-1", "tracking-2")
 
-Numbers = dict[str, dict[str, dict[str, dict[str, float | None]]]]
+Errors = Mapping[str, Mapping[str, Mapping[str, float | None]]]
+"""By experiment, and by case or by the paper's law."""
+PAPER: Errors = {
+    experiment: {row.law: row.merit.as_dict() for row in find_paper_rows(experiment)}
+    for experiment in EXPERIMENTS
+}
 
 
 def write_table4(page: Report, seed: int) -> dict[str, Any]:
@@ -284,60 +270,38 @@ def write_table4(page: Report, seed: int) -> dict[str, Any]:
     page.add(Section("Table IV: controller performance"))
     measured = {
         plant: {
-            experiment: {
-                case.name: summarise_outcome(case.run(experiment, plant, seed)) for case in ALL
-            }
+            experiment: {case.name: case.summarise(experiment, plant, seed) for case in ALL}
             for experiment in EXPERIMENTS
         }
         for plant in PLANTS
     }
+    papers = [
+        _make_row(f"paper's {find_law(law).title} on its rig", PAPER, law)
+        for law in ("qsmc", "smc")
+    ]
     for plant, title in PLANTS.items():
+        rows = [*papers, *(_make_row(case.name, measured[plant], case.name) for case in ALL)]
         page.add(
             ReportTable(
                 ["µm", "1: max", "RMS", "steady", "2: max", "RMS"],
-                [*_make_paper_rows(), *(_make_row(case, measured[plant]) for case in ALL)],
+                rows,
                 f"Errors in experiments 1 and 2; the model {title}.",
             )
         )
     page.add(Points([*(f"{case.name}: {case.remark}." for case in ALL if case.remark)]))
     _write_findings(page, measured, seed)
-    return {"simulated": measured, "paper": _collect_paper_numbers()}
+    return {"simulated": measured, "paper": PAPER}
 
 
-def _make_paper_rows() -> list[list[str]]:
-    rows = []
-    for law in sorted({row.law for row in TABLE_IV}):
-        cells = [
-            spell_um(value)
-            for row in TABLE_IV
-            if row.law == law
-            for value in row.merit
-            if not math.isnan(value)
-        ]
-        rows.append([f"paper's {find_law(law).title} on its rig", *cells])
-    return rows
-
-
-def _make_row(case: Case, of_plant: dict[str, dict[str, dict[str, float | None]]]) -> list[str]:
-    one, two = (of_plant[experiment][case.name] for experiment in EXPERIMENTS)
+def _make_row(name: str, errors: Errors, of: str) -> list[str]:
+    one, two = (errors[experiment][of] for experiment in EXPERIMENTS)
     if one["max_m"] is None or two["max_m"] is None:
-        return [case.name, *["trips"] * 5]
+        return [name, *["trips"] * 5]
     values = (one["max_m"], one["rms_m"], one["steady_m"], two["max_m"], two["rms_m"])
-    return [case.name, *(spell_um(value) for value in values)]
+    return [name, *map(spell_um, values)]
 
 
-def _collect_paper_numbers() -> dict[str, dict[str, dict[str, float | None]]]:
-    return {
-        experiment: {
-            row.law: {k: None if math.isnan(v) else v for k, v in row.merit._asdict().items()}
-            for row in TABLE_IV
-            if row.experiment == experiment
-        }
-        for experiment in EXPERIMENTS
-    }
-
-
-def is_within_bound(found: dict[str, float | None], bound: dict[str, float | None]) -> bool:
+def is_within_bound(found: Mapping[str, float | None], bound: Mapping[str, float | None]) -> bool:
     """Tell whether no error is larger than the paper's, for every error that the paper states."""
     return all(
         limit is None or ((value := found[name]) is not None and value <= limit)
@@ -345,7 +309,7 @@ def is_within_bound(found: dict[str, float | None], bound: dict[str, float | Non
     )
 
 
-def _write_findings(page: Report, measured: Numbers, seed: int) -> None:
+def _write_findings(page: Report, measured: Mapping[str, Errors], seed: int) -> None:
     page.add(Section("Which results reproduce, and which do not", is_part=True))
     for plant, title in PLANTS.items():
         _write_about_qsmc(page, measured[plant], title)
@@ -370,18 +334,14 @@ def _write_findings(page: Report, measured: Numbers, seed: int) -> None:
     )
 
 
-def _write_about_qsmc(page: Report, measured: dict[str, Any], title: str) -> None:
-    paper = _collect_paper_numbers()
-    pairs = [
-        (measured[experiment][PRINTED_QSMC.name], paper[experiment]["qsmc"])
-        for experiment in EXPERIMENTS
-    ]
+def _write_about_qsmc(page: Report, measured: Errors, title: str) -> None:
+    pairs = [(measured[name][PRINTED_QSMC.name], PAPER[name]["qsmc"]) for name in EXPERIMENTS]
     kept = all(is_within_bound(found, bound) for found, bound in pairs)
     ratios = [
-        found[name] / limit
+        value / limit
         for found, bound in pairs
         for name, limit in bound.items()
-        if limit is not None and found[name] is not None
+        if limit is not None and (value := found[name]) is not None
     ]
     verdict = "stays inside" if kept else "does not stay inside"
     spread = f": {min(ratios):.2f} to {max(ratios):.2f} of its errors" if ratios else ""
@@ -395,7 +355,13 @@ def _write_about_qsmc(page: Report, measured: dict[str, Any], title: str) -> Non
 
 
 def _write_about_smc(page: Report, unhindered_m: float | None, seed: int) -> None:
-    gain, most_v = _compute_smc_reach(seed)
+    run = PRINTED_SMC.run("tracking-2", "paper", seed)
+    settings: Any = run.settings
+    p = plant_parameters(settings.controller.model).paper
+    mid_pa = 0.5 * (p.tank_pressure_pa + p.atmospheric_pressure_pa)
+    mid_m = settings.experiment.offset_mm * 1e-3
+    gain = linearise_model(p, mid_m, 0.0, 0.0, mid_pa).fill_gain
+    most_v = float(abs(run["command_v"]).max())
     unhindered = (
         ""
         if unhindered_m is None
@@ -411,19 +377,6 @@ def _write_about_smc(page: Report, unhindered_m: float | None, seed: int) -> Non
             "bad",
         )
     )
-
-
-def _compute_smc_reach(seed: int) -> tuple[float, float]:
-    """Return g-hat at mid-stroke at rest (m/s^3/V), and the printed SMC's largest command (V)."""
-    run = PRINTED_SMC.run("tracking-2", "paper", seed)
-    settings = run.settings.controller
-    assert isinstance(settings, SmcSettings)
-    experiment: Any = run.settings.experiment
-    mid_m = experiment.offset_mm * 1e-3
-    p = plant_parameters(settings.model).paper
-    mid_pa = 0.5 * (p.tank_pressure_pa + p.atmospheric_pressure_pa)
-    gain = linearise_model(p, mid_m, 0.0, 0.0, mid_pa).fill_gain
-    return gain, float(abs(run["command_v"]).max())
 
 
 Part = Callable[[Report, int], dict[str, Any]]

@@ -23,8 +23,7 @@ from pamctl.log.run_meta import bare_name
 from pamctl.log.schema import EVENT_TOPIC, TICK_TOPIC
 from pamctl.plain_text import clean_text, escape_name
 from pamctl.safety import explain_verdicts
-from pamctl.signals import find_followed_m
-from pamctl.simulate.merit import compute_merit
+from pamctl.simulate.merit import NO_MERIT, compute_log_merits
 
 ENDINGS = {
     ExitCode.OK: "ok",
@@ -155,12 +154,10 @@ def _measure(columns: Mapping[str, Any]) -> dict[str, Any]:
     if "verdicts" in columns and len(t_s):
         bits = int(np.bitwise_or.reduce(columns["verdicts"].astype(np.int64)))
         found["verdicts"] = "; ".join(explain_verdicts(bits))
-    if {"position_m", "reference_m", "phase"} <= columns.keys():
-        error_m = find_followed_m(columns) - columns["reference_m"]
-        merit = compute_merit(t_s, columns["phase"], error_m)
-        for name, value_m in merit._asdict().items() if merit else ():
-            if np.isfinite(value_m):
-                found[name.replace("_m", "_um")] = 1e6 * value_m
+    merit = compute_log_merits(columns).get("measured") or NO_MERIT
+    for name, value_m in merit.as_dict().items():
+        if value_m is not None:
+            found[name.replace("_m", "_um")] = 1e6 * value_m
     return found
 
 

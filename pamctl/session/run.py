@@ -5,7 +5,6 @@ From runs to what the model lacks, and from a model to gains.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -151,11 +150,10 @@ class Run:
     @cached_property
     def metrics(self) -> RunMetrics:
         """The figures of the run."""
-        from pamctl.simulate.merit import Merit, compute_log_merits
+        from pamctl.simulate.merit import NO_MERIT, compute_log_merits
 
-        nothing = Merit(math.nan, math.nan, math.nan)
-        merits = {} if self.log.is_imported or not len(self) else compute_log_merits(self.log)
-        measured, true = merits.get("measured") or nothing, merits.get("true") or nothing
+        merits = {} if self.log.is_imported else compute_log_merits(self.log.columns)
+        measured, true = merits.get("measured") or NO_MERIT, merits.get("true") or NO_MERIT
         missed = self.log.columns.get("missed")
         return RunMetrics(
             *measured,

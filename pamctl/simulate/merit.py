@@ -6,7 +6,8 @@ The error is measured displacement minus reference, without the approach. Steady
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,14 +90,22 @@ def _find_steady_parts(t_s: Floats, phase: NDArray[np.int64]) -> list[slice]:
     return parts
 
 
-def compute_log_merits(log: Log) -> dict[str, Merit | None]:
-    """Return the figures of a log: `measured`, and `true` if the rig was simulated."""
-    t_s, phase, reference = log["t_s"], log["phase"], log["reference_m"]
-    followed = find_followed_m(log.columns)
-    figures = {"measured": compute_merit(t_s, phase, followed - reference)}
-    if np.isfinite(log["true_position_m"]).any():
-        figures["true"] = compute_merit(t_s, phase, log["true_position_m"] - reference)
-    return figures
+def compute_log_merits(columns: Mapping[str, Any]) -> dict[str, Merit | None]:
+    """Return the figures of a log's columns: `measured`, and `true` if the rig was simulated.
+
+    Empty where the log has no reference, or no displacement.
+    """
+    if not {"t_s", "phase", "reference_m", "position_m"} <= columns.keys():
+        return {}
+    positions = {"measured": find_followed_m(columns)}
+    true_m = columns.get("true_position_m")
+    if true_m is not None and np.isfinite(true_m).any():
+        positions["true"] = true_m
+    t_s, phase, reference_m = columns["t_s"], columns["phase"], columns["reference_m"]
+    return {
+        name: compute_merit(t_s, phase, position_m - reference_m)
+        for name, position_m in positions.items()
+    }
 
 
 class DurationSpread(NamedTuple):

@@ -41,7 +41,7 @@ def test_the_numbers_are_those_of_a_run_that_starts_at_once(numbers, tmp_path):
     options = [word for key in begin_at_once for word in ("--set", key)]
     which = ["--controller", "paper-table3-qsmc", "--experiment", "tracking-2"]
     CliRunner().invoke(app, ["run", "--fast", "--quiet", "--log", str(log), *which, *options])
-    measured = compute_log_merits(read(log))["measured"]
+    measured = compute_log_merits(read(log).columns)["measured"]
     assert measured is not None
     batch = numbers["fig5"]["qSMC as printed"]
     assert batch["max_m"] == pytest.approx(measured.max_m, rel=1e-12)
@@ -116,7 +116,7 @@ def test_a_phone_shows_the_whole_paper_below_a_megabyte(whole, tmp_path):
 
 def test_the_same_seed_gives_the_same_page_and_another_seed_other_numbers():
     def made(seed: int) -> tuple[str, dict[str, Any]]:
-        cases._simulate_case.cache_clear()
+        cases.Case.run.cache_clear()
         found = reproduce_paper(["fig5"], seed)
         return write_html(found), found.document
 

@@ -159,7 +159,7 @@ def safe(asked: RigOptions) -> None:
     require_linux()
     from pamctl.processes.backends import device_of
 
-    device, volts = device_of(settings), settings.rig.safe_volts
+    device, volts = device_of(settings.rig), settings.rig.safe_volts
     failure = _make_safe(settings)
     if failure is not None:
         reason = f"NOT SAFE, {device}: {volts:g} V could not be driven: {failure}"
@@ -172,13 +172,12 @@ def safe(asked: RigOptions) -> None:
 
 
 def _make_safe(settings: RunSettings) -> Exception | None:
-    from pamctl.processes.backends import build_clock, build_rig, require_backend
+    from pamctl.processes.backends import build_safe_rig, require_backend
     from pamctl.processes.guardian import drive_safe
 
     try:
-        require_backend(settings)
-        rig = build_rig(settings, build_clock(settings, may_spin=False)).rig
-        return drive_safe(rig, _PATIENCE_S)
+        require_backend(settings.rig)
+        return drive_safe(build_safe_rig(settings.rig), _PATIENCE_S)
     # Whatever it is, the valve may be open: the line must say so.
     except Exception as error:
         return error
@@ -229,7 +228,7 @@ def doctor(asked: DoctorOptions) -> None:
         "exit_code": code,
         "worst": worst_level(findings),
         "backend": settings.rig.backend,
-        "device": device_of(settings),
+        "device": device_of(settings.rig),
         "actuated": asked.actuate,
         "findings": [
             {

@@ -279,8 +279,8 @@ def open_workplace(settings: RunSettings) -> Iterator[Bench]:
     file = settings.rig
     with (
         Interrupts() as interrupts,
-        hold_device(settings),
-        keep_watchman(settings, rig),
+        hold_device(settings.rig),
+        keep_watchman(settings.rig, rig),
         keep_awake(),
         open_rig(rig),
         interrupts.heed_signals(),

@@ -87,7 +87,7 @@ def calibrate_rig(
     terminal = Terminal()
     if not may_move:
         terminal.require_yes("the rig will be pressurised and may move; is everything clear of it?")
-    require_backend(settings)
+    require_backend(settings.rig)
     with open_workplace(settings) as bench:
         outcome = task.work(bench, terminal if answers is None else PreparedAnswers(answers))
     text = _make_rig_file(task.out, source, outcome, task.what)

@@ -299,10 +299,10 @@ def examine_all(
                 loop_cpu=settings.rig.loop.cpu,
             )
         if probe is not None and probe.examine_clock is not None:
-            with hold_device(settings):
+            with hold_device(settings.rig):
                 yield probe.examine_clock(request)
         if probe is not None and probe.examine_output is not None:
-            with hold_device(settings):
+            with hold_device(settings.rig):
                 yield from probe.examine_output(request)
     except RigError as error:
         yield report_rig_error("rig.device", error, "the device, for this command alone")

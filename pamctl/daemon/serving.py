@@ -81,19 +81,19 @@ def serve_daemon(
     tell: Tell = _announce_nothing if announcements is None else announcements.put
     try:
         require_open_files()
-        require_backend(settings)
+        require_backend(settings.rig)
         build_machine_code(settings)
         with keep_awake() as risk:  # each session asks anew; only now somebody reads the answer
             if risk:
                 print(f"note: {risk}", file=sys.stderr, flush=True)
-        with secure_device(settings) as device:
+        with secure_device(settings.rig) as device:
             finish_orphans(SHARED_MEMORY, quiet=False)
             service = RigSession(
                 settings,
                 names,
-                Workshop(device, device_of(settings), find_group(options.group)),
+                Workshop(device, device_of(settings.rig), find_group(options.group)),
                 shelf,
-                Latch(SHARED_MEMORY / f"pamctl-{device_of(settings)}.fault"),
+                Latch(SHARED_MEMORY / f"pamctl-{device_of(settings.rig)}.fault"),
                 file_gains=options.file_gains,
                 idle_after_s=options.idle_after_s,
                 tell=tell,

@@ -12,18 +12,19 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from hal.backend import RigRequest
-from hal.faulty import FaultyRig
+from hal.backend import BuiltRig, RigRequest
 from hal.reservation import hold_reservation
 from hal.rig import Rig, RigError
-from pamctl.kernel.calls import prepare
-from pamctl.plant.model import plant_parameters
-from pamctl.plant.simulated import SimulatedPlant
 from pamctl.realtime.clock import Clock, GridClock, SampleClock, VirtualClock
-from pamctl.settings.resolve import RunSettings
 from pamctl.signals import Truth
+
+if TYPE_CHECKING:
+    from hal.backend import Plant
+    from pamctl.plant.simulated import SimulatedPlant
+    from pamctl.settings.resolve import RunSettings
+    from pamctl.settings.rig_file import RigFile
 
 SHARED_MEMORY = Path(os.environ.get("PAMCTL_SHARED_MEMORY", "/dev/shm"))
 """Where rings, simulated outputs and the locks of devices lie: gone with the next boot.
@@ -76,9 +77,9 @@ def require_open_files() -> None:
         )
 
 
-def require_backend(settings: RunSettings) -> None:
+def require_backend(rig: RigFile) -> None:
     """Load what the backend needs; raise `RigError` where driver or device is missing."""
-    settings.rig.record.require(settings.rig.device_settings)
+    rig.record.require(rig.device_settings)
 
 
 def build_rig(
@@ -92,21 +93,13 @@ def build_rig(
 
     A simulated rig moves `plant`, by default one in plain Python.
     """
+    from hal.faulty import FaultyRig
+    from pamctl.plant.model import plant_parameters
+    from pamctl.plant.simulated import SimulatedPlant
+
     file = settings.rig
     plant = plant or SimulatedPlant(plant_parameters(settings.plant))
-    built = file.record.build(
-        RigRequest(
-            settings=file.device_settings,
-            calibration=file.calibration,
-            safe_volts=file.safe_volts,
-            rate_hz=file.loop.rate_hz,
-            now_ns=clock.now_ns,
-            plant=plant,
-            seed=settings.seed,
-            output_file=None if settings.fast else ao_path(device_of(settings)),
-            by_computer=by_computer,
-        )
-    )
+    built = _build(file, clock.now_ns, plant, settings.seed, settings.fast, by_computer)
     rig = FaultyRig(built.rig, file.faults_to_inject) if file.faults_to_inject else built.rig
     pace = clock if built.await_edge is None else SampleClock(clock, built.await_edge)
     if file.record.is_simulated:
@@ -114,25 +107,62 @@ def build_rig(
     return RigParts(rig, pace, lambda: _UNKNOWN)
 
 
+def build_safe_rig(file: RigFile) -> Rig:
+    """Return a rig that is made safe and never opened: guardians need no plant for that."""
+    return _build(file, time.monotonic_ns, _Nothing()).rig
+
+
+class _Nothing:
+    """What a rig moves that nobody opens."""
+
+    position_m = pressure_pa = math.nan
+
+    def advance(self, command_v: float, duration_s: float) -> None:
+        pass
+
+
+def _build(
+    file: RigFile,
+    now_ns: Callable[[], int],
+    plant: Plant,
+    seed: int = 0,
+    is_private: bool = False,
+    by_computer: bool = False,
+) -> BuiltRig:
+    return file.record.build(
+        RigRequest(
+            settings=file.device_settings,
+            calibration=file.calibration,
+            safe_volts=file.safe_volts,
+            rate_hz=file.loop.rate_hz,
+            now_ns=now_ns,
+            plant=plant,
+            seed=seed,
+            output_file=None if is_private else ao_path(device_of(file)),
+            by_computer=by_computer,
+        )
+    )
+
+
 def ao_path(device: str) -> Path:
     """Return where the output of a simulated device lies in real time."""
     return SHARED_MEMORY / f"pamctl-{device}.ao"
 
 
-def device_of(settings: RunSettings) -> str:
+def device_of(rig: RigFile) -> str:
     """Return the name of the device that a run needs for itself."""
-    return settings.rig.record.device(settings.rig.device_settings)
+    return rig.record.device(rig.device_settings)
 
 
 @contextmanager
-def secure_device(settings: RunSettings) -> Iterator[Rig]:
+def secure_device(file: RigFile) -> Iterator[Rig]:
     """Hold the device within the block, and make it safe before anything else is done.
 
     The run before may have died with the valve open. The rig is not opened. Raises `RigError`
     where the device cannot be had.
     """
-    rig = build_rig(settings, build_clock(settings, may_spin=False)).rig
-    with hold_device(settings):
+    rig = build_safe_rig(file)
+    with hold_device(file):
         rig.make_safe()
         if rig.safe_failure is not None:
             raise rig.safe_failure
@@ -140,9 +170,9 @@ def secure_device(settings: RunSettings) -> Iterator[Rig]:
 
 
 @contextmanager
-def hold_device(settings: RunSettings) -> Iterator[None]:
-    """Hold the device of a run within the block; raise `RigError` if another process does."""
-    device = device_of(settings)
+def hold_device(rig: RigFile) -> Iterator[None]:
+    """Hold the device of a rig within the block; raise `RigError` if another process does."""
+    device = device_of(rig)
     with hold_reservation(SHARED_MEMORY / f"pamctl-{device}.lock", device):
         yield
 
@@ -156,4 +186,8 @@ def make_plant(settings: RunSettings) -> SimulatedPlant | None:
     """Return the plant of a simulated rig as machine code; None where the clock does not wait."""
     if settings.fast or not settings.rig.record.is_simulated:
         return None
+    from pamctl.kernel.calls import prepare
+    from pamctl.plant.model import plant_parameters
+    from pamctl.plant.simulated import SimulatedPlant
+
     return SimulatedPlant(plant_parameters(settings.plant), prepare=prepare)

@@ -23,14 +23,14 @@ from contextlib import contextmanager, suppress
 from hal.child import ParentPipe, child_command
 from hal.rig import Rig, RigError
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.processes.backends import build_clock, build_rig, require_backend
+from pamctl.processes.backends import build_safe_rig, require_backend
 from pamctl.processes.guardian import LoopProcess, Takeover, drive_safe, guard
 from pamctl.processes.loop_supervisor import STARTS_WITHIN_S
 from pamctl.realtime.scheduling import keep_single_threaded, prepare_guardian
 from pamctl.recording.journal import end_for_dead_loop, put_event_for_dead_loop
 from pamctl.recording.recorder import ignore_signals, leave_recorder
 from pamctl.recording.ring import Ring, RingError
-from pamctl.settings.resolve import RunSettings, from_resolved, settings_to_json
+from pamctl.settings.rig_file import RigFile, read_resolved_rig
 
 _ALL_WELL = b"all is well\n"
 _END_PATIENCE_S = 20.0
@@ -61,17 +61,17 @@ def main() -> int:
 
 
 def _guard(ring: Ring, front: ParentPipe) -> Takeover | None:
-    settings = from_resolved(json.dumps(ring.meta.config))
-    rig = build_rig(settings, build_clock(settings, may_spin=False)).rig
+    file = read_resolved_rig(ring.meta.config)
+    rig = build_safe_rig(file)
     # A rehearsal before the loop opens the rig: a guardian that cannot make it safe now cannot do
     # so later. It also loads the driver, which would cost a fraction of a second later.
     failure = drive_safe(rig, patience_s=1.0)
     if failure is not None:
         raise failure
     loop = LoopProcess(_await_loop_pid(ring, front))
-    prepare_guardian(settings.rt, settings.rig.loop.cpu)
+    pace = file.loop
+    prepare_guardian(ring.meta.config["rt"], pace.cpu)
     ring.guardian_ready = 1
-    pace = settings.rig.loop
     return guard(ring, loop, rig, round(pace.heartbeat_ms * 1e6), round(pace.starved_ms * 1e6))
 
 
@@ -102,14 +102,14 @@ def _end_log(ring: Ring, takeover: Takeover | None) -> None:
 
 def _watch_person() -> int:
     """Wait for the end of standard input; make the rig safe unless all is well."""
-    settings = from_resolved(json.loads(sys.stdin.buffer.readline()))
+    file = read_resolved_rig(json.loads(sys.stdin.buffer.readline()))
     try:
         # Loaded now, because it costs a fraction of a second.
-        require_backend(settings)
+        require_backend(file)
     except RigError as error:
         print(f"watchman: {error}", file=sys.stderr)
         return int(ExitCode.UNAVAILABLE)
-    rig = build_rig(settings, build_clock(settings, may_spin=False)).rig
+    rig = build_safe_rig(file)
     os.write(sys.stdout.fileno(), b"ready\n")
     if sys.stdin.buffer.readline() == _ALL_WELL:
         return int(ExitCode.OK)
@@ -118,7 +118,7 @@ def _watch_person() -> int:
 
 
 @contextmanager
-def keep_watchman(settings: RunSettings, rig: Rig) -> Iterator[None]:
+def keep_watchman(file: RigFile, rig: Rig) -> Iterator[None]:
     """Keep a watchman for the block; it makes the rig safe if this process dies in it.
 
     The block closes the rig. Raises `RigError` where the watchman cannot work, or where neither
@@ -134,7 +134,8 @@ def keep_watchman(settings: RunSettings, rig: Rig) -> Iterator[None]:
     assert watchman.stdout is not None
     try:
         with suppress(BrokenPipeError):
-            watchman.stdin.write(json.dumps(settings_to_json(settings)).encode() + b"\n")
+            told = json.dumps({"rig": file.model_dump(mode="json", exclude_none=True)})
+            watchman.stdin.write(told.encode() + b"\n")
             watchman.stdin.flush()
         if not select.select([watchman.stdout], [], [], STARTS_WITHIN_S)[0]:
             watchman.kill()

@@ -88,7 +88,7 @@ def _run(
     elif (ending := _await_recorder(ring, supervisor)) is not None:
         return ending
     # Before this process is scheduled in real time: loading a driver takes long.
-    require_backend(settings)
+    require_backend(settings.rig)
     if (ending := _await_guardian(ring, supervisor)) is not None:
         return ending
     with prepare(settings.rt, settings.rig.loop.cpu) as preparation:

@@ -78,7 +78,7 @@ def run_once(
     """
     # Wrong input is found before the valve is touched.
     require_open_files()
-    require_backend(settings)
+    require_backend(settings.rig)
     build_machine_code(settings, quiet=quiet)
     path = choose_log_path(log, names["controller"], names["experiment"])
     meta = annotate_meta(make_run_meta(settings, names, path), said, records)
@@ -98,7 +98,7 @@ def _run_guarded(
 ) -> LogReport:
     """Run on the clock, in processes that watch each other."""
     pace = settings.rig.loop
-    with secure_device(settings) as rig:
+    with secure_device(settings.rig) as rig:
         finish_orphans(SHARED_MEMORY, quiet=quiet)
         ring_of_run = Ring.create(new_ring_path(), meta, pace.ring_rows, slot_bytes=MARK_SLOT_BYTES)
         with ring_of_run as ring, keep_awake() as risk:

@@ -52,7 +52,7 @@ class InProcessLoop:
 
     def __init__(self, settings: RunSettings, names: Mapping[str, str]) -> None:
         """Begin parked and not homed."""
-        require_backend(settings)
+        require_backend(settings.rig)
         self._settings = settings
         self.run: ThreadRecordedRun | None = None
         self.runs_begun = 0

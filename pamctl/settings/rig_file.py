@@ -6,11 +6,13 @@ their union, with the key `backend` as discriminator.
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from functools import reduce
 from operator import or_
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import Field, create_model, model_validator
+from pydantic import Field, TypeAdapter, create_model, model_validator
 
 from hal.backend import Backend, find_backends, get_backend
 from hal.calibration import CalibrationSettings, Configured
@@ -128,3 +130,9 @@ if TYPE_CHECKING:
 else:
     _MODELS = [_make_model(record) for record in find_backends().found.values()]
     RigSettings = Annotated[reduce(or_, _MODELS), Field(discriminator="backend")]
+
+
+def read_resolved_rig(resolved: Mapping[str, Any]) -> RigFile:
+    """Return the rig file of a run that is resolved: the guardian needs nothing else of it."""
+    adapter: TypeAdapter[RigFile] = TypeAdapter(RigSettings)
+    return adapter.validate_json(json.dumps(resolved["rig"]), strict=True)

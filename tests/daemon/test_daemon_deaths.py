@@ -33,8 +33,7 @@ from pamctl.daemon.rig_session import RigSession
 from pamctl.daemon.session import Workshop
 from pamctl.daemon.shelf import Latch, Shelf
 from pamctl.log import LogError, read
-from pamctl.processes.backends import SHARED_MEMORY, ao_path, build_rig
-from pamctl.realtime.clock import VirtualClock
+from pamctl.processes.backends import SHARED_MEMORY, ao_path, build_safe_rig
 from pamctl.replay import replay_log
 from pamctl.settings.resolve import resolve
 
@@ -240,7 +239,7 @@ def test_more_signals_end_it_at_once_and_leave_no_fault(tmp_path: Path) -> None:
 
 def test_a_daemon_that_is_ending_starts_nothing(tmp_path: Path) -> None:
     settings = resolve()
-    workshop = Workshop(build_rig(settings, VirtualClock(1)).rig, "none")
+    workshop = Workshop(build_safe_rig(settings.rig), "none")
     latch = Latch(tmp_path / "fault")
     service = RigSession(settings, {"controller": "qsmc"}, workshop, Shelf(tmp_path), latch)
     service.close()

@@ -275,6 +275,6 @@ def test_a_session_whose_driver_opens_slowly_is_not_taken_for_silent(tmp_path: P
 def test_a_watchman_that_does_not_start_is_not_waited_for_and_is_named(monkeypatch) -> None:
     monkeypatch.setattr(guardian_main, "STARTS_WITHIN_S", 0.1)
     monkeypatch.setattr(guardian_main, "child_command", lambda *_: ["sleep", "1000"])
-    watchman = guardian_main.keep_watchman(resolve(), StubRig())  # type: ignore[arg-type]
+    watchman = guardian_main.keep_watchman(resolve().rig, StubRig())  # type: ignore[arg-type]
     with pytest.raises(RigError, match=r"watchman process did not start within 0\.1 s"), watchman:
         pytest.fail("the work began without a watchman")

@@ -2,7 +2,7 @@
 
 Each fault is tried three times: on the simulated rig, on the card on demand, and on the card paced
 by its own clock. However a run ends, the output is at the safe voltage and the log says why. Time
-is made up here; faults that need real processes are in `test_fault_processes.py`.
+is made up here; faults that need real processes are in `test_card_runs.py`.
 """
 
 from __future__ import annotations

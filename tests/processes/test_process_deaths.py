@@ -1,6 +1,7 @@
 """Real runs whose processes are killed or stopped: the valve is safe and the log complete.
 
-The rig is simulated. The same over the card's stand-in: `test_fault_processes.py`.
+The rig is simulated. Over the card's stand-in: `test_card_runs.py`. Two and three faults at a time:
+`test_fault_rounds.py`, and all of them in `test_protocol.py`.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from support.command_line import run_pamctl
 from support.patience import BUSY_PC, PATIENCE_S
 from support.processes.children import PARTS, await_children, await_gone
 from support.processes.killing import kill_as_one
@@ -98,7 +100,7 @@ def running(cwd: Path, device: str, log: str = "run.mcap") -> Iterator[Run]:
 def await_motion(run: Run) -> None:
     """Return somewhere in the experiment, with the valve off its safe voltage."""
     await_tick(run.front.pid, lambda tick: tick["applied_v"] > 1.0)
-    time.sleep(random.uniform(0.0, 0.5))
+    time.sleep(random.uniform(0.0, 0.1))
     assert run.output_v > 1.0
 
 
@@ -116,15 +118,12 @@ def assert_log_complete_to(run: Run, tick: int) -> None:
 
 
 def assert_next_start_finishes(run: Run, ring: Path, cwd: Path, device: str) -> None:
-    done = subprocess.run(
-        run_command(device, "--duration", "0.1", "--log", "next.mcap", "--json"),
-        cwd=cwd, capture_output=True, text=True, timeout=PATIENCE_S, check=False,
-    )  # fmt: skip
+    command = run_command(device, "--fast", "--duration", "0.1", "--log", "next.mcap", "--json")
+    done = run_pamctl(*command[3:], cwd=cwd)
     assert done.returncode == 0, done.stderr
     assert f"an earlier run died ({ring}): finished {run.log}" in done.stderr
     assert not ring.exists()
     assert json.loads(done.stdout)["log_is_whole"]
-    assert peek_v(ao_path(device)) == pytest.approx(SAFE_V, abs=AO_STEP_V)
 
 
 def takeovers(run: Run) -> list[dict[str, object]]:
@@ -137,6 +136,8 @@ def test_a_loop_that_dies_or_freezes_leaves_the_valve_safe_and_the_log_complete(
 ) -> None:
     with running(tmp_path, device) as run:
         await_motion(run)
+        for ignored in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            os.kill(run.pids["guardian_main"], ignored)
         before = last_tick_put(run)
         os.kill(run.pids["loop_main"], number)
         run.await_safe()
@@ -145,25 +146,6 @@ def test_a_loop_that_dies_or_freezes_leaves_the_valve_safe_and_the_log_complete(
     assert "the guardian drove the safe voltage" in said
     assert ("killed by SIGKILL" if number == signal.SIGKILL else "silent for") in said
     assert len(takeovers(run)) == 1
-    assert_log_complete_to(run, before)
-
-
-@pytest.mark.long
-def test_a_frozen_loop_without_a_guardian_is_ended_by_the_front(
-    tmp_path: Path, device: str
-) -> None:
-    with running(tmp_path, device) as run:
-        await_motion(run)
-        before = last_tick_put(run)
-        os.kill(run.pids["loop_main"], signal.SIGSTOP)
-        os.kill(run.pids["guardian_main"], signal.SIGKILL)
-        run.await_safe()
-        _, said = run.front.communicate(timeout=PATIENCE_S)
-        await_gone(*run.pids.values())
-    assert run.front.returncode == 1
-    assert "the front killed it" in said
-    assert "the front drove the safe voltage" in said
-    assert [e["event"] for e in read(run.log).events].count("front_takeover") == 1
     assert_log_complete_to(run, before)
 
 
@@ -218,22 +200,6 @@ def assert_stopped_at_once(run: Run) -> None:
 
 
 @pytest.mark.long
-def test_a_front_that_is_stopped_for_a_while_harms_nobody(tmp_path: Path, device: str) -> None:
-    with running(tmp_path, device) as run:
-        await_motion(run)
-        os.kill(run.front.pid, signal.SIGSTOP)
-        time.sleep(0.5)
-        before = last_tick_put(run)
-        os.kill(run.front.pid, signal.SIGCONT)
-        run.front.send_signal(signal.SIGINT)
-        run.front.communicate(timeout=PATIENCE_S)
-        assert run.front.returncode == 130
-        assert run.output_v == pytest.approx(SAFE_V, abs=AO_STEP_V)
-    assert not takeovers(run)
-    assert_log_complete_to(run, before)
-
-
-@pytest.mark.long
 def test_loop_and_front_killed_together_leave_a_safe_valve_and_a_log_with_its_end(
     tmp_path: Path, device: str
 ) -> None:
@@ -260,7 +226,7 @@ def test_after_everything_was_killed_at_once_pamctl_safe_closes_the_valve(
         run.front.wait()
         await_gone(run.pids["loop_main"])
         assert run.output_v > 1.0  # it holds, as a card does
-        done = safe(device)
+        done = run_pamctl("safe", "--set", f"rig.sim.device={device}")
         assert done.returncode == 0, done.stderr
         assert "safe" in done.stdout
         assert run.output_v == pytest.approx(SAFE_V, abs=AO_STEP_V)
@@ -269,17 +235,13 @@ def test_after_everything_was_killed_at_once_pamctl_safe_closes_the_valve(
     assert_log_complete_to(run, before)
 
 
-def safe(device: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [*PYTHON, "pamctl", "safe", "--set", f"rig.sim.device={device}", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
-
-
 @pytest.mark.long
-def test_a_device_in_use_is_refused_to_a_second_run_and_to_pamctl_safe(
+def test_a_device_in_use_is_refused_and_a_front_that_was_stopped_goes_on(
     tmp_path: Path, device: str
 ) -> None:
     with running(tmp_path, device) as run:
         await_motion(run)
+        os.kill(run.front.pid, signal.SIGSTOP)
         second = subprocess.run(
             run_command(device, "--log", "second.mcap"),
             cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE_S, check=False,
@@ -288,36 +250,34 @@ def test_a_device_in_use_is_refused_to_a_second_run_and_to_pamctl_safe(
         assert f"{device} is held by process {run.front.pid}" in second.stderr
         assert len(second.stderr.splitlines()) == 1
         assert not (tmp_path / "second.mcap").exists()
-        refused = safe(device, "--json")
+        refused = run_pamctl("safe", "--set", f"rig.sim.device={device}", "--json")
         assert refused.returncode == 69
         assert f"held by process {run.pids['loop_main']}" in json.loads(refused.stdout)["reason"]
-        assert run.front.poll() is None
+        before = last_tick_put(run)
+        os.kill(run.front.pid, signal.SIGCONT)
         run.front.send_signal(signal.SIGINT)
         run.front.communicate(timeout=PATIENCE_S)
         assert run.front.returncode == 130
+        assert run.output_v == pytest.approx(SAFE_V, abs=AO_STEP_V)
+    assert not takeovers(run)
+    assert_log_complete_to(run, before)
 
 
 @pytest.mark.long
-def test_runs_without_a_clock_do_not_get_into_each_others_way(tmp_path: Path) -> None:
-    device = f"test{os.getpid()}-nobodys"
-    options = ["--fast", "--duration", "0.5", "--quiet"]
-    commands = [run_command(device, *options, "--log", f"{i}.mcap") for i in range(2)]
-    runs = [
-        subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL) for command in commands
-    ]
-    assert [run.wait(PATIENCE_S) for run in runs] == [0, 0]
-    assert not ao_path(device).exists()
-
-
-@pytest.mark.long
-def test_the_next_start_finishes_the_log_of_a_killed_run_without_a_clock(tmp_path: Path) -> None:
+def test_runs_without_a_clock_share_a_device_and_the_next_one_finishes_the_log_of_a_killed_one(
+    tmp_path: Path,
+) -> None:
     device, log = f"test{os.getpid()}-nobodys", tmp_path / "killed.mcap"
+    short = run_command(device, "--fast", "--duration", "0.1", "--quiet")[3:]
     run = subprocess.Popen(run_command(device, "--fast", "--quiet", "--log", str(log)))
     try:
         deadline_s = time.monotonic() + PATIENCE_S
         while not log.exists() or log.stat().st_size < 1 << 20:
             assert time.monotonic() < deadline_s
             time.sleep(0.01)
+        assert run_pamctl(*short, "--log", "beside.mcap", cwd=tmp_path).returncode == 0
+        assert run.poll() is None
+        assert not ao_path(device).exists()
     finally:
         run.kill()
         run.wait()
@@ -325,21 +285,7 @@ def test_the_next_start_finishes_the_log_of_a_killed_run_without_a_clock(tmp_pat
     with Ring.attach(ring) as left:
         last = left.latest_tick()
     age_ring(ring)
-    command = run_command(device, "--fast", "--duration", "0.1", "--quiet", "--log", "next.mcap")
-    subprocess.run(command, cwd=tmp_path, check=True, timeout=PATIENCE_S, capture_output=True)
+    assert run_pamctl(*short, "--log", "next.mcap", cwd=tmp_path).returncode == 0
     assert not ring.exists()
     assert last is not None
     assert read(log)["tick"].tolist() == list(range(int(last["tick"]) + 1))
-
-
-@pytest.mark.long
-def test_signals_do_not_end_a_guardian_before_its_loop(tmp_path: Path, device: str) -> None:
-    with running(tmp_path, device) as run:
-        await_motion(run)
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            os.kill(run.pids["guardian_main"], number)
-        time.sleep(0.2)
-        os.kill(run.pids["loop_main"], signal.SIGKILL)
-        run.await_safe()
-        run.front.communicate(timeout=PATIENCE_S)
-    assert len(takeovers(run)) == 1

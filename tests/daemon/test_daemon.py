@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 import stat
 import subprocess
@@ -27,9 +28,10 @@ from support.processes.daemons import (
 )
 
 from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
+from pamctl.daemon.server import Server, SocketError, require_no_daemon
 from pamctl.log import Log, read
 from pamctl.log.check import check_log
-from pamctl.processes.backends import SHARED_MEMORY, ao_path
+from pamctl.processes.backends import SHARED_MEMORY
 from pamctl.replay import replay_log
 from pamctl.settings.resolve import resolve
 from pamctl.signals import Phase
@@ -226,38 +228,28 @@ def test_an_impossible_request_is_refused_with_the_reason(
         up.ask(method, **params)
 
 
-def test_a_second_daemon_on_the_device_or_the_socket_is_refused(up: Daemon, tmp_path: Path) -> None:
-    def another(*options: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "pamctl", "daemon", "--logs", str(tmp_path), *options]
-        return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
-
-    here = another("--socket", str(tmp_path / "s"), "--set", f"rig.sim.device={up.device}")
-    assert here.returncode == 69
-    assert "is held by process" in here.stderr
-    there = another("--socket", str(up.socket), "--set", f"rig.sim.device={up.device}-2")
-    for suffix in (".ao", ".lock"):
-        ao_path(f"{up.device}-2").with_suffix(suffix).unlink(missing_ok=True)
-    assert there.returncode == 69
-    assert "a daemon answers there already" in there.stderr
+def test_a_second_daemon_on_the_device_is_refused(up: Daemon, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "pamctl", "daemon", "--logs", str(tmp_path)]
+    command += ["--socket", str(tmp_path / "s"), "--set", f"rig.sim.device={up.device}"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert done.returncode == 69
+    assert "is held by process" in done.stderr
     assert up.state() in ("idle", "ready")
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [((), "there is something else"), (("--group", "no-such-group"), "there is no such group")],
-)
-def test_a_socket_that_cannot_be_made_neither_removes_nor_leaves_a_file(
-    tmp_path: Path, options: tuple[str, ...], said: str
+def test_a_socket_that_cannot_be_had_neither_removes_nor_leaves_a_file(
+    up: Daemon, tmp_path: Path
 ) -> None:
-    path = tmp_path / "notes.txt"
-    if not options:
-        path.write_text("mine")
-    command = [sys.executable, "-m", "pamctl", "daemon", "--logs", str(tmp_path / "logs")]
-    command += ["--socket", str(path), "--set", "rig.sim.device=test-no-socket", *options]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
-    assert done.returncode == 69
-    assert said in done.stderr
-    assert (path.read_text() == "mine") if not options else not path.exists()
+    with pytest.raises(SocketError, match="a daemon answers there already"):
+        require_no_daemon(up.socket)
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(SocketError, match="there is something else"):
+        require_no_daemon(tmp_path / "notes.txt")
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+    with pytest.raises(SocketError, match="there is no such group"):
+        asyncio.run(Server({}).listen(tmp_path / "socket", "no-such-group"))
+    assert not (tmp_path / "socket").exists()
+    assert up.state() in ("idle", "ready")
 
 
 def test_an_experiment_may_stand_in_a_file_of_any_name(up: Daemon, tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import time
 from collections.abc import Iterator
 from functools import partial
@@ -14,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.patience import PATIENCE_S
+from support.processes.children import await_gone
 from support.processes.daemons import (
     NOT_HOMED,
     SQUARE,
@@ -21,10 +21,10 @@ from support.processes.daemons import (
     as_root,
     daemon,
     nobody,
-    parked,
     run_to_its_end,
 )
 from support.processes.killing import kill_as_one
+from support.processes.rings import age_ring, await_ring
 
 from pamctl.daemon.announcements import Announcements
 from pamctl.daemon.client import DaemonDeclinedError, DaemonUnreachableError
@@ -36,6 +36,7 @@ from pamctl.log import LogError, read
 from pamctl.processes.backends import SHARED_MEMORY, ao_path, build_safe_rig
 from pamctl.replay import replay_log
 from pamctl.settings.resolve import resolve
+from pamctl.signals import Phase
 
 
 @pytest.fixture(scope="module")
@@ -53,14 +54,6 @@ def hurt(shared_hurt: Daemon) -> Iterator[Daemon]:
         shared_hurt.ask("ack")
     shared_hurt.ask("disarm")
     assert shared_hurt.state() == "idle"
-
-
-@pytest.fixture
-def own(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Daemon]:
-    """A daemon for one test that will end it."""
-    name = f"own{abs(hash(request.node.name)) % 10**6}"
-    with daemon(tmp_path, name, NOT_HOMED) as made:
-        yield made
 
 
 def holding(made: Daemon) -> Path:
@@ -84,22 +77,6 @@ def test_an_emergency_stop_is_safe_within_a_few_ticks_and_latched(hurt: Daemon) 
     ran = read(log)
     assert ran.events[-1]["reason"] == "emergency stop"
     assert replay_log(ran).is_equal
-    run_to_its_end(hurt, SQUARE)
-
-
-def test_a_daemon_that_is_restarted_remembers_its_fault_until_it_is_acknowledged(
-    tmp_path: Path,
-) -> None:
-    with daemon(tmp_path, "latch", NOT_HOMED, forget=False) as first:
-        first.ask("estop")
-        first.process.kill()
-        first.process.wait()
-    with daemon(tmp_path, "latch", NOT_HOMED) as again:
-        assert again.ask("status")["fault"] == "emergency stop"
-        with pytest.raises(DaemonDeclinedError, match="acknowledge"):
-            again.ask("start", experiment=SQUARE, name="square")
-        again.ask("ack")
-        assert Latch(ao_path(again.device).with_suffix(".fault")).reason == ""
 
 
 @as_root
@@ -113,21 +90,11 @@ def test_another_users_daemon_knows_the_fault_too_and_may_have_it_acknowledged()
     assert Latch(place / "rig.fault").reason == ""
 
 
-def test_a_safety_trip_is_latched_with_its_reason(tmp_path: Path) -> None:
-    with daemon(tmp_path, "trip", NOT_HOMED, "rig.limits.stroke_high_mm=6") as made:
-        made.ask("start", experiment=SQUARE, name="square")
-        status = made.wait_for("fault")
-        assert "stroke" in status["fault"] or "displacement" in status["fault"]
-        made.wait_safe()
-
-
 @pytest.mark.long
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_loop_that_dies_or_freezes_is_a_fault_and_the_log_is_whole(
-    hurt: Daemon, number: signal.Signals
-) -> None:
+def test_a_loop_that_freezes_is_a_fault_and_the_log_is_whole(hurt: Daemon) -> None:
+    """One that dies: `test_daemon_waits.py`, `test_state_table.py`."""
     log = holding(hurt)
-    os.kill(hurt.ask("status")["pids"]["loop"], number)
+    os.kill(hurt.ask("status")["pids"]["loop"], signal.SIGSTOP)
     hurt.wait_safe()
     status = hurt.wait_for("fault")
     assert "loop" in status["fault"]
@@ -157,19 +124,32 @@ def test_a_recorder_that_dies_is_a_fault_and_its_ticks_are_rescued(hurt: Daemon)
 
 
 @pytest.mark.long
-def test_a_daemon_that_is_killed_leaves_the_valve_safe_and_the_log_whole(own: Daemon) -> None:
-    log = holding(own)
-    pids = own.ask("status")["pids"]
-    own.process.kill()
-    own.wait_safe()
-    own.process.wait()
-    deadline_s = time.monotonic() + PATIENCE_S
-    while any(_lives(pid) for pid in pids.values()):
-        assert time.monotonic() < deadline_s
-        time.sleep(0.02)
-    ran = read(log)
-    assert ran.events[-1]["event"] == "outcome"
-    assert "commanding process" in ran.events[-1]["reason"]
+def test_a_daemon_that_is_killed_leaves_the_valve_safe_and_the_next_one_knows_its_fault(
+    tmp_path: Path,
+) -> None:
+    with daemon(tmp_path, "latch", NOT_HOMED, forget=False) as first:
+        log = holding(first)
+        pids = first.ask("status")["pids"]
+        first.process.kill()
+        first.wait_safe()
+        first.process.wait()
+        await_gone(*pids.values())
+        ran = read(log)
+        assert ran.events[-1]["event"] == "outcome"
+        assert "commanding process" in ran.events[-1]["reason"]
+    assert first.socket.exists(), "nobody was left to remove it"
+    with daemon(tmp_path, "latch", NOT_HOMED, forget=False) as second:
+        status = second.ask("status")
+        assert (status["state"], status["tick"], status["log"]) == ("idle", None, None)
+        second.ask("estop")
+        second.process.kill()
+        second.process.wait()
+    with daemon(tmp_path, "latch", NOT_HOMED) as again:
+        assert again.ask("status")["fault"] == "emergency stop"
+        with pytest.raises(DaemonDeclinedError, match="acknowledge"):
+            again.ask("start", experiment=SQUARE, name="square")
+        again.ask("ack")
+        assert Latch(ao_path(again.device).with_suffix(".fault")).reason == ""
 
 
 def children_of(daemon: int) -> list[int]:
@@ -180,39 +160,19 @@ def children_of(daemon: int) -> list[int]:
 
 @pytest.mark.long
 def test_the_next_start_after_all_were_killed_finishes_the_log_and_stays_small(
-    own: Daemon, tmp_path: Path
+    tmp_path: Path,
 ) -> None:
-    log = holding(own)
-    kill_as_one(own.process.pid, *children_of(own.process.pid))
-    own.process.wait()
+    with daemon(tmp_path, "own", NOT_HOMED) as made:
+        log = holding(made)
+        kill_as_one(made.process.pid, *children_of(made.process.pid))
+        made.process.wait()
     with pytest.raises(LogError):
         read(log)
-    time.sleep(2.1)  # a ring younger than that might belong to a run that is just starting
+    age_ring(await_ring(made.process.pid))
     with daemon(tmp_path, "next", NOT_HOMED) as after:
         assert len(read(log)) > 0
         assert f"finished {log}" in (tmp_path / "daemon.err").read_text()
         assert not holds_numpy(after)
-
-
-@pytest.mark.long
-def test_a_signal_stops_the_daemon_smoothly_and_it_exits_with_0(own: Daemon) -> None:
-    log = holding(own)
-    own.process.send_signal(signal.SIGINT)
-    assert own.process.wait(PATIENCE_S) == 0
-    assert own.is_safe()
-    ran = read(log)
-    assert np.ptp(ran["t_s"][ran["phase"] == 5]) > 0.15
-    assert not own.socket.exists()
-
-
-@pytest.mark.long
-def test_a_stop_may_last_longer_than_the_ticks_kept_between_runs(tmp_path: Path) -> None:
-    # How far behind a recorder may be is a matter of its run's ring.
-    with daemon(tmp_path, "slow", NOT_HOMED, "rig.loop.stop_ramp_s=5") as made:
-        log = holding(made)
-        made.ask("stop")
-        parked(made)
-        assert read(log).events[-1]["reason"] == "stopped by request"
 
 
 @pytest.mark.long
@@ -232,7 +192,7 @@ def test_more_signals_end_it_at_once_and_leave_no_fault(tmp_path: Path) -> None:
         assert made.is_safe()
         assert not made.socket.exists()
         ran = read(log)
-        assert np.count_nonzero(ran["phase"] == 5) < 4900, "the ramp was cut short"
+        assert np.count_nonzero(ran["phase"] == Phase.STOPPING) < 4900, "the ramp was cut short"
         assert ran.events[-1]["event"] == "outcome"
         assert not ao_path(made.device).with_suffix(".fault").exists()
 
@@ -249,30 +209,45 @@ def test_a_daemon_that_is_ending_starts_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_with_json_each_event_is_a_line_on_standard_output(
+def test_a_daemon_tells_each_event_keeps_the_newest_logs_and_ends_with_a_signal(
     tmp_path: Path,
 ) -> None:
-    with daemon(tmp_path, "json", NOT_HOMED, options=["--json"]) as made:
-        log = run_to_its_end(made, SQUARE, "square")
+    options = ["--json", "--keep", "1", "--idle-after", "1"]
+    with daemon(tmp_path, "json", NOT_HOMED, options=options) as made:
+        others = [made.logs / "20250101-000000-qsmc-tracking-1.mcap", made.logs / "mine.csv"]
+        for path in others:
+            path.touch()
+        first = run_to_its_end(made, SQUARE, "run0")
+        beside = first.with_name(f"{first.stem}-trip.csv")
+        beside.touch()
+        second = run_to_its_end(made, SQUARE, "run1")
+        assert made.wait_for("idle")["pids"] == {}
+        assert made.finished_logs() == sorted([others[0], second])
+        assert others[1].exists()
+        assert not beside.exists()
         made.ask("estop")
-        made.wait_until(lambda status: not status["pids"])
         made.ask("ack")
-        made.process.send_signal(signal.SIGTERM)
+        last = holding(made)
+        made.process.send_signal(signal.SIGINT)
         assert made.process.wait(PATIENCE_S) == 0
+        assert made.is_safe()
+        assert not made.socket.exists()
+    ran = read(last)
+    assert np.ptp(ran["t_s"][ran["phase"] == Phase.STOPPING]) > 0.15
     told = [json.loads(line) for line in made.told.read_text().splitlines()]
     assert all(event["time_s"] > 1e9 for event in told)
     assert told[0]["event"] == "listening"
     assert (told[-1]["event"], told[-1]["exit_code"]) == ("ended", 0)
-    assert told[-1]["reason"] == "stopped by SIGTERM"
+    assert told[-1]["reason"] == "stopped by SIGINT"
     events = [event["event"] for event in told if event["event"] != "state"]
-    for expected in ("run begins", "run over", "estop", "acknowledged", "ended"):
+    for expected in ("run begins", "run over", "idle", "estop", "acknowledged", "ended"):
         assert expected in events
         events = events[events.index(expected) :]
-    assert {event["log"] for event in told if event["event"] == "run over"} == {str(log)}
+    logs = [event["log"] for event in told if event["event"] == "run over"]
+    assert logs == [str(first), str(second)]
     states = [(event["state"], event["fault"]) for event in told if event["event"] == "state"]
     assert states[0] == ("idle", "")
     assert ("running", "") in states
-    assert ("fault", "emergency stop") in states
 
 
 def test_a_slow_stuck_or_gone_reader_of_events_delays_nobody() -> None:
@@ -288,47 +263,3 @@ def test_a_slow_stuck_or_gone_reader_of_events_delays_nobody() -> None:
     gone.put({"number": 1})
     gone.end()
     os.close(its)
-
-
-@pytest.mark.long
-def test_only_the_newest_logs_are_kept_and_a_session_that_is_idle_for_long_ends(
-    tmp_path: Path,
-) -> None:
-    options = ["--keep", "1", "--idle-after", "1"]
-    with daemon(tmp_path, "keep", NOT_HOMED, options=options) as made:
-        others = [made.logs / "20250101-000000-qsmc-tracking-1.mcap", made.logs / "mine.csv"]
-        for path in others:
-            path.touch()
-        first = run_to_its_end(made, SQUARE, "run0")
-        beside = first.with_name(f"{first.stem}-trip.csv")
-        beside.touch()
-        second = run_to_its_end(made, SQUARE, "run1")
-        deadline_s = time.monotonic() + PATIENCE_S
-        while first.exists():  # it is tidied once the run is over, and said to be
-            assert time.monotonic() < deadline_s
-            time.sleep(0.02)
-        assert made.finished_logs() == sorted([others[0], second])
-        assert others[1].exists()
-        assert not beside.exists()
-        assert made.wait_for("idle")["pids"] == {}
-
-
-def _lives(pid: int) -> bool:
-    try:
-        with open(f"/proc/{pid}/stat") as status:
-            return status.read().rsplit(")", 1)[1].split()[0] != "Z"
-    except OSError:
-        return False
-
-
-def test_a_dead_daemons_socket_is_replaced_by_one_that_is_idle_and_safe(
-    tmp_path: Path,
-) -> None:
-    path = tmp_path / "control.sock"
-    dead = socket.socket(socket.AF_UNIX)
-    dead.bind(str(path))
-    dead.close()
-    with daemon(tmp_path, "stale") as made:
-        status = made.ask("status")
-        assert (status["state"], status["tick"], status["log"]) == ("idle", None, None)
-        assert made.is_safe()

@@ -23,6 +23,7 @@ from support.processes.daemons import NOT_HOMED, Daemon, daemon
 from pamctl.daemon.client import Client, DaemonDeclinedError
 from pamctl.daemon.protocol import TOO_MANY, Method, NoParams
 from pamctl.daemon.server import Server
+from pamctl.processes.backends import ao_path
 
 REACHES_VALVE_S = 0.5
 """A stop that waits for its turn takes as long as the flood lasts; one that does not, milliseconds,
@@ -35,10 +36,6 @@ STOP_RAMP_S = 0.05
 VALVE_CLOSED = {"kind": "steps", "steps": [{"valve_v": 0.0, "hold_s": 600.0}]}
 """Holds the air in the muscle; the safe voltage lets it out."""
 IN_EVERY_RUN = ("a burst that nobody reads", "malformed lines with the word")
-KINDS = [
-    pytest.param(kind, marks=() if kind in IN_EVERY_RUN else pytest.mark.long)
-    for kind in flood.KINDS
-]
 
 
 @contextmanager
@@ -76,13 +73,13 @@ def leave_safe_voltage(made: Daemon) -> None:
         time.sleep(1e-3)
 
 
-def measure_stop_s(made: Daemon, stop: Callable[[], object]) -> float:
+def measure_s(stop: Callable[[], object], is_stopped: Callable[[], bool]) -> float:
     """Return how long a stop takes, without the longest time that this process got no CPU."""
-    assert not made.is_safe()
+    assert not is_stopped()
     began_s = last_s = time.monotonic()
     longest_pause_s = 0.0
     stop()
-    while not made.is_safe():
+    while not is_stopped():
         assert time.monotonic() < began_s + PATIENCE_S
         time.sleep(2e-4)
         now_s = time.monotonic()
@@ -102,18 +99,34 @@ def parked(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
         yield made
 
 
-@pytest.mark.parametrize("kind", KINDS)
+def estop(made: Daemon, client: socket.socket) -> None:
+    client.connect(str(made.socket))
+    client.sendall(b'{"jsonrpc":"2.0","id":7,"method":"estop"}\n')
+
+
+@pytest.mark.parametrize("kind", IN_EVERY_RUN)
 def test_an_emergency_stop_reaches_the_valve_at_once_in_a_flood(parked: Daemon, kind: str) -> None:
     took_s = []
     for _ in range(TRIES):
         leave_safe_voltage(parked)
         with flooded(parked, kind), socket.socket(socket.AF_UNIX) as client:
+            took_s.append(measure_s(lambda c=client: estop(parked, c), parked.is_safe))
+            assert json.loads(client.makefile("rb").readline())["id"] == 7
+        retry(lambda: parked.ask("ack"))
+        if has_median_below(took_s, REACHES_VALVE_S):
+            return
+    pytest.fail(f"{took_s} s")
 
-            def stop(client: socket.socket = client) -> None:
-                client.connect(str(parked.socket))
-                client.sendall(b'{"jsonrpc":"2.0","id":7,"method":"estop"}\n')
 
-            took_s.append(measure_stop_s(parked, stop))
+@pytest.mark.long
+@pytest.mark.parametrize("kind", [kind for kind in flood.KINDS if kind not in IN_EVERY_RUN])
+def test_an_emergency_stop_is_carried_out_at_once_in_any_flood(parked: Daemon, kind: str) -> None:
+    """Without a loop it is as quick to begin again; the order to the loop is a word in memory."""
+    took_s = []
+    latch = ao_path(parked.device).with_suffix(".fault")
+    for _ in range(TRIES):
+        with flooded(parked, kind), socket.socket(socket.AF_UNIX) as client:
+            took_s.append(measure_s(lambda c=client: estop(parked, c), latch.exists))
             assert json.loads(client.makefile("rb").readline())["id"] == 7
         retry(lambda: parked.ask("ack"))
         if has_median_below(took_s, REACHES_VALVE_S):
@@ -131,7 +144,7 @@ def test_a_signal_stops_the_valve_at_once_in_a_flood(tmp_path: Path) -> None:
             leave_safe_voltage(made)
             with flooded(made, "a burst that nobody reads"):
                 end = made.process.send_signal
-                took_s.append(measure_stop_s(made, lambda end=end: end(signal.SIGTERM)))
+                took_s.append(measure_s(lambda end=end: end(signal.SIGTERM), made.is_safe))
                 assert made.process.wait(PATIENCE_S) == 0
         if has_median_below(took_s, STOP_RAMP_S + REACHES_VALVE_S):
             return

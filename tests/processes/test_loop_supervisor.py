@@ -126,3 +126,16 @@ def test_a_full_disk_leaves_time_for_a_smooth_stop(ring: Ring) -> None:
     supervisor = make_supervisor(ring)
     ring.raise_flag(RecorderFlag.FAILED | RecorderFlag.DISK_FULL)
     assert ask_for_stop(supervisor, 8) == ("the log's disk is full", False)
+
+
+def test_a_stop_may_last_longer_than_the_ticks_kept_between_runs(
+    ring: Ring, tmp_path: Path
+) -> None:
+    """How far behind a recorder may be is a matter of its run's ring."""
+    pace = LoopSettings(stop_ramp_s=5.0)
+    supervisor = LoopSupervisor(ring, None, pace)
+    with Ring.create(tmp_path / "run.ring", meta(tmp_path / "b.mcap"), pace.ring_rows) as run:
+        for recorded in (None, run):
+            supervisor.watch_recording(recorded)
+            ring.guardian_beats += 1
+            assert ask_for_stop(supervisor, 40) is None

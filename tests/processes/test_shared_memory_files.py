@@ -12,22 +12,25 @@ from pathlib import Path
 
 import pytest
 from standin.standin import Card
-from support.patience import BUSY_PC, PATIENCE_S
+from support.patience import PATIENCE_S
 from support.processes.card_runs import OWN_SAFE_V, of, own
 from support.processes.daemons import AO_STEP_V, as_root
 
 from hal.reservation import open_shared
 from hal.rig import RigError
 from hal.sim import SharedRegister, peek_v
+from pamctl.daemon.shelf import Latch
+from pamctl.processes import backends
 from pamctl.processes.backends import SHARED_MEMORY
+from pamctl.recording.recorder import finish_orphans
 from pamctl.recording.ring import Ring, RingError
+from pamctl.settings.resolve import resolve
 
 assert own  # a fixture
 
 PAMCTL = str(Path(sys.executable).with_name("pamctl"))
 DEVICE = "shared0"
 ON_DEVICE = ("--set", f"rig.sim.device={DEVICE}")
-RUN = ("run", "--quiet", "--duration", "0.1", "--log", "run.mcap", *ON_DEVICE)
 FULL = """mount -t tmpfs -o size=12k tmpfs "$0" && {} cat /dev/zero >"$0/filler"
 "$@"; code=$?; cp "$0"/*.ao . 2>/dev/null; exit $code"""
 """A shell script that fills a shared memory which nobody else sees, and keeps the output."""
@@ -119,10 +122,9 @@ def assert_untouched(path: Path) -> None:
         assert target.read_text() == "not for everybody"
 
 
-@pytest.mark.parametrize("put", TRICKS)
-def test_a_daemon_refuses_a_fault_file_that_pamctl_did_not_make(shared: Path, put: Trick) -> None:
+def test_a_daemon_refuses_a_fault_file_that_pamctl_did_not_make(shared: Path) -> None:
     path = shared / f"pamctl-{DEVICE}.fault"
-    put(path)
+    put_link(path)
     done = run_verb("daemon", "--socket", shared / "d.sock", *ON_DEVICE)
     assert done.returncode == 69, done.stderr
     assert str(path) in done.stderr.splitlines()[-1]
@@ -134,29 +136,30 @@ def test_a_daemon_refuses_a_fault_file_that_pamctl_did_not_make(shared: Path, pu
 def test_no_file_that_pamctl_did_not_make_is_opened(shared: Path, put: Trick) -> None:
     path = shared / f"pamctl-{DEVICE}.ao"
     put(path)
-    with pytest.raises(RigError, match=re.escape(str(path))):
-        open_shared(path, 8)
+    for use in (lambda: open_shared(path, 8), lambda: Latch(path)):
+        with pytest.raises(RigError, match=re.escape(str(path))):
+            use()
     assert_untouched(path)
 
 
-@pytest.mark.parametrize("kind", ["ao", "lock"])
-def test_a_run_refuses_files_of_its_device_that_pamctl_did_not_make(
-    shared: Path, kind: str
+def test_a_run_refuses_a_lock_that_pamctl_did_not_make(
+    shared: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = shared / f"pamctl-{DEVICE}.{kind}"
+    monkeypatch.setattr(backends, "SHARED_MEMORY", shared)
+    path = shared / f"pamctl-{DEVICE}.lock"
     put_link_to_nothing(path)
-    done = run_verb(*RUN)
-    assert done.returncode == 69, done.stderr
-    assert str(path) in done.stderr.splitlines()[-1]
+    with (
+        pytest.raises(RigError, match=re.escape(str(path))),
+        backends.secure_device(resolve(overrides=[ON_DEVICE[1]]).rig),
+    ):
+        pytest.fail("the device was had")
     assert_untouched(path)
 
 
 def test_no_ring_that_pamctl_did_not_make_stops_a_start(shared: Path) -> None:
     for put in (put_pipe, put_link, put_link_to_nothing):
         put(shared / f"pamctl-1-{put.__name__}.ring")
-    patient = [p for one in ("rig.homing.enabled=false", *BUSY_PC) for p in ("--set", one)]
-    done = run_verb(*RUN, *patient)
-    assert done.returncode == 0, done.stderr
+    finish_orphans(shared, quiet=True)
     assert_untouched(shared / "a.ring")
 
 

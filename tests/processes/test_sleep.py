@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -16,7 +15,7 @@ import pytest
 from standin.standin import Card
 from support.made_up import meta
 from support.patience import BUSY_PC, PATIENCE_S
-from support.processes.card_runs import AT_ONCE, OWN_SAFE_V, await_writes, own, start
+from support.processes.card_runs import AT_ONCE, OWN_SAFE_V, await_writes, log_of, own, start
 from support.processes.children import PARTS, await_children
 from support.processes.daemons import AO_STEP_V, NOT_HOMED, SAFE_V, daemon
 from support.processes.rings import await_tick
@@ -26,7 +25,6 @@ from hal.sim import peek_v
 from pamctl.commissioning.bench import LimitError, open_workplace
 from pamctl.commissioning.pc_checks import check_sleep
 from pamctl.daemon.client import DaemonDeclinedError
-from pamctl.log.reader import read
 from pamctl.processes import keep_awake
 from pamctl.processes.backends import ao_path
 from pamctl.processes.guardian import LoopProcess, guard
@@ -60,51 +58,46 @@ def start_run(folder: Path, environment: dict[str, str]) -> subprocess.Popen[str
     return subprocess.Popen(RUN, cwd=folder, env=environment, stdout=out, stderr=out, text=True)
 
 
-def test_a_run_over_which_the_pc_slept_trips_with_its_reason(
-    pc: SleepingPc, tmp_path: Path
-) -> None:
-    with start_run(tmp_path, pc.environment) as front:
-        await_tick(front.pid, lambda tick: tick["valve_v"] > 0.0)
-        pc.sleep([front.pid, *await_children(front.pid, *PARTS).values()], SLEEP_S)
-        told, said = front.communicate(timeout=PATIENCE_S)
-    assert front.returncode == 4, said
-    assert "the PC slept for 1." in json.loads(told)["reason"]
-    assert peek_v(ao_path(DEVICE)) == SAFE_V
-    outcome = read(tmp_path / "run.mcap").events[-1]
-    assert outcome["event"] == "outcome"
-    assert "the PC slept for 1." in outcome["reason"]
-
-
 @pytest.mark.long
-@pytest.mark.parametrize("timing", ["on_demand", "hardware_timed"])
-def test_a_card_is_at_its_safe_voltage_after_the_pc_slept(
-    pc: SleepingPc, own: Card, timing: str
-) -> None:
-    asleep = {name: pc.environment[name] for name in ("LD_PRELOAD", "SLEPT_FILE")}
-    front = start(own, *AT_ONCE, "--set", f"rig.nidaq.timing={timing}", "--rt", "off", **asleep)
+def test_a_card_is_at_its_safe_voltage_after_the_pc_slept(pc: SleepingPc, own: Card) -> None:
+    timed = ("--set", "rig.nidaq.timing=hardware_timed", "--rt", "off")
+    front = start(own, *AT_ONCE, *timed, **pc.environment)
     await_writes(own, front, 300)
     pc.sleep([front.pid, *await_children(front.pid, *PARTS).values()], SLEEP_S)
     _, said = front.communicate(timeout=PATIENCE_S)
     assert front.returncode == 4, said
     assert "safety trip: the PC slept for 1." in said
     assert own.output_v == pytest.approx(OWN_SAFE_V, abs=AO_STEP_V)
+    outcome = log_of(own).events[-1]
+    assert outcome["event"] == "outcome"
+    assert "the PC slept for 1." in outcome["reason"]
 
 
 @pytest.mark.long
-def test_a_hold_over_which_the_pc_slept_is_a_fault_to_acknowledge(
+def test_a_daemon_forbids_sleep_while_it_holds_and_a_sleep_is_a_fault_to_acknowledge(
     pc: SleepingPc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv("PATH", put_inhibit(tmp_path, "exec cat")["PATH"])
     for name, value in pc.environment.items():
         monkeypatch.setenv(name, value)
+    monkeypatch.chdir(tmp_path)
+
+    def count_holders() -> int:
+        children = children_of(made.process.pid)
+        return sum(Path(f"/proc/{child}/comm").read_text() == "cat\n" for child in children)
+
     with daemon(tmp_path, "asleep", NOT_HOMED) as made:
+        assert count_holders() == 0
         made.ask("goto", position_m=8e-3, within_s=0.5)
         made.wait_until(lambda s: s["state"] == "ready" and not made.is_safe())
-        children = children_of(made.process.pid)
-        pc.sleep([made.process.pid, *children], SLEEP_S)
+        assert count_holders() == 1
+        pc.sleep([made.process.pid, *children_of(made.process.pid)], SLEEP_S)
         made.wait_safe()
         assert "the PC slept for 1." in made.wait_for("fault")["fault"]
         with pytest.raises(DaemonDeclinedError, match="acknowledge"):
             made.ask("goto", position_m=8e-3, within_s=0.5)
+        made.wait_until(lambda s: not s["pids"])
+        assert count_holders() == 0
 
 
 def children_of(pid: int) -> list[int]:
@@ -181,42 +174,16 @@ def await_lines(path: Path, holds: Callable[[list[str]], bool]) -> None:
         time.sleep(0.02)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_a_run_forbids_sleep_until_it_ends_however_it_ends(
-    tmp_path: Path, number: signal.Signals
-) -> None:
+def test_a_run_forbids_sleep_until_it_ends_however_it_ends(tmp_path: Path) -> None:
     environment = put_inhibit(tmp_path, "cat")
     with start_run(tmp_path, environment) as front:
         await_tick(front.pid, lambda tick: tick["tick"] > 10)
         (line,) = (tmp_path / "inhibited").read_text().splitlines()
         assert "--what=sleep" in line
         assert "--mode=block" in line
-        front.send_signal(number)
+        front.kill()
         front.communicate(timeout=PATIENCE_S)
-    if number == signal.SIGKILL:
-        await_lines(tmp_path / "inhibited", lambda lines: lines[-1] == "released")
-
-
-@pytest.mark.long
-def test_a_daemon_forbids_sleep_while_it_holds_and_no_longer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("PATH", put_inhibit(tmp_path, "exec cat")["PATH"])
-    monkeypatch.chdir(tmp_path)
-
-    def count_holders(pid: int) -> int:
-        children = children_of(pid)
-        return sum(Path(f"/proc/{child}/comm").read_text() == "cat\n" for child in children)
-
-    with daemon(tmp_path, "awake", NOT_HOMED) as made:
-        pid = made.process.pid
-        assert count_holders(pid) == 0
-        made.ask("goto", position_m=8e-3, within_s=0.5)
-        made.wait_until(lambda s: s["state"] == "ready")
-        assert count_holders(pid) == 1
-        made.ask("disarm")
-        made.wait_until(lambda s: s["state"] == "idle")
-        assert count_holders(pid) == 0
+    await_lines(tmp_path / "inhibited", lambda lines: lines[-1] == "released")
 
 
 @pytest.fixture

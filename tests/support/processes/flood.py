@@ -109,7 +109,7 @@ def main() -> None:
     clients, flood = KINDS[kind]
     for _ in range(clients):
         threading.Thread(target=_flood, args=(flood, path), daemon=True).start()
-    time.sleep(0.3)
+    time.sleep(0.2)
     print("flooding", flush=True)
     sys.stdin.read()
     os._exit(0)

@@ -60,8 +60,8 @@ class SleepingPc:
 
     @property
     def environment(self) -> dict[str, str]:
-        """The environment of processes that sleep with the PC."""
-        return {**os.environ, "LD_PRELOAD": str(self._library), "SLEPT_FILE": str(self._file)}
+        """What processes that sleep with the PC have in their environment."""
+        return {"LD_PRELOAD": str(self._library), "SLEPT_FILE": str(self._file)}
 
     def sleep(self, pids: Iterable[int], seconds: float) -> None:
         """Let the processes sleep for so long."""

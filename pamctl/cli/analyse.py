@@ -20,16 +20,10 @@ from pamctl.cli.options import (
     option,
     verb,
 )
-from pamctl.cli.output import PAGE_BEGIN, print_report, print_result, tell, warn
+from pamctl.cli.output import PAGE_BEGIN, Saving, print_report, print_result, tell, warn
 from pamctl.exit_codes import ExitCode
 from pamctl.json_text import to_json
-from pamctl.new_file import (
-    NewFileError,
-    require_empty_folder,
-    require_folder,
-    require_place,
-    write_files,
-)
+from pamctl.new_file import require_empty_folder, require_folder, require_place, write_files
 
 if TYPE_CHECKING:
     from pamctl.log import Log
@@ -147,16 +141,13 @@ def _run_what_if(log: Log, asked: ReplayOptions) -> ExitCode:
 
     settings = replace_law(read_replay_source(log).settings, asked.controller, asked.overrides)
     answer = run_what_if(log, settings, from_s=asked.from_s)
-    failure = None
-    if asked.csv is not None:
-        try:
+    with Saving() as saving:
+        if asked.csv is not None:
             answer.write_csv(asked.csv)
-        except NewFileError as error:
-            failure = error
-    saved = None if asked.csv is None or failure else str(asked.csv)
+    saved = None if asked.csv is None or saving.failure else str(asked.csv)
     found = report_what_if(log, settings, asked.controller or "the changed law", answer)
     found.document = {**found.document, "csv": saved}
-    print_report(found, as_json=asked.as_json, failure=failure)
+    print_report(found, as_json=asked.as_json, failure=saving.failure)
     return ExitCode.OK
 
 
@@ -212,17 +203,14 @@ def compare(asked: CompareOptions) -> None:
         print_result(documents, text, as_json=asked.as_json)
         return
     (one,) = reports
-    failure = None
-    if plot is not None:
-        try:
+    with Saving() as saving:
+        if plot is not None:
             page = write_html(one, interactive=asked.interactive)
             write_files({plot: page}, replaces=PAGE_BEGIN)
-        except NewFileError as error:
-            failure = error
-    saved = None if plot is None or failure else str(plot)
+    saved = None if plot is None or saving.failure else str(plot)
     one.document = {**one.document, "plot": saved}
     end = f"\nplots: {saved}" if saved else ""
-    print_report(one, as_json=asked.as_json, failure=failure, end=end)
+    print_report(one, as_json=asked.as_json, failure=saving.failure, end=end)
 
 
 # --- health -----------------------------------------------------------------------------------
@@ -269,13 +257,10 @@ def health(asked: HealthOptions) -> None:
     }
     if found.plant is not None:
         files["plant.yaml"] = format_good_plant(found)
-    failure = None
-    try:
+    with Saving() as saving:
         write_files({asked.out / name: content for name, content in files.items()})
-    except NewFileError as error:
-        failure = error
     end = f"\n\n{asked.out}: {', '.join(files)}"
-    print_report(report, as_json=asked.as_json, failure=failure, end=end)
+    print_report(report, as_json=asked.as_json, failure=saving.failure, end=end)
 
 
 # --- reproduce --------------------------------------------------------------------------------
@@ -311,11 +296,9 @@ def reproduce(asked: ReproduceOptions) -> None:
         require_place(numbers, replaces=_NUMBERS_BEGIN)
     with WorkProgress("reproduce") as progress:
         made = reproduce_paper(parts, asked.seed, progress)
-    end, failure = f"\n\npage: {page}\nnumbers: {numbers}", None
-    written = to_json(made.document).decode() + "\n"
-    try:
+    with Saving() as saving:
         write_files({page: write_html(made)}, replaces=PAGE_BEGIN)
+        written = to_json(made.document).decode() + "\n"
         write_files({numbers: written}, replaces=_NUMBERS_BEGIN)
-    except NewFileError as error:
-        end, failure = "", error
-    print_report(made, as_json=asked.as_json, failure=failure, end=end)
+    end = "" if saving.failure else f"\n\npage: {page}\nnumbers: {numbers}"
+    print_report(made, as_json=asked.as_json, failure=saving.failure, end=end)

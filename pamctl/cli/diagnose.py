@@ -28,10 +28,10 @@ from pamctl.cli.options import (
     require_linux,
     verb,
 )
-from pamctl.cli.output import print_report, print_result, read_records, tell
+from pamctl.cli.output import Saving, print_report, print_result, read_records, tell
 from pamctl.cli.settings_from_options import find_argument_file
 from pamctl.exit_codes import ExitCode, end_on_signals, name_interrupt
-from pamctl.new_file import NewFileError, require_empty_folder
+from pamctl.new_file import require_empty_folder
 from pamctl.plain_text import hint_at_nearest
 from pamctl.settings.resolve import resolve
 
@@ -130,13 +130,12 @@ def diagnose(asked: DiagnoseOptions) -> None:
     except KeyboardInterrupt as interrupt:
         raise Failed(name_interrupt(interrupt), "interrupted; nothing is kept") from None
     names = [path.name for path in (*asked.logs, *asked.holdout)]
-    failure, end = None, ""
-    try:
+    end = ""
+    with Saving() as saving:
         written = write_diagnosis(diagnosis, out, names, records, interactive=asked.interactive)
         end = f"\n\n{out}: {', '.join(written)}"
-    except NewFileError as error:
-        failure = error
-    print_report(report_diagnosis(diagnosis), as_json=asked.as_json, failure=failure, end=end)
+    said = report_diagnosis(diagnosis)
+    print_report(said, as_json=asked.as_json, failure=saving.failure, end=end)
     raise typer.Exit(ExitCode.BAD_DATA if diagnosis.reason else code)
 
 
@@ -230,15 +229,13 @@ def _finish(investigation: Any, asked: DiagnoseOptions, code: ExitCode, reason: 
     found = investigation.diagnosis
     if found is None:
         raise Failed(code, f"{reason}; nothing was diagnosed yet")
-    failure, end = None, ""
-    try:
+    end = ""
+    with Saving() as saving:
         end = f"\n\n{asked.out}: {', '.join(write_investigation(investigation, asked.out))}"
-    except NewFileError as error:
-        failure = error
     report = report_diagnosis(found)
     tell_rounds(report, investigation)
     report.document = {**report.document, "on_rig": investigation.as_dict()}
-    print_report(report, as_json=asked.as_json, failure=failure, end=end)
+    print_report(report, as_json=asked.as_json, failure=saving.failure, end=end)
     if reason:
         print_error(reason)
     raise typer.Exit(code)

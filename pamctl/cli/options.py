@@ -64,16 +64,32 @@ def option(
     of None means. With `...` for a default it is required; a range of seconds is told in the help.
     """
     name, _, metavar = spelled.partition(" ")
+    limits: dict[str, Any] = {"min": low, "max": high}
     if metavar == "SECONDS" and (low is not None or above is not None):
-        most = math.inf if high is None else high
-        info = seconds_option(
-            name, told, at_least=low, more_than=above, at_most=most, show_default=shown
-        )
-    else:
-        info = typer.Option(
-            name, metavar=metavar or None, help=told, show_default=shown, min=low, max=high
-        )
-    return _Declared(info, default)
+        least = f"more than {above:g}" if low is None else f"at least {low:g}"
+        told_range = f"{least} s" if high is None else f"{least} and at most {high:g} s"
+        told, limits = f"{told}, {told_range}", {}
+        limits["callback"] = _check_seconds(told_range, low, above or 0.0, high)
+    made = typer.Option(name, metavar=metavar or None, help=told, show_default=shown, **limits)
+    return _Declared(made, default)
+
+
+def _check_seconds(
+    told_range: str, low: float | None, above: float, high: float | None
+) -> Callable[[float | None], float | None]:
+    """Return what leaves with 2 outside a range; typer's own ranges call nan too small."""
+
+    def check(seconds: float | None) -> float | None:
+        if seconds is None:
+            return None
+        if not math.isfinite(seconds):
+            raise typer.BadParameter(f"must be finite and {told_range} (got {seconds:g})")
+        is_low = seconds <= above if low is None else seconds < low
+        if is_low or (high is not None and seconds > high):
+            raise typer.BadParameter(f"must be {told_range} (got {seconds:g})")
+        return seconds
+
+    return check
 
 
 def flag(name: str, told: str) -> Any:
@@ -239,49 +255,6 @@ def require_one_place(cluster: str | None, jobs: int | None) -> None:
     if cluster is not None and jobs is not None:
         message = "are workers on this machine: a cluster has its own"
         raise typer.BadParameter(message, param_hint="--jobs")
-
-
-# --- times ------------------------------------------------------------------------------------
-
-
-def seconds_option(
-    name: str,
-    help_text: str,
-    *,
-    at_least: float | None = None,
-    more_than: float | None = None,
-    at_most: float = math.inf,
-    show_default: bool | str = True,
-) -> Any:
-    """Return an option in seconds that leaves with 2 outside its range; the help shows the range.
-
-    Give one of `at_least` and `more_than`. typer's own ranges call nan too small.
-    """
-    low = f"at least {at_least:g}" if at_least is not None else f"more than {more_than:g}"
-    limits = f"{low} and at most {at_most:g} s" if math.isfinite(at_most) else f"{low} s"
-    return typer.Option(
-        name,
-        metavar="SECONDS",
-        help=f"{help_text}, {limits}",
-        show_default=show_default,
-        callback=_check_seconds(limits, at_least, more_than, at_most),
-    )
-
-
-def _check_seconds(
-    limits: str, at_least: float | None, more_than: float | None, at_most: float
-) -> Callable[[float | None], float | None]:
-    def check(seconds: float | None) -> float | None:
-        if seconds is None:
-            return None
-        if not math.isfinite(seconds):
-            raise typer.BadParameter(f"must be finite and {limits} (got {seconds:g})")
-        is_low = seconds < at_least if at_least is not None else seconds <= (more_than or 0.0)
-        if is_low or seconds > at_most:
-            raise typer.BadParameter(f"must be {limits} (got {seconds:g})")
-        return seconds
-
-    return check
 
 
 # --- where a verb works -----------------------------------------------------------------------

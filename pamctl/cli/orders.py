@@ -32,7 +32,6 @@ from pamctl.cli.options import (
     list_fields,
     option,
     require_linux,
-    seconds_option,
     verb,
 )
 from pamctl.cli.output import print_result
@@ -110,23 +109,23 @@ def _make_parameter(order: Order, name: str) -> inspect.Parameter:
     extra: Any = field.json_schema_extra or {}
     limits = {type(each).__name__: each for each in field.metadata}
     bare, _, unit = name.rpartition("_")
-    option = extra.get("option", f"--{bare if unit == 's' else name}".replace("_", "-"))
+    spelled = extra.get("option", f"--{bare if unit == 's' else name}".replace("_", "-"))
     shown: Any = {"help": field.description, "metavar": field.title}
     kind: Any = field.annotation
     made: Any
     if unit == "s":
-        made = seconds_option(
-            option,
+        made = option(
+            f"{spelled} SECONDS",
             field.description or "",
-            at_least=getattr(limits.get("Ge"), "ge", None),
-            more_than=getattr(limits.get("Gt"), "gt", None),
-            at_most=getattr(limits.get("Le"), "le", math.inf),
-            show_default=extra.get("default", True),
-        )
+            shown=extra.get("default", True),
+            low=getattr(limits.get("Ge"), "ge", None),
+            above=getattr(limits.get("Gt"), "gt", None),
+            high=getattr(limits.get("Le"), "le", None),
+        ).info
     elif unit == "m":
         kind, made = str, typer.Argument(callback=parse_position_m, **shown)
     else:
-        made = typer.Argument(**shown) if field.is_required() else typer.Option(option, **shown)
+        made = typer.Argument(**shown) if field.is_required() else typer.Option(spelled, **shown)
     default = inspect.Parameter.empty if field.is_required() else field.default
     keyword = inspect.Parameter.KEYWORD_ONLY
     return inspect.Parameter(name, keyword, default=default, annotation=Annotated[kind, made])

@@ -71,6 +71,22 @@ def read_records(paths: Iterable[Path], map_path: Path | None = None) -> list[Re
     return records
 
 
+class Saving:
+    """A block that writes results. Why it could not is kept: the results are printed then."""
+
+    failure: NewFileError | None = None
+
+    def __enter__(self) -> Saving:
+        """Return itself."""
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> bool:
+        """Keep a failure to write; every other error goes on."""
+        if isinstance(error, NewFileError):
+            self.failure = error
+        return self.failure is not None
+
+
 def print_report(
     report: Report, *, as_json: bool, failure: NewFileError | None = None, end: str = ""
 ) -> None:

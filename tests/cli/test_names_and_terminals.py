@@ -115,29 +115,26 @@ for words in walk(get_command(app), []):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("encoding", ["latin-1", "ascii"])
-def test_the_help_of_every_verb_is_shown_where_the_terminal_lacks_characters(encoding) -> None:
-    environment = {**os.environ, "PYTHONIOENCODING": encoding}
+def test_the_help_of_every_verb_is_shown_where_the_terminal_lacks_characters() -> None:
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
     done = subprocess.run(
         [sys.executable, "-c", _HELP_OF_ALL], env=environment, capture_output=True, check=False
     )
     assert done.returncode == 0, done.stderr.decode()[-2000:]
-    text = done.stdout.decode(encoding)
+    text = done.stdout.decode("ascii")
     assert text.count("--help") > 40
     assert "?" in text
 
 
 def test_a_result_is_printed_where_the_terminal_lacks_characters(tmp_path: Path) -> None:
     log = shutil.copy(GOLDEN / "qsmc.mcap", tmp_path / "\u4e2d.mcap")
-    environment = {**os.environ, "PYTHONIOENCODING": "latin-1"}
-    for words in (["runs", "--help"], ["log", "check", str(log)]):
-        done = subprocess.run(
-            [sys.executable, "-m", "pamctl", *words],
-            env=environment,
-            capture_output=True,
-            check=False,
-        )
-        assert done.returncode == 0, done.stderr.decode()
+    done = subprocess.run(
+        [sys.executable, "-m", "pamctl", "log", "check", str(log)],
+        env={**os.environ, "PYTHONIOENCODING": "latin-1"},
+        capture_output=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr.decode()
 
 
 def test_help_is_shown_where_there_is_no_locale_and_keeps_its_brackets() -> None:

@@ -108,22 +108,26 @@ def test_an_audit_has_a_word_for_every_effect_of_the_catalogue(plant, folder):
     assert all(spot["why"] for spot in audit["unasked"])
 
 
+@pytest.fixture(scope="module")
+def of_a_muscle() -> Any:
+    return invoke("audit", "diagnosis")
+
+
 @pytest.mark.long
-def test_the_audit_of_a_muscle_asks_for_every_effect_that_a_muscle_may_have():
-    unasked = {spot["name"] for spot in invoke("audit", "square-1")["unasked"]}
+def test_the_audit_of_a_muscle_asks_for_every_effect_that_a_muscle_may_have(of_a_muscle):
+    unasked = {spot["name"] for spot in of_a_muscle["unasked"]}
     assert unasked == {n for n, effect in CATALOGUE.items() if "muscle" not in effect.actuators}
 
 
 @pytest.mark.long
-def test_what_is_said_of_the_moving_mass_follows_from_the_plant_at_hand(tmp_path):
+def test_what_is_said_of_the_moving_mass_follows_from_the_plant_at_hand(of_a_muscle, tmp_path):
     """The size from which it shows is that of two finely stepped plants side by side."""
     heavy = tmp_path / "heavy.yaml"
     heavy.write_text("parameters: {mass_kg: 2.2}\n")
     light_spot, heavy_spot = (
-        next(s for s in invoke("audit", "diagnosis", *plant)["blind_spots"]
-             if s["name"] == "moving_mass")
-        for plant in ((), ("--plant", heavy))
-    )  # fmt: skip
+        next(spot for spot in audit["blind_spots"] if spot["name"] == "moving_mass")
+        for audit in (of_a_muscle, invoke("audit", "square-1", "--plant", heavy))
+    )
     assert "M / c = 0.088 ms" in light_spot["why"]
     assert "M / c = 3.9 ms" in heavy_spot["why"]
     assert "no experiment" not in light_spot["why"]

@@ -38,12 +38,11 @@ Tell = Callable[[str], object]
 class SweepRunner(Protocol):
     """Makes one run, by itself or through the daemon."""
 
+    goes_on: bool
+    """Whether the next run may follow one that failed: not where a real muscle moves."""
+
     def __call__(self, run: SweepRun, said: Annotation, record: Mapping[str, str]) -> Ending:
         """Run to the end; `said` and the metadata `record` go into its log."""
-
-    @property
-    def goes_on(self) -> bool:
-        """Whether the next run may follow one that failed: not where a real muscle moves."""
 
 
 class SweepPlan(NamedTuple):
@@ -82,8 +81,11 @@ def run_sweep(sweep: SweepPlan, runner: SweepRunner, tell: Tell) -> SweepEnd:
     said = sweep.said.add_tag(sweep.name)
     for number, run in enumerate(left, 1):
         tell(f"run {number} of {len(left)}: {run.title}")
+        point = to_json(run.point).decode()
+        place = {"point": point, "repeat": str(run.repeat)}
+        record = {"name": sweep.name, "base": sweep.base, **place}
         try:
-            ended = runner(run, said, _make_record(sweep, run))
+            ended = runner(run, said, record)
         except KeyboardInterrupt:
             ended = Ending(ExitCode.SIGINT, "stopped by SIGINT")
         if ended.code in _INTERRUPTED or (ended.code and not runner.goes_on):
@@ -123,11 +125,6 @@ def find_runs(sweep: SweepPlan, *, whatever_ending: bool = False) -> dict[str, R
     return found
 
 
-def _make_record(sweep: SweepPlan, run: SweepRun) -> dict[str, str]:
-    point = to_json(run.point).decode()
-    return {"name": sweep.name, "base": sweep.base, "point": point, "repeat": str(run.repeat)}
-
-
 class OwnRunner:
     """Makes each run with its own processes. The muscle is homed again before each."""
 
@@ -140,6 +137,7 @@ class OwnRunner:
     ) -> None:
         """`points` are the settings of each point, by its number."""
         self._points = points
+        self.goes_on = points[0].rig.record.is_simulated
         self._names = dict(names)
         self._folder = folder
         self._progress = progress
@@ -156,11 +154,6 @@ class OwnRunner:
         points = [request.read_point(settings_to_data(settings)) for settings in self._points]
         mark = request.mark_base({**settings_to_data(base), "names": self._names})
         return SweepPlan(name, mark, list_runs(points, repeats), self._folder, said)
-
-    @property
-    def goes_on(self) -> bool:
-        """A simulated muscle cannot be hurt."""
-        return self._points[0].rig.record.is_simulated
 
     def __call__(self, run: SweepRun, said: Annotation, record: Mapping[str, str]) -> Ending:
         """Run once, with a seed of its own: repeats under one seed would be copies."""
@@ -186,6 +179,9 @@ _LOOK_EVERY_S = 0.1
 class DaemonRunner:
     """Asks a daemon for each run; a context manager that puts the gains back at its end."""
 
+    goes_on = False
+    """A fault of the daemon waits for a person, who acknowledges it."""
+
     def __init__(self, client: Client, settings: RunSettings, name: str) -> None:
         """Of `settings` only experiment and duration count; `name` is that of the experiment.
 
@@ -205,7 +201,7 @@ class DaemonRunner:
         self, request: SweepRequest, repeats: int, name: str, said: Annotation
     ) -> SweepPlan:
         """Return what is to be run; raise SweepError where the daemon could not run it."""
-        others = [one.key for one in request.swept if not one.key.startswith("controller.")]
+        others = [key for key in request.swept if not key.startswith("controller.")]
         if wrong := [*others, *request.fixed]:
             why = "on the daemon only keys of the controller are swept, and nothing else is set"
             raise SweepError(f"--set {wrong[0]}: {why}")
@@ -223,11 +219,6 @@ class DaemonRunner:
         points = [request.read_point(settings_to_data(settings)) for settings in changed]
         mark = request.mark_base(known)
         return SweepPlan(name, mark, list_runs(points, repeats), self._folder, said)
-
-    @property
-    def goes_on(self) -> bool:
-        """A fault of the daemon waits for a person, who acknowledges it."""
-        return False
 
     def __enter__(self) -> DaemonRunner:
         """Return itself."""

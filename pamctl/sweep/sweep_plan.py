@@ -28,22 +28,16 @@ class SweepError(Exception):
     exit_code = ExitCode.USAGE
 
 
-class SweptSetting(NamedTuple):
-    """A setting with its values, as they were written."""
-
-    key: str
-    values: tuple[str, ...]
-
-
 class SweepRequest(NamedTuple):
     """What `--set` says: settings that are swept, and overrides that are the same in all runs."""
 
-    swept: tuple[SweptSetting, ...]
+    swept: Mapping[str, Sequence[str]]
+    """The values of each key, as they were written."""
     fixed: tuple[str, ...]
 
     def list_points(self) -> list[tuple[str, ...]]:
         """Return the overrides `key=value` of every combination, the last key fastest."""
-        options = [[f"{one.key}={value}" for value in one.values] for one in self.swept]
+        options = [[f"{key}={value}" for value in values] for key, values in self.swept.items()]
         return list(product(*options))
 
     def list_overrides(self) -> list[tuple[str, ...]]:
@@ -52,15 +46,15 @@ class SweepRequest(NamedTuple):
 
     def read_point(self, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Return the swept settings by key, as they were understood."""
-        return {one.key: _read_setting(settings, one.key) for one in self.swept}
+        return {key: _read_setting(settings, key) for key in self.swept}
 
     def mark_base(self, settings: Mapping[str, Any]) -> str:
         """Return a short mark of all settings but the swept ones and the seed.
 
         A sweep is continued under the same settings only: else its runs could not be compared.
         """
-        left_out = {"seed", *(one.key for one in self.swept)}
-        return hashlib.sha256(to_json(_leave_out(settings, left_out))).hexdigest()[:16]
+        left = _leave_out(settings, {"seed", *self.swept})
+        return hashlib.sha256(to_json(left)).hexdigest()[:16]
 
 
 class SweepRun(NamedTuple):
@@ -90,7 +84,7 @@ def parse_sweep(overrides: Sequence[str], repeats: int) -> SweepRequest:
 
     A comma within brackets or quotes belongs to the value.
     """
-    swept: dict[str, SweptSetting] = {}
+    swept: dict[str, list[str]] = {}
     fixed = []
     for override in overrides:
         found = _KEY.fullmatch(override)
@@ -105,12 +99,12 @@ def parse_sweep(overrides: Sequence[str], repeats: int) -> SweepRequest:
             raise SweepError(f"--set {override}: a value is empty; write {key}=1,2,3")
         if len(set(values)) < len(values):
             raise SweepError(f"--set {override}: a value stands twice; repeat it with --repeat")
-        swept[key] = SweptSetting(key, tuple(values))
+        swept[key] = values
     if not swept:
         raise SweepError(
             "nothing is swept; give a setting several values: --set controller.lambda_per_s=20,40"
         )
-    request = SweepRequest(tuple(swept.values()), tuple(fixed))
+    request = SweepRequest(swept, tuple(fixed))
     if (runs := len(request.list_points()) * repeats) > _MOST_RUNS:
         raise SweepError(f"these are {runs} runs, {_MOST_RUNS} are allowed; sweep fewer values")
     return request
@@ -149,11 +143,10 @@ def require_end(settings: RunSettings) -> None:
         raise SweepError("this experiment has no end; give each run a length with --duration")
 
 
-def _read_setting(settings: Mapping[str, Any], key: str) -> Any:
-    found: Any = settings
+def _read_setting(settings: Any, key: str) -> Any:
     for part in key.split("."):
-        found = found.get(part) if isinstance(found, Mapping) else None
-    return found
+        settings = settings.get(part) if isinstance(settings, Mapping) else None
+    return settings
 
 
 def _leave_out(settings: Mapping[str, Any], keys: set[str], above: str = "") -> dict[str, Any]:

@@ -7,16 +7,13 @@ import statistics
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from io import StringIO
-from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from pamctl.json_text import to_json
 from pamctl.report.figure import COLOURS, Plot, PlotAxis
 from pamctl.report.report import Figure, Report, ReportTable, Section, Text
-from pamctl.runs.run_row import METRICS, RunRow, SettingValue, is_number, read_value
+from pamctl.runs.run_row import METRICS, RunRow, is_number, read_value
 
 
 class MetricSpread(NamedTuple):
@@ -114,104 +111,64 @@ def write_sweep_page(
 ) -> Report:
     """Return the page of a sweep's runs, with a section for each of the swept `keys`."""
     page = Report(f"Sweep {name}", subtitle=f"{len(rows)} runs of {folder}")
-    page.add(tabulate_points(summarise_points(rows)))
+    points = summarise_points(rows)
+    page.add(tabulate_points(points))
     for key in keys:
         page.add(Section(key))
-        others = [other for other in keys if other != key] if len(keys) <= 2 else []
-        draw_metrics(page, rows, key, others)
+        drawn = [_draw_metric(points, key, metric, keys) for metric in METRICS]
+        plots = [plot for plot in drawn if plot is not None]
+        if not plots:
+            page.add(Text("None of these runs tracked anything."))
+            continue
+        page.add(Figure([*plots], "A dot is a point's mean over its repeats; the band spans them."))
     if not keys:
         page.add(Text("No setting that is a number differs between these runs."))
     _write_table(page, rows, keys)
     return page
 
 
-def draw_metrics(
-    page: Report, rows: Sequence[RunRow], key: str, others: Sequence[str] = ()
-) -> None:
-    """Write a figure of each metric against a setting; runs of equal `others` share a colour."""
-    placed = [row for row in rows if is_number(read_value(row, key))]
-    plots = [
-        plot
-        for metric, name in METRICS.items()
-        if (plot := _draw_metric(placed, key, metric, name, others)) is not None
-    ]
-    if not plots:
-        page.add(Text("None of these runs tracked anything."))
-        return
-    spread = "A dot is a run; the line joins the means, the band spans repeats."
-    lost = sum(1 for row in placed if row.ending not in ("ok", "imported"))
-    page.add(Figure([*plots], spread + (f" Left out: {lost} that did not end well." * bool(lost))))
-
-
 def _draw_metric(
-    rows: Sequence[RunRow], key: str, metric: str, name: str, others: Sequence[str]
+    points: Sequence[SweepPoint], key: str, metric: str, keys: Sequence[str]
 ) -> Plot | None:
-    groups = group_metric(rows, key, metric, others)
-    places = [x for points in groups.values() for x in points]
+    """Draw a metric against a setting; points whose other setting is equal share a colour."""
+    others = [other for other in keys if other != key]
+    groups: dict[str, list[tuple[float, MetricSpread]]] = defaultdict(list)
+    for one in points:
+        at, spread = one.point[key], one.metrics.get(metric)
+        if is_number(at) and spread is not None:
+            named = (f"{other.rpartition('.')[2]} {one.point[other]}" for other in others)
+            groups[", ".join(named)].append((float(at), spread))
+    places = [at for found in groups.values() for at, _ in found]
     if not places:
         return None
-    x_axis = PlotAxis(key, "", log=min(places) > 0 and max(places) / min(places) >= _LOG_RATIO)
-    plot = Plot(name[:1].upper() + name[1:], x_axis, PlotAxis(name, "µm"))
-    named = len(groups) > 1 and len(groups) <= COLOURS
-    for colour, (group, points) in enumerate(sorted(groups.items(), key=str)):
-        x = np.array(sorted(points))
-        values = [np.array(points[place]) for place in x.tolist()]
-        label = ", ".join(f"{_shorten(k)} {v}" for k, v in group) if named else ""
-        if named or len(groups) == 1:
-            if any(len(repeats) > 1 for repeats in values):
-                low, high = [v.min() for v in values], [v.max() for v in values]
-                plot.band(x, low, high, colour=colour)
-            plot.line(x, [v.mean() for v in values], label, colour=colour)
-        pairs = np.array(
-            [pair for at, v in zip(x, values, strict=True) for pair in product([at], v)]
-        )
-        plot.points(pairs[:, 0], pairs[:, 1], colour=colour if named else 0)
+    name = METRICS[metric]
+    is_log = min(places) > 0 and max(places) / min(places) >= _LOG_RATIO
+    plot = Plot(name[:1].upper() + name[1:], PlotAxis(key, log=is_log), PlotAxis(name, "µm"))
+    for colour, (label, found) in enumerate(groups.items()):
+        x, spreads = zip(*sorted(found, key=lambda pair: pair[0]), strict=True)
+        means, low, high = ([one[part] for one in spreads] for part in (0, 2, 3))
+        if len(x) > 1 and low != high:
+            plot.band(x, low, high, colour=colour)
+        plot.line(x, means, label if len(groups) <= COLOURS else "", colour=colour)
+        plot.points(x, means, colour=colour)
     return plot
-
-
-def group_metric(
-    rows: Sequence[RunRow], key: str, metric: str, others: Sequence[str] = ()
-) -> dict[tuple[tuple[str, SettingValue], ...], dict[float, list[float]]]:
-    """Return the metric of the runs that ended well, by the values of `others` and of the key."""
-    groups: dict[tuple[tuple[str, SettingValue], ...], dict[float, list[float]]] = {}
-    for row in rows:
-        value, at = getattr(row, metric), read_value(row, key)
-        if value is None or not is_number(at) or row.ending not in ("ok", "imported"):
-            continue
-        group = tuple((other, read_value(row, other)) for other in others)
-        points = groups.setdefault(group, defaultdict(list))
-        points[float(at)].append(value)  # type: ignore[arg-type]
-    return groups
-
-
-def _shorten(key: str) -> str:
-    return key.rpartition(".")[2]
 
 
 def _write_table(page: Report, rows: Sequence[RunRow], keys: Sequence[str]) -> None:
     page.add(Section("Runs"))
     shown = rows[-_MOST_ROWS:]
-    columns = {
-        **{key: [str(_or_dash(read_value(row, key))) for row in shown] for key in keys},
-        "ending": [row.ending for row in shown],
-        **{
-            f"{name}, µm": [_format_um(row, metric) for row in shown]
-            for metric, name in METRICS.items()
-        },
-        "tags": [" ".join(row.tags) for row in shown],
-        "note": [row.note for row in shown],
-        "log": [row.path for row in shown],
-    }
-    table = ReportTable(list(columns), list(zip(*columns.values(), strict=True)))
-    page.add(table.drop_empty())
+    head = [*keys, "ending", *(f"{name}, µm" for name in METRICS.values()), "tags", "note", "log"]
+    cells = [
+        [
+            *("-" if (value := read_value(row, key)) is None else str(value) for key in keys),
+            row.ending,
+            *("-" if (um := getattr(row, name)) is None else f"{um:.1f}" for name in METRICS),
+            " ".join(row.tags),
+            row.note,
+            row.path,
+        ]
+        for row in shown
+    ]
+    page.add(ReportTable(head, cells).drop_empty())
     if len(shown) < len(rows):
         page.add(Text(f"{len(rows) - len(shown)} older runs are in the figures, not in the table."))
-
-
-def _or_dash(value: SettingValue) -> SettingValue:
-    return "-" if value is None else value
-
-
-def _format_um(row: RunRow, metric: str) -> str:
-    value = getattr(row, metric)
-    return "-" if value is None else f"{value:.1f}"

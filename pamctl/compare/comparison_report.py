@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from pamctl.compare.comparison import OWN_PLANT, Comparison, ComparisonGap
 from pamctl.log import Log
 from pamctl.report.figure import MUTED, Plot, PlotAxis, plot_apart
 from pamctl.report.report import SIGNAL_DISPLAYS, Figure, Report, ReportTable, Section, Text
-from pamctl.report.reported_run import Floats, ReportedRun
+from pamctl.report.reported_run import ReportedRun
 from pamctl.report.run_motion import make_time_axis, mark_moments
 
 _UM, _KPA = 1e6, 1e-3
@@ -143,15 +142,11 @@ def _gap_fields(gap: ComparisonGap) -> dict[str, float | None]:
     return {name: None if value != value else value for name, value in gap._asdict().items()}
 
 
-_ALONE = {"position_m": "Mechanics alone", "pressure_pa": "Pressure block alone"}
-
-
-class _View(NamedTuple):
-    """The time axis of all plots, with its values, and the colour of each model."""
-
-    time: PlotAxis
-    t_s: Floats
-    colours: Mapping[str, int]
+_BLOCKS = {
+    "position_m": ("mechanics", "Mechanics alone"),
+    "pressure_pa": ("pressure_block", "Pressure block alone"),
+}
+"""The block that makes each signal by itself, and the title of its gap."""
 
 
 def _draw_plots(log: Log, found: _Models) -> tuple[list[Plot], list[Plot]]:
@@ -160,73 +155,38 @@ def _draw_plots(log: Log, found: _Models) -> tuple[list[Plot], list[Plot]]:
     measured = next(iter(found.values())).measured
     t_s = measured.t_s - measured.t_s[0]
     axis = PlotAxis(make_time_axis([run]).label, "s", low=0.0, high=float(t_s[-1]), tight=True)
-    view = _View(axis, t_s, {name: colour for colour, name in enumerate(found)})
-    has_coupled = any(
-        c.coupled.position_m is not None or c.coupled.pressure_pa is not None
-        for c in found.values()
-    )
-    coupled = [
-        plot
-        for signal in _ALONE
-        for draw in (_plot_signal, _plot_coupled_gap)
-        for plot in (_plot_models(found, partial(draw, view, signal)) if has_coupled else ())
-    ]
-    alone = [
-        plot
-        for signal in _ALONE
-        for plot in _plot_models(found, partial(_plot_gap_alone, view, signal))
-    ]
+    colours = {name: colour for colour, name in enumerate(found)}
+
+    def draw(signal: str, way: str, title: str, *, is_gap: bool = True) -> list[Plot]:
+        """Draw a signal of all models as they are driven in one way, or its gap."""
+        shown, real = SIGNAL_DISPLAYS[signal], getattr(measured, signal)
+        factor = shown.gap_factor if is_gap else shown.factor
+        y = PlotAxis("gap", shown.gap_unit) if is_gap else PlotAxis(shown.short, shown.unit)
+
+        def draw_models(names: Sequence[str]) -> Plot:
+            plot = Plot(title, axis, y, height_px=130 if is_gap else 180)
+            if real is not None and not is_gap:
+                plot.line(t_s, factor * real, "measured", colour=MUTED, thick=True)
+            for name in names:
+                model = getattr(getattr(found[name], way), signal)
+                if model is not None and not (is_gap and real is None):
+                    drawn = model - real if is_gap else model
+                    plot.line(t_s, factor * drawn, name, colour=colours[name])
+            return plot
+
+        return [plot for plot in plot_apart(draw_models, [*found]) if plot.marks]
+
+    coupled: list[Plot] = []
+    alone: list[Plot] = []
+    has_coupled = any(len(one.ways) and one.ways[0] is one.coupled for one in found.values())
+    for signal, (block, title) in _BLOCKS.items():
+        alone += draw(signal, block, title)
+        if has_coupled:
+            name = SIGNAL_DISPLAYS[signal].title
+            coupled += draw(signal, "coupled", name, is_gap=False)
+            coupled += draw(signal, "coupled", f"{name}, model \N{MINUS SIGN} measurement")
     if coupled and measured.valve_v is not None:
         valve = Plot("Valve command", axis, PlotAxis("command", "V"), height_px=120)
         coupled.append(valve.line(t_s, measured.valve_v, step=True, colour=MUTED))
     mark_moments([*coupled, *alone], run.moments)
     return coupled, alone
-
-
-def _plot_models(found: _Models, draw: Callable[[_Models], Plot]) -> list[Plot]:
-    plots = plot_apart(lambda names: draw({name: found[name] for name in names}), [*found])
-    return [plot for plot in plots if plot.marks]
-
-
-def _plot_signal(view: _View, signal: str, found: _Models) -> Plot:
-    shown = SIGNAL_DISPLAYS[signal]
-    plot = Plot(shown.title, view.time, PlotAxis(shown.short, shown.unit))
-    measured = getattr(next(iter(found.values())).measured, signal)
-    if measured is not None:
-        plot.line(view.t_s, shown.factor * measured, "measured", colour=MUTED, thick=True)
-    for name, comparison in found.items():
-        model = getattr(comparison.coupled, signal)
-        if model is not None:
-            plot.line(view.t_s, shown.factor * model, name, colour=view.colours[name])
-    return plot
-
-
-def _plot_coupled_gap(view: _View, signal: str, found: _Models) -> Plot:
-    models = {name: getattr(one.coupled, signal) for name, one in found.items()}
-    title = f"{SIGNAL_DISPLAYS[signal].title}, model \N{MINUS SIGN} measurement"
-    return _plot_gap(title, view, signal, found, models)
-
-
-def _plot_gap_alone(view: _View, signal: str, found: _Models) -> Plot:
-    models = {
-        name: one.mechanics.position_m if signal == "position_m" else one.pressure_block.pressure_pa
-        for name, one in found.items()
-    }
-    return _plot_gap(_ALONE[signal], view, signal, found, models)
-
-
-def _plot_gap(
-    title: str,
-    view: _View,
-    signal: str,
-    found: _Models,
-    models: Mapping[str, Floats | None],
-) -> Plot:
-    shown = SIGNAL_DISPLAYS[signal]
-    plot = Plot(title, view.time, PlotAxis("gap", shown.gap_unit), height_px=130)
-    for name, model in models.items():
-        measured = getattr(found[name].measured, signal)
-        if model is not None and measured is not None:
-            gap = shown.gap_factor * (model - measured)
-            plot.line(view.t_s, gap, name, colour=view.colours[name])
-    return plot

@@ -250,12 +250,3 @@ def test_an_unexpected_error_is_a_document_and_a_traceback(
     with pytest.raises(RuntimeError):
         main()
     assert json.loads(capsys.readouterr().out) == {"exit_code": 1, "reason": "RuntimeError: ours"}
-
-
-def test_without_json_a_failure_prints_nothing_on_standard_output(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["pamctl", "status", "--socket", str(tmp_path / "none")])
-    with pytest.raises(SystemExit):
-        main()
-    assert capsys.readouterr().out == ""

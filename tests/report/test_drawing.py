@@ -47,15 +47,10 @@ def test_every_column_keeps_its_lowest_and_its_highest_point(line, column):
     assert (np.diff(kept) > 0).all()
     assert {0, len(x) - 1} <= set(kept.tolist())
     columns = np.floor(x / column)
+    assert len(kept) <= 2 * len(np.unique(columns)) + 2
     for place in np.unique(columns):
         inside, drawn = y[columns == place], y[kept][columns[kept] == place]
         assert (drawn.min(), drawn.max()) == (inside.min(), inside.max())
-
-
-@given(lines(), st.floats(0.5, 50.0))
-def test_a_column_costs_two_points_however_many_there_are(line, column):
-    x, y = line
-    assert len(keep_extremes(x, y, column)) <= 2 * len(np.unique(np.floor(x / column))) + 2
 
 
 @given(lines(), st.floats(0.5, 50.0))

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Callable
 from datetime import datetime
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from pamctl.runs.run_index import RunIndex
 from pamctl.runs.run_list import FilterError, RunFilter, read_date, select_runs
 from pamctl.runs.run_row import RunRow
 
 DAY_S = 86400.0
-COMPARE: dict[str, Callable[[Any, Any], bool]] = {
-    ">": operator.gt, "<": operator.lt, ">=": operator.ge, "<=": operator.le, "=": operator.eq,
-}  # fmt: skip
 ROWS = [
     RunRow(
         f"{n:03}.mcap", 1, n,
@@ -86,29 +80,6 @@ def test_a_condition_selects_what_it_says(
     assert found
     assert names(index, **wanted) == found
     assert names(index, **wanted, last=2) == found[-2:]
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40)
-@given(
-    sign=st.sampled_from(list(COMPARE)),
-    limit=st.integers(-5, 70),
-    law=st.sampled_from([None, "qsmc", "pid"]),
-    tag=st.sampled_from([None, "good", "none"]),
-)
-def test_conditions_hold_together(
-    index: RunIndex, sign: str, limit: int, law: str | None, tag: str | None
-) -> None:
-    tags = [] if tag is None else [tag]
-    where = [f"max_um {sign} {limit}", *([] if law is None else [f"law={law}"])]
-    found = names(index, tags=tags, where=where)
-    assert found == expected(
-        lambda r: (
-            r.max_um is not None
-            and COMPARE[sign](r.max_um, limit)
-            and law in (None, r.law)
-            and set(tags) <= set(r.tags)
-        )
-    )
 
 
 @pytest.mark.parametrize(

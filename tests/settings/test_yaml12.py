@@ -146,14 +146,6 @@ def test_a_bad_file_is_one_clear_error(content: str | bytes, message: str, tmp_p
     assert "\n" not in said
 
 
-def test_a_huge_file_is_refused_without_being_read(tmp_path: Path) -> None:
-    path = tmp_path / "huge.yaml"
-    with path.open("wb") as file:
-        file.truncate(100_000_000)
-    with pytest.raises(YamlError, match="is larger than 256 KiB"):
-        load_yaml(path)
-
-
 def test_an_unreadable_file_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(YamlError, match="no such file"):
         load_yaml(tmp_path / "none.yaml")

@@ -46,6 +46,7 @@ def test_any_bytes_get_one_line_of_json_as_answer(line: bytes) -> None:
     assert_refused_in_one_line(line)
 
 
+@settings(max_examples=20)
 @given(
     st.fixed_dictionaries(
         {}, optional={"jsonrpc": st.just("2.0") | anything, "id": anything, "method": anything}
@@ -285,7 +286,7 @@ def test_the_emergency_stop_does_not_wait_for_other_clients(tmp_path: Path) -> N
     assert when_stopped[0] - asked_at < 1000, "not after the two thousand that came before"
 
 
-@pytest.mark.parametrize("turns", range(6))
+@pytest.mark.parametrize("turns", [0, 2, 5])
 def test_a_client_that_connects_as_the_socket_closes_is_answered(
     tmp_path: Path, turns: int
 ) -> None:
@@ -305,7 +306,7 @@ def test_a_client_that_connects_as_the_socket_closes_is_answered(
     assert not (tmp_path / "socket").exists()
 
 
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.lists(
         st.binary(max_size=60)

@@ -26,7 +26,7 @@ pytestmark = pytest.mark.long
 
 assert all((up, shown, tab))  # fixtures
 
-OFFSET_MM, AFTER_S, HOLDOFF_S = 8.0, 0.06, 0.7
+OFFSET_MM, AFTER_S, HOLDOFF_S = 8.0, 0.06, 0.4
 SINE: dict[str, Any] = {
     "kind": "sine", "offset_mm": OFFSET_MM, "amplitude_mm": 1.0, "frequency_hz": 4.0, "cycles": 200,
 }  # fmt: skip
@@ -57,7 +57,7 @@ def watched(up: Daemon, tab: Page) -> tuple[Log, dict[str, list[int]]]:
     tab.wait_for("seen.normal?.length >= 3")
     tab.value("window.stage = 'held off', 0")
     set_input(tab, "tholdoff", HOLDOFF_S)
-    tab.wait_for("seen['held off']?.length >= 3")
+    tab.wait_for("seen['held off']?.length >= 2")
     tab.value("window.stage = 'between', 0")
     set_input(tab, "tholdoff", 0)
     set_input(tab, "tlevel", 20)
@@ -113,7 +113,7 @@ def test_runs_lie_over_each_other_with_their_zero_where_it_was_asked(
     up: Daemon, watched: tuple[Log, dict[str, list[int]]], tab: Page, how: str
 ) -> None:
     if len(up.finished_logs()) < 2:
-        later = {**SINE, "cycles": 4, "frequency_hz": 3.0}
+        later = {**SINE, "cycles": 2, "fade_s": 0.2}
         up.ask("start", experiment=later, name="later")
         up.wait_for("running")
         parked(up)

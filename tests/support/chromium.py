@@ -70,6 +70,7 @@ class Page:
         self._buffer = b""
         self._last_id = 0
         self._session = ""
+        self._beside: list[str] = []
         self.events: list[dict[str, Any]] = []
         target = self._call("Target.createTarget", url="about:blank")["targetId"]
         attached = self._call("Target.attachToTarget", targetId=target, flatten=True)
@@ -114,7 +115,15 @@ class Page:
         """
         session, self._session = self._session, ""
         for _ in range(count):
-            self._call("Target.createTarget", url=address, newWindow=True)
+            made = self._call("Target.createTarget", url=address, newWindow=True)
+            self._beside.append(made["targetId"])
+        self._session = session
+
+    def close_beside(self) -> None:
+        """Close the tabs of `open_beside`."""
+        session, self._session = self._session, ""
+        while self._beside:
+            self._call("Target.closeTarget", targetId=self._beside.pop())
         self._session = session
 
     def value(self, expression: str) -> Any:

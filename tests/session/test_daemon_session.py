@@ -20,7 +20,7 @@ from pamctl.exit_codes import ExitCode
 from pamctl.replay import replay_log
 from pamctl.session.daemon_rig import connect
 
-SINE = pamctl.Sine(offset_mm=9, amplitude_mm=1, frequency_hz=2, cycles=2, fade_s=0.3)
+SINE = pamctl.Sine(offset_mm=4, amplitude_mm=1, frequency_hz=2, cycles=2, fade_s=0.3)
 
 
 @pytest.fixture(scope="module")
@@ -32,9 +32,9 @@ def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
 @pytest.mark.long
 def test_positions_runs_gains_and_marks_are_those_of_the_simulation(up: Daemon) -> None:
     with connect(up.socket) as rig:
-        rig.goto(9e-3, within_s=0.6)
+        rig.goto(4e-3, within_s=0.6)
         assert rig.state == "ready"
-        assert rig.status()["tick"]["reference_m"] == pytest.approx(9e-3)
+        assert rig.status()["tick"]["reference_m"] == pytest.approx(4e-3)
         rig.start(SINE)
         newest = [tick["tick"] for tick in rig.live(rate_hz=50, duration_s=0.5)]
         rig.mark("from Python")
@@ -46,7 +46,7 @@ def test_positions_runs_gains_and_marks_are_those_of_the_simulation(up: Daemon) 
     assert np.all(np.diff(newest) > 0)
     assert [text for _, text in run.marks] == ["from Python"]
     assert run.settings["experiment"]["kind"] == "sine"
-    assert np.nanmax(run["reference_m"]) == pytest.approx(10e-3, abs=1e-5)
+    assert np.nanmax(run["reference_m"]) == pytest.approx(5e-3, abs=1e-5)
     assert replay_log(run.log).is_equal
     assert up.is_safe()
 
@@ -73,7 +73,7 @@ def test_ctrl_c_stops_the_run_and_leaves_the_valve_safe(up: Daemon) -> None:
     program = (
         "import pamctl\n"
         f"with pamctl.connect({str(up.socket)!r}) as rig:\n"
-        "    rig.run(pamctl.Sine(offset_mm=9, amplitude_mm=1, frequency_hz=1, cycles=1000))\n"
+        "    rig.run(pamctl.Sine(offset_mm=4, amplitude_mm=1, frequency_hz=1, cycles=1000))\n"
     )
     child = subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.PIPE)
     status = up.wait_until(lambda status: status["state"] == "running")

@@ -118,7 +118,7 @@ def test_a_folder_of_logs_names_the_number_that_moved(tmp_path: Path) -> None:
         changed = f"plant.parameters.kinetic_friction_per_m={friction}"
         path = logs / f"2026110{k + 1}-120000-r.mcap"
         done = run_pamctl(
-            "run", "--fast", "--quiet", "--experiment", "tracking-2", "--duration", "12",
+            "run", "--fast", "--quiet", "--experiment", "tracking-2", "--duration", "8",
             "--seed", str(k), "--set", changed, "--log", str(path),
         )  # fmt: skip
         assert done.returncode == 0, done.stderr

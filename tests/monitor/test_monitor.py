@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.patience import PATIENCE_S
-from support.processes.daemons import TRACKING, daemon
+from support.processes.daemons import NOT_HOMED, TRACKING, daemon
 
 from pamctl.log import read
 from pamctl.log.measured_signals import Signals
@@ -184,7 +184,9 @@ def test_a_rest_does_not_hide_what_the_motions_show() -> None:
 @pytest.mark.long
 def test_beside_a_daemon_it_follows_the_run_and_its_death_harms_nothing(tmp_path: Path) -> None:
     long = {**TRACKING, "cycles": 30}
-    with daemon(tmp_path, "mon", options=["--monitor", "--monitor-plant", "paper"]) as up:
+    with daemon(
+        tmp_path, "mon", NOT_HOMED, options=["--monitor", "--monitor-plant", "paper"]
+    ) as up:
         log = Path(up.ask("start", experiment=long, name="watched")["log"])
         status = up.wait_until(lambda s: bool(s["monitor"]["blocks"]) or not s["run"])
         assert {b["block"] for b in status["monitor"]["blocks"]} == {PRESSURE, MECHANICS}

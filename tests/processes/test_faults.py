@@ -1,8 +1,8 @@
-"""Everything that can go wrong with a rig, over the simulation and over the card's stand-in.
+"""Everything that can go wrong with a rig, over the card's stand-in.
 
-Each fault is tried three times: on the simulated rig, on the card on demand, and on the card paced
-by its own clock. However a run ends, the output is at the safe voltage and the log says why. Time
-is made up here; faults that need real processes are in `test_card_runs.py`.
+On the simulated rig: `test_loop.py`. What fails in a call is tried on the card on demand and on the
+card paced by its own clock. However a run ends, the output is at the safe voltage and the log says
+why. Time is made up here; faults that need real processes are in `test_card_runs.py`.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from typing import Any, NamedTuple
 import pytest
 from standin.standin import PERMIT, Card, here
 from support.card_rigs import READ_COUNT, READ_VOLTS, WRITE, hardware_timed, on_demand
-from support.runs import AO_STEP_V, MemoryJournal, ScriptedSupervisor, parts, run_settings, steered
+from support.runs import AO_STEP_V, MemoryJournal, ScriptedSupervisor, run_settings, steered
 
-from hal.faulty import FaultSettings, FaultyRig
 from hal.rig import RawSample, Rig
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.kernel.calls import PlainCall
+from pamctl.processes.loop_main import run_to_ending
 from pamctl.realtime import run_ticks
 from pamctl.realtime.clock import Clock
 from pamctl.realtime.loop import ControlLoop
@@ -62,18 +62,6 @@ class Bench(NamedTuple):
     """Called in the tick in which the fault begins, right after its read."""
     output_v: Callable[[], float]
     truth: Callable[[], Truth]
-
-
-def on_sim(settings: RunSettings, fault: str) -> Bench:
-    faults = [FaultSettings(kind=kind, from_tick=BEGINS, size=size) for kind, size in SIM[fault]]
-    made = parts(settings, faults)
-    return Bench(
-        FaultyRig(made.rig, faults),
-        made.clock,
-        lambda fault: None,
-        lambda: made.rig.output_v,
-        lambda: Truth(made.plant.position_m, made.plant.pressure_pa),
-    )
 
 
 def on_card(timed: Callable[[Card, float], tuple[Rig, Clock]]) -> Callable[..., Bench]:
@@ -136,19 +124,8 @@ def jump(card: Card) -> None:
     card.registers.counter = (card.registers.counter + 6000) % 2**32
 
 
-# What happens to the simulated rig, and to the card. A failing write works again soon: no software
-# can make a card safe whose output cannot be written at all.
-SIM: dict[str, list[tuple[Any, float]]] = {
-    "read fails": [("read_error", 0.0)],
-    "write fails": [("write_error", 0.0)],
-    "read and write fail": [("device_lost", 0.0)],
-    "broken wire": [("broken_wire", 0.0)],
-    "encoder unplugged": [("stuck_encoder", 0.0)],
-    "encoder reversed": [("reversed_encoder", 0.0)],
-    "encoder jumps": [("encoder_jump", 6000.0)],
-    "valve stuck open": [("stuck_valve", 10.0)],
-    "valve stuck closed": [("stuck_valve", 5.0)],
-}
+# What happens to the card. A failing write works again soon: no software can make a card safe whose
+# output cannot be written at all.
 CARD: dict[str, Callable[[Card], None]] = {
     "read fails": fail(READ_VOLTS),
     "write fails": fail(WRITE, times=3),
@@ -181,18 +158,13 @@ EXPECTED: dict[str, tuple[ExitCode, int]] = {
     "valve stuck open": (TRIP, PRESSURE_TOO_HIGH | TRACKING_ERROR),
     "valve stuck closed": (TRIP, PRESSURE_TOO_LOW | PRESSURE_TOO_HIGH | TRACKING_ERROR),
 }
-BENCHES = {
-    "sim": on_sim,
-    "card": on_card(on_demand),
-    "card's clock": on_card(hardware_timed),
-}
-every_bench = pytest.mark.parametrize("bench", BENCHES)
+BENCHES = {"card": on_card(on_demand), "card's clock": on_card(hardware_timed)}
+ON_BOTH = {
+    "read fails", "write fails", "read and write fail", "read hangs", "broken wire",
+    "encoder jumps",
+}  # fmt: skip
 CASES = [
-    (bench, fault)
-    for bench in BENCHES
-    for fault in EXPECTED
-    # A simulated read that hangs is late, and no error: test_faulty_rig.py.
-    if bench != "sim" or fault in SIM
+    (bench, fault) for bench in BENCHES for fault in EXPECTED if bench == "card" or fault in ON_BOTH
 ]
 
 
@@ -218,12 +190,11 @@ def ran(
         made.rig.close()
 
 
-@pytest.mark.parametrize("bench", [bench for bench in BENCHES if bench != "sim"])
-def test_an_open_input_that_stands_still_is_noticed_by_nothing_in_a_run(bench: str) -> None:
+def test_an_open_input_that_stands_still_is_noticed_by_nothing_in_a_run() -> None:
     """It is why the wiring page asks for a pull-down: this voltage is quiet and plausible."""
     settings = run_settings(*MOVING, controller="qsmc")
     stopped = ScriptedSupervisor(Ending(ExitCode.OK, "long enough"), stop_at=BEGINS + 2500)
-    ending, journal, output_v = ran(bench, "open input stands", settings, stopped)
+    ending, journal, output_v = ran("card", "open input stands", settings, stopped)
     assert ending.code == ExitCode.OK
     assert len({tick.raw.pressure_v for tick in journal.ticks[-500:]}) == 1
     assert output_v == pytest.approx(SAFE_V, abs=AO_STEP_V)
@@ -243,30 +214,28 @@ def test_a_fault_ends_the_run_safe_with_its_exit_code_and_its_reason(
         assert last.decision.verdicts & verdicts
         assert journal.named("tripped")
     else:
-        assert ("injected" if bench == "sim" else "device error") in ending.reason
+        assert "device error" in ending.reason
     # Complete to the last tick, and no later than the fault can go unseen.
     assert [record.timing.tick for record in journal.ticks] == list(range(len(journal.ticks)))
     assert BEGINS - 1 <= len(journal.ticks) < BEGINS + 1600
 
 
-@every_bench
-@pytest.mark.parametrize("stuck_v", [0.0, 5.0, 10.0])
+@pytest.mark.parametrize("stuck_v", [0.0, 10.0])
 def test_a_valve_that_is_stuck_is_noticed_by_the_pressure_alone(
-    bench: str, stuck_v: float, monkeypatch: pytest.MonkeyPatch
+    stuck_v: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Open loop there is no tracking error that could give it away."""
-    fault = "valve stuck"
-    monkeypatch.setitem(SIM, fault, [("stuck_valve", stuck_v)])
-    monkeypatch.setitem(CARD, fault, set_to(valve_is_stuck=1, valve_stuck_v=stuck_v))
-    ending, journal, output_v = ran(bench, fault, run_settings(*SQUARES, experiment="square-0.5"))
+    monkeypatch.setitem(CARD, "stuck", set_to(valve_is_stuck=1, valve_stuck_v=stuck_v))
+    ending, journal, output_v = ran(
+        "card", "stuck", run_settings(*SQUARES, experiment="square-0.5")
+    )
     assert ending.code == TRIP
     assert journal.ticks[-1].decision.verdicts in (PRESSURE_TOO_HIGH, PRESSURE_TOO_LOW)
     assert output_v == pytest.approx(SAFE_V, abs=AO_STEP_V)
 
 
-@every_bench
-def test_an_exception_in_the_law_leaves_the_output_safe(
-    bench: str, monkeypatch: pytest.MonkeyPatch
+def test_an_exception_in_the_law_is_the_ending_and_leaves_the_output_safe(
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     right = run_ticks.step
 
@@ -276,27 +245,20 @@ def test_an_exception_in_the_law_leaves_the_output_safe(
         return right(setup, state, raw, reference, timing)
 
     monkeypatch.setattr(run_ticks, "step", wrong)
-    monkeypatch.setitem(SIM, "none", [])
     monkeypatch.setitem(CARD, "none", lambda card: None)
     settings = run_settings(*MOVING)
-    made, journal = BENCHES[bench](settings, "none"), MemoryJournal()
+    made, journal = BENCHES["card's clock"](settings, "none"), MemoryJournal()
     steering = steered(settings, journal)
-    with pytest.raises(ZeroDivisionError, match="in the law"):
-        ControlLoop(
-            rig=made.rig,
-            clock=made.clock,
-            tick=TickRunner(steering["setup"], PlainCall),
-            **steering,
-            supervisor=ScriptedSupervisor(),
-            truth=made.truth,
-        ).run()
+    loop = ControlLoop(
+        rig=made.rig,
+        clock=made.clock,
+        tick=TickRunner(steering["setup"], PlainCall),
+        **steering,
+        supervisor=ScriptedSupervisor(),
+        truth=made.truth,
+    )
+    reason = "ZeroDivisionError: in the law"
+    assert run_to_ending(loop.run) == Ending(ExitCode.UNEXPECTED, reason)
     assert len(journal.ticks) == BEGINS
     assert journal.ticks[-1].outcome.applied_v > SAFE_V + 1.0
     assert made.output_v() == pytest.approx(SAFE_V, abs=AO_STEP_V)
-
-
-def test_every_fault_is_met_over_the_simulation_and_over_the_card() -> None:
-    on_a_card_only = {"read hangs", "open input stands", "open input rises", "open input falls"}
-    assert {*SIM} | on_a_card_only == CARD.keys()
-    # An open input that stands still trips nothing: it has a test of its own.
-    assert CARD.keys() - {"open input stands"} == EXPECTED.keys()

@@ -171,7 +171,13 @@ def test_all_static_effects_of_valve_and_sensors_can_be_undone() -> None:
 
 # --- runs ---------------------------------------------------------------------------------------
 
-SHORT = ("experiment.transition_s=0.8", "experiment.approach_s=0.8", "experiment.cycles=1")
+SHORT = (
+    "experiment.transition_s=0.8",
+    "experiment.approach_s=0.8",
+    "experiment.cycles=1",
+    "rig.homing.steady_s=0.05",
+    "rig.homing.fills=1",
+)
 
 
 def settings_with(folder: Path, *overrides: str, **choices: Any) -> RunSettings:

@@ -132,7 +132,7 @@ envelopes = st.sampled_from([5.0, 3.0])
 slews = st.sampled_from([10_000.0, 100.0, 1.0])
 
 
-@settings(max_examples=200)
+@settings(max_examples=80)
 @given(sequences)
 def test_a_pinned_valve_hears_nothing_but_the_safe_command(ticks):
     for decision, _ in admitted(limited()._replace(pinned=True), ticks):
@@ -141,7 +141,7 @@ def test_a_pinned_valve_hears_nothing_but_the_safe_command(ticks):
         assert not decision.verdicts & (CLIPS | TRACKING_ERROR)
 
 
-@settings(max_examples=400)
+@settings(max_examples=200)
 @given(sequences, envelopes, slews)
 def test_nothing_gets_past_the_envelope_the_slew_limit_and_the_trips(ticks, envelope, slew):
     lim = limited(command_v=envelope, slew_v_per_s=slew, pressure_model_pa=5e4)
@@ -168,7 +168,7 @@ def test_nothing_gets_past_the_envelope_the_slew_limit_and_the_trips(ticks, enve
         last_v, tripped = valve_v, trips
 
 
-@settings(max_examples=200)
+@settings(max_examples=80)
 @given(sequences)
 def test_what_is_not_a_number_always_trips(ticks) -> None:
     for tick, decision in zip(ticks, decisions(limited(), *ticks), strict=True):
@@ -516,14 +516,7 @@ NEAR = {
     "60 Hz valve": {"spool": {"time_constant_s": 1 / (2 * math.pi * 60), "damping_ratio": 0.7}},
     **{
         f"{name} {share:+.0%}": {name: 1 + share}
-        for name in (
-            "valve_gain_m2_per_v",
-            "stiffness_n_per_m",
-            "damping_n_s_per_m",
-            "kinetic_friction_per_m",
-            "temperature_k",
-            "mass_kg",
-        )
+        for name in ("valve_gain_m2_per_v", "stiffness_n_per_m", "kinetic_friction_per_m")
         for share in (-0.2, 0.2)
     },
     "supply -20%": {"supply": 0.8},
@@ -551,7 +544,7 @@ def test_the_tanks_pressure_is_the_pressure_limits_to_judge() -> None:
     assert found.decision.verdicts == PRESSURE_LIMIT
 
 
-@pytest.mark.parametrize("name", ["paper", "109 Hz valve", "supply -20%", "all of it"])
+@pytest.mark.parametrize("name", ["paper", "all of it"])
 @pytest.mark.parametrize("frequency_hz", [0.3, 3.0])
 def test_small_commands_never_trip_a_muscle_near_the_model(name: str, frequency_hz: float) -> None:
     plant = plant_with(**NEAR[name])
@@ -559,7 +552,7 @@ def test_small_commands_never_trip_a_muscle_near_the_model(name: str, frequency_
     assert not slow.decision.tripped
 
 
-@pytest.mark.parametrize("name", NEAR)
+@pytest.mark.parametrize("name", ["paper", "60 Hz valve", "stiffness_n_per_m -20%", "all of it"])
 def test_tracking_never_trips_a_muscle_near_the_model(name: str) -> None:
     """Whatever the law makes of such a muscle: the pressure still follows its command."""
     run = run_settings(plant="paper")

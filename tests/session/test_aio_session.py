@@ -14,7 +14,7 @@ from pamctl.aio import AsyncRig
 from pamctl.exit_codes import ExitCode
 from pamctl.session.steered_rig import SteeredRig
 
-SINE = pamctl.Sine(offset_mm=9, amplitude_mm=1, frequency_hz=2, cycles=2)
+SINE = pamctl.Sine(offset_mm=3, amplitude_mm=1, frequency_hz=2, cycles=2)
 
 
 def test_two_rigs_move_at_once_and_a_wrong_order_raises(tmp_path: Path) -> None:
@@ -35,7 +35,7 @@ def test_two_rigs_move_at_once_and_a_wrong_order_raises(tmp_path: Path) -> None:
 
 
 def test_a_cancelled_run_stops_smoothly_and_the_rig_goes_on(tmp_path: Path) -> None:
-    endless = pamctl.Sine(offset_mm=9, amplitude_mm=1, frequency_hz=1, cycles=10_000)
+    endless = pamctl.Sine(offset_mm=3, amplitude_mm=1, frequency_hz=1, cycles=10_000)
 
     async def work() -> Path:
         async with pamctl.aio.simulate(logs=tmp_path, overrides=QUICK) as rig:

@@ -28,7 +28,7 @@ from pamctl.settings.resolve import resolve
 from pamctl.signals import Phase
 from pamctl.simulate.closed_loop import simulate_run
 
-SINE = pamctl.Sine(offset_mm=10, amplitude_mm=1, frequency_hz=2, cycles=2)
+SINE = pamctl.Sine(offset_mm=4, amplitude_mm=1, frequency_hz=2, cycles=2)
 ROOT = Path(__file__).resolve().parents[2]
 NOT_HOMED = "rig.homing.enabled=false"
 
@@ -43,11 +43,11 @@ def test_an_afternoon_of_positions_runs_marks_and_gains_replays_to_the_bit(
     rig: pamctl.SimulatedRig,
 ) -> None:
     assert rig.state == "idle"
-    rig.goto(10e-3, within_s=1.0)
+    rig.goto(4e-3, within_s=0.5)
     tick = rig.status()["tick"]
     assert rig.state == "ready"
-    assert tick["reference_m"] == pytest.approx(10e-3)
-    assert abs(tick["position_m"] - 10e-3) < 0.2e-3
+    assert tick["reference_m"] == pytest.approx(4e-3)
+    assert abs(tick["position_m"] - 4e-3) < 0.2e-3
     run = rig.run(SINE, name="first")
     assert run.ending == (ExitCode.OK, "the experiment is complete")
     assert rig.state == "ready"
@@ -96,7 +96,7 @@ def test_an_exception_in_the_block_stops_the_run_smoothly_and_its_log_is_whole(
     with pytest.raises(KeyboardInterrupt), simulate(logs=tmp_path, overrides=QUICK) as rig:
         log = rig.start(SINE)
         for tick in rig.live():
-            if tick["reference_m"] > 5e-3:
+            if tick["reference_m"] > 3e-3:
                 raise KeyboardInterrupt
     run = pamctl.Run.open(log)
     assert run.ending.reason == "the session ended"

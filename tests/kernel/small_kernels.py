@@ -15,21 +15,6 @@ def fill_multiples(values: Any, multiples: Any) -> None:
         multiples[k] = FACTOR * values[k]
 
 
-def loop_on_an_error(x: float, into: Any) -> None:
-    """Kernel: Python leaves it by an error; C has an infinite step."""
-    step = 1.0 / x
-    at = 0.0
-    while at < step:
-        at += 1e-300
-    into[0] = at
-
-
-def count_on_an_error(values: Any, into: Any) -> None:
-    """Kernel: Python leaves it by an error at the array's end."""
-    for k in range(1_000_000_000_000):
-        into[k] = 1.0
-
-
 def main() -> None:
     """Call the kernel; print its results, what computed them, and what was imported for it."""
     from pamctl.kernel.calls import machine

@@ -191,7 +191,7 @@ def find_difference(variant: Variant) -> None:
     if not kinds:
         return
 
-    @settings(max_examples=8, suppress_health_check=[*HealthCheck], database=None)
+    @settings(max_examples=6, suppress_health_check=[*HealthCheck], database=None)
     @given(call=st.sampled_from(calls), changes=list_changes(len(kinds)))
     def search(call: tuple[Any, ...], changes: list[Change]) -> None:
         leaves = make_leaves(call)

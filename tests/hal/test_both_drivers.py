@@ -19,7 +19,9 @@ from support.card_rigs import (
     WRITE,
     CardClock,
     hardware_timed,
+    make_and_close,
     on_demand,
+    use_card,
 )
 from support.patience import PATIENCE_S
 from support.runs import (
@@ -108,13 +110,7 @@ COMEDI = Driver(
     "comedi", here_behind_comedi, "pci6221-comedi", {"rse": 0, "nrse": 1, "diff": 2},
     COMEDI_READ, COMEDI_WRITE, errno.ETIME, errno.ENODEV, errno.EBUSY, errno.EACCES, HOLD_BY_COMEDI,
 )  # fmt: skip
-pytestmark = pytest.mark.usefixtures("permit")
 Make = Callable[..., Any]
-
-
-@pytest.fixture
-def permit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(PERMIT, "1")
 
 
 @pytest.fixture(params=[NIDAQ, COMEDI], ids=lambda one: one.name)
@@ -124,30 +120,13 @@ def driver(request: pytest.FixtureRequest) -> Driver:
 
 
 @pytest.fixture
-def card(driver: Driver, permit: None) -> Iterator[Card]:
-    card = driver.here()
-    card.power_up()
-    if driver is COMEDI:
-        card.calibrate()
-    yield card
-    card.mend()
-    card.registers.is_gone = 0
+def card(driver: Driver) -> Iterator[Card]:
+    yield from use_card(driver.here())
 
 
 @pytest.fixture
 def make(driver: Driver, card: Card) -> Iterator[Make]:
-    """Make rigs, and close them whatever the test has done to them."""
-    made: list[Rig] = []
-
-    def make_one(**changes: object) -> Rig:
-        made.append(driver.make_rig(**changes))
-        return made[-1]
-
-    yield make_one
-    card.mend()
-    card.registers.is_gone = 0
-    for rig in made:
-        rig.close()
+    yield from make_and_close(card, driver.make_rig)
 
 
 # --- opening -----------------------------------------------------------------------------
@@ -476,6 +455,7 @@ def test_card_and_simulation_give_the_same_ticks(
         "rig.sim.sensor_noise_v=0",
         "rig.sim.encoder_start_counts=0.4",
         f"rig.sim.output_delay_ticks={output_delay_ticks}",
+        "rig.homing.enabled=false",
         duration_s=3.0,
     )
     simulated = run(settings)
@@ -495,7 +475,7 @@ def test_card_and_simulation_give_the_same_ticks(
         == simulated.ending
         == Ending(ExitCode.OK, "the duration of 3 s ended the experiment of 37 s")
     )
-    assert len(journal.ticks) == len(simulated.journal.ticks) > 5000
+    assert len(journal.ticks) == len(simulated.journal.ticks) > 3000
     pairs = list(zip(journal.ticks, simulated.journal.ticks, strict=True))
     for real, model in pairs[:equal_to_the_bit]:
         assert real.raw == model.raw

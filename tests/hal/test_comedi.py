@@ -7,7 +7,8 @@ import os
 from collections.abc import Callable, Iterator
 
 import pytest
-from standin.standin import COMEDI_SONAME, PERMIT, Card, here_behind_comedi, library
+from standin.standin import COMEDI_SONAME, Card, here_behind_comedi, library
+from support.card_rigs import make_and_close, use_card
 from support.runs import (
     AO_STEP_V,
     MS,
@@ -26,31 +27,16 @@ safe = pytest.approx(SAFE_V, abs=AO_STEP_V)
 
 
 @pytest.fixture
-def card(monkeypatch: pytest.MonkeyPatch) -> Iterator[Card]:
-    monkeypatch.setenv(PERMIT, "1")
-    card = here_behind_comedi()
-    card.power_up()
-    card.calibrate()
-    yield card
-    card.mend()
-    card.registers.is_gone = 0
+def card() -> Iterator[Card]:
+    yield from use_card(here_behind_comedi())
 
 
 @pytest.fixture
 def make(card: Card) -> Iterator[Make]:
-    """Make rigs, and close them whatever the test has done to them."""
-    made = []
-
     def make_one(**changes: object) -> ComediRig:
-        settings = ComediSettings.model_validate(changes)
-        made.append(ComediRig(settings, safe_output_v=SAFE_V))
-        return made[-1]
+        return ComediRig(ComediSettings.model_validate(changes), safe_output_v=SAFE_V)
 
-    yield make_one
-    card.mend()
-    card.registers.is_gone = 0
-    for rig in made:
-        rig.close()
+    yield from make_and_close(card, make_one)
 
 
 # --- opening -----------------------------------------------------------------------------

@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from standin.standin import PERMIT, Card, here_behind_comedi
+from standin.standin import Card, here_behind_comedi
+from support.card_rigs import use_card
 
 from hal.card import PciCard, find_pci_cards
 from hal.comedi import comedi_backend, libcomedi
@@ -29,13 +30,8 @@ Examine = Callable[..., dict[str, Problem]]
 
 
 @pytest.fixture
-def card(monkeypatch: pytest.MonkeyPatch) -> Iterator[Card]:
-    monkeypatch.setenv(PERMIT, "1")
-    card = here_behind_comedi()
-    card.power_up()
-    card.calibrate()
-    yield card
-    card.mend()
+def card() -> Iterator[Card]:
+    yield from use_card(here_behind_comedi())
 
 
 def make_slot(directory: Path, slot: str, vendor: str, driver: str) -> None:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import random
-import re
 import signal
 import subprocess
 import sys
@@ -15,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from standin.standin import COMEDI_SONAME, PERMIT, Card, library, require_compiler
+from standin.standin import COMEDI_SONAME, Card, library, require_compiler
 from support.patience import BUSY_PC, PATIENCE_S
 from support.runs import AO_STEP_V
 
@@ -112,43 +110,13 @@ def test_when_the_loop_dies_the_guardian_takes_the_card_over(own: Card) -> None:
     assert own.output_v == safe
 
 
-def test_a_card_that_fails_in_the_middle_of_a_run_ends_it_with_69_and_safe(own: Card) -> None:
-    own.fail("comedi_do_insnlist", -errno.ENODEV, after=700, times=1)
-    process = start(own, *RUN)
-    _, complaints = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 69, complaints
-    assert f"device error {errno.ENODEV}" in complaints
-    assert "Traceback" not in complaints
-    assert own.output_v == safe
-
-
-@pytest.mark.parametrize(
-    ("environment", "complaint"),
-    [
-        ({PERMIT: None}, "stand-in driver of pamctl's tests"),
-        # Where the real library is installed, it is the card that is missing.
-        ({"LD_LIBRARY_PATH": None}, "apt install libcomedi0|modprobe ni_pcimio"),
-        ({"STANDIN_DEVICE": None}, "modprobe ni_pcimio"),
-    ],
-)
-def test_a_run_that_cannot_have_its_card_leaves_with_69_and_says_what_to_do(
-    own: Card, environment: dict[str, None], complaint: str
-) -> None:
-    process = start(own, *RUN, **environment)
+def test_a_run_without_its_card_leaves_with_69_and_says_what_to_do(own: Card) -> None:
+    process = start(own, *RUN, STANDIN_DEVICE=None)
     said, complaints = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 69, said
-    assert re.search(complaint, complaints)
+    assert "modprobe ni_pcimio" in complaints
     assert "Traceback" not in complaints
     assert not (own.path.parent / "cwd" / "run.mcap").exists()
-
-
-def test_an_uncalibrated_card_ends_a_run_before_it_begins(own: Card) -> None:
-    own.calibration_path.unlink()
-    process = start(own, *RUN)
-    _, complaints = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 69, complaints
-    assert f"sudo comedi_soft_calibrate -f /dev/{own.name}" in complaints
-    assert own.output_v == pytest.approx(SAFE_V, abs=5 * AO_STEP_V)
 
 
 def test_safe_drives_the_safe_voltage_whatever_was_left_on_the_output(own: Card) -> None:

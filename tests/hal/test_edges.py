@@ -52,11 +52,11 @@ def test_samples_are_in_order_and_never_from_the_future_whatever_the_times(times
     assert all(a.t_ns < b.t_ns for a, b in pairwise(edges))
 
 
-@pytest.mark.parametrize("drift_ppm", [-80.0, 0.0, 80.0])
-def test_the_grid_follows_the_clock_of_the_card_for_an_hour(drift_ppm: float) -> None:
-    """Two crystals differ by 290 ms in an hour: index and time follow the card's clock."""
+@pytest.mark.parametrize("drift_ppm", [-80.0, 80.0])
+def test_the_grid_follows_the_clock_of_the_card_for_ten_minutes(drift_ppm: float) -> None:
+    """Two crystals differ by 48 ms in ten minutes: index and time follow the card's clock."""
     chance, grid, count = random.Random(1), EdgeGrid(MS), 0
-    for tick in range(1, 3_600_000, 9):
+    for tick in range(1, 600_000, 9):
         delay_ns = PROMPT_NS + min(round(chance.expovariate(1e-5)), 800_000)
         true_ns = 10**9 + round(tick * MS * (1 + drift_ppm * 1e-6))
         edge = grid.place(true_ns + delay_ns)

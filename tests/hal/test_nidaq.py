@@ -6,8 +6,8 @@ import ctypes
 from collections.abc import Callable, Iterator
 
 import pytest
-from standin.standin import PERMIT, Card, here, library
-from support.card_rigs import READ_VOLTS, WRITE
+from standin.standin import Card, here, library
+from support.card_rigs import READ_VOLTS, WRITE, make_and_close, use_card
 from support.runs import (
     AO_STEP_V,
     MS,
@@ -22,30 +22,17 @@ safe = pytest.approx(SAFE_V, abs=AO_STEP_V)
 
 
 @pytest.fixture
-def card(monkeypatch: pytest.MonkeyPatch) -> Iterator[Card]:
-    monkeypatch.setenv(PERMIT, "1")
-    here().power_up()
-    yield here()
-    here().mend()
-    here().registers.is_gone = 0
+def card() -> Iterator[Card]:
+    yield from use_card(here())
 
 
 @pytest.fixture
 def make(card: Card) -> Iterator[Callable[..., object]]:
-    """Make rigs, and close them whatever the test has done to them."""
     from hal.nidaq.nidaq_rig import NidaqRig
 
-    made = []
-
-    def make_one(**changes: object) -> NidaqRig:
-        made.append(NidaqRig(NidaqSettings(**changes), safe_output_v=SAFE_V))
-        return made[-1]
-
-    yield make_one
-    card.mend()
-    card.registers.is_gone = 0
-    for rig in made:
-        rig.close()
+    yield from make_and_close(
+        card, lambda **changes: NidaqRig(NidaqSettings(**changes), safe_output_v=SAFE_V)
+    )
 
 
 # --- opening -----------------------------------------------------------------------------

@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterator
 
 import pytest
 from nidaqmx.constants import WaitMode
-from standin.standin import PERMIT, USB, Card, here
+from standin.standin import USB, Card, here
+from support.card_rigs import READ_COUNT, READ_VOLTS, WRITE, make_and_close, use_card
 from support.runs import AO_STEP_V, MS
 
 from hal.nidaq.card_settings import NidaqSettings
@@ -17,40 +18,27 @@ from pamctl.processes.backends import build_clock, build_rig
 from pamctl.realtime.clock import SampleClock
 from pamctl.settings.resolve import ConfigError, resolve
 
-READ_VOLTS = "DAQmxReadAnalogScalarF64"
-READ_COUNT = "DAQmxReadCounterScalarF64"
-WRITE = "DAQmxWriteAnalogScalarF64"
 SAFE_V = 1.25
 safe = pytest.approx(SAFE_V, abs=AO_STEP_V)
 
 
 @pytest.fixture
-def card(monkeypatch: pytest.MonkeyPatch) -> Iterator[Card]:
+def card() -> Iterator[Card]:
     """A card whose time stands still but for its own edges."""
-    monkeypatch.setenv(PERMIT, "1")
-    here().power_up()
-    here().stop_time()
-    yield here()
-    here().mend()
+    for card in use_card(here()):
+        card.stop_time()
+        yield card
 
 
 @pytest.fixture
 def make(card: Card) -> Iterator[Callable[..., object]]:
     from hal.nidaq.nidaq_rig import HardwareTimedRig
 
-    made = []
-
     def make_one(**changes: object) -> HardwareTimedRig:
         settings = NidaqSettings(timing="hardware_timed", **changes)
-        rig = HardwareTimedRig(settings, rate_hz=1e3, safe_output_v=SAFE_V, now_ns=card.now_ns)
-        made.append(rig)
-        return rig
+        return HardwareTimedRig(settings, rate_hz=1e3, safe_output_v=SAFE_V, now_ns=card.now_ns)
 
-    yield make_one
-    card.mend()
-    card.registers.is_gone = 0
-    for rig in made:
-        rig.close()
+    yield from make_and_close(card, make_one)
 
 
 # --- order -------------------------------------------------------------------------------

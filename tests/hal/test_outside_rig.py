@@ -244,18 +244,11 @@ def test_the_doctor_examines_it_and_names_no_key_of_another_backend(
     assert "nidaq" not in done.stdout
 
 
-def test_its_settings_are_checked_and_its_keys_are_known(outside: Outside, tmp_path: Path) -> None:
-    def refused(*overrides: str) -> str:
-        sets = [f"--set={override}" for override in overrides]
-        shown = ["config", "show", "--backend", "toy", *sets]
-        done = pamctl_with(outside.environment, *shown, cwd=tmp_path)
-        assert done.returncode == 78
-        return done.stderr
-
-    assert "rig.toy.devise: unknown key; did you mean 'device'?" in refused("rig.toy.devise=x")
-    assert "safe_volts must lie within the output's range, 0.0 to 9.995" in refused(
-        "rig.safe_volts=-1", "rig.calibration.driver_low_v=-1"
-    )
+def test_its_keys_are_known(outside: Outside, tmp_path: Path) -> None:
+    shown = ["config", "show", "--backend", "toy", "--set=rig.toy.devise=x"]
+    done = pamctl_with(outside.environment, *shown, cwd=tmp_path)
+    assert done.returncode == 78
+    assert "rig.toy.devise: unknown key; did you mean 'device'?" in done.stderr
 
 
 def test_the_help_lists_it_and_a_package_that_does_not_load_harms_no_other(

@@ -9,7 +9,8 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from standin.standin import HERE, PERMIT, Card, advance, here
+from standin.standin import HERE, Card, advance, here
+from support.card_rigs import use_card
 
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
@@ -18,11 +19,8 @@ SOURCE = (HERE / "daqmx.c").read_text()
 
 
 @pytest.fixture
-def card(monkeypatch: pytest.MonkeyPatch) -> Iterator[Card]:
-    monkeypatch.setenv(PERMIT, "1")
-    here().power_up()
-    yield here()
-    here().mend()
+def card() -> Iterator[Card]:
+    yield from use_card(here())
 
 
 def test_its_muscle_is_that_of_the_simulation(card: Card) -> None:

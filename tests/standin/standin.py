@@ -15,8 +15,8 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
@@ -343,6 +343,14 @@ def require_compiler() -> None:
         if os.environ.get("CI") == "true":
             pytest.fail(missing)
         pytest.skip(missing)
+
+
+@contextmanager
+def permit() -> Iterator[None]:
+    """Permit the card to `pamctl` in this process."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(PERMIT, "1")
+        yield
 
 
 @cache

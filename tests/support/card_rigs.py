@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import Any
 
-from standin.standin import Card
+from standin.standin import Card, permit
 
 from hal.nidaq.card_settings import NidaqSettings
 from hal.rig import Rig
@@ -53,3 +54,28 @@ def hardware_timed(card: Card, safe_output_v: float) -> tuple[Rig, Clock]:
     time, wiring = CardTime(card), NidaqSettings(timing="hardware_timed")
     rig = HardwareTimedRig(wiring, rate_hz=1e3, safe_output_v=safe_output_v, now_ns=time.now_ns)
     return rig, SampleClock(time, rig.await_edge)
+
+
+def use_card(card: Card) -> Iterator[Card]:
+    """Switch a card on, where the tests may use it; mend it afterwards."""
+    with permit():
+        card.power_up()
+        card.calibrate()
+        yield card
+        card.mend()
+        card.registers.is_gone = 0
+
+
+def make_and_close(card: Card, make: Callable[..., Rig]) -> Iterator[Callable[..., Any]]:
+    """Make rigs, and close them whatever the test has done to them."""
+    made: list[Rig] = []
+
+    def make_one(**changes: object) -> Rig:
+        made.append(make(**changes))
+        return made[-1]
+
+    yield make_one
+    card.mend()
+    card.registers.is_gone = 0
+    for rig in made:
+        rig.close()

@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hidden.effects import apply
-from hidden.examination.oracle import POSITION_FLOOR_M, PRESSURE_FLOOR_PA
 from hidden.excitations import PROGRAMS, Excitation
-from hidden.rig import HiddenRig, Record, hidden_rig
+from hidden.rig import HiddenRig, Record, hidden_rig, in_floors
 from hidden.rungs import Cause, Rung, Where, carried_rung, named_cause
-from hidden.sensors import ADC_STEP_PA, ENCODER_STEP_M, Sensors
+from hidden.sensors import ADC_STEP_PA, ENCODER_STEP_M, Sensors, remember
 
 Array = NDArray[np.float64]
 Shape = Mapping[str, float]
@@ -67,9 +66,7 @@ def _hiss(c: Columns, size: float, shape: Shape) -> Columns:
     """Add noise that is correlated over `time_s`, as of a pipe with a turbulent flow."""
     rng = np.random.default_rng([59, int(shape["seed"]), len(c["t_s"])])
     keep = math.exp(-1e-3 / shape["time_s"])
-    kicks, noise = rng.normal(size=len(c["t_s"])), np.zeros(len(c["t_s"]))
-    for k in range(1, len(noise)):
-        noise[k] = keep * noise[k - 1] + math.sqrt(1.0 - keep**2) * kicks[k]
+    noise = remember(keep, 0.0, math.sqrt(1.0 - keep**2) * rng.normal(size=len(c["t_s"])))
     return c | {"pressure_pa": c["pressure_pa"] + size * noise}
 
 
@@ -315,14 +312,7 @@ class _Probe:
 
     def _see(self, rig: HiddenRig, dirts: Sequence[Dirt] = ()) -> Array:
         """Return the signals in floors of their sensors, one row a channel."""
-        records = [run_dirty(rig, run, dirts) for run in self._runs]
-        floors = {"pressure_pa": PRESSURE_FLOOR_PA, "position_m": POSITION_FLOOR_M}
-        rows = [
-            np.concatenate([c[name] / floor for c in (r.columns() for r in records)])
-            for name, floor in floors.items()
-            if records[0].columns().get(name) is not None
-        ]
-        return np.stack(rows)
+        return in_floors([run_dirty(rig, run, dirts) for run in self._runs])
 
 
 def _perfect(rig: HiddenRig) -> HiddenRig:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from hidden.hostile.causes import NOISE_WORDS
+from hidden.hostile.lab import NOISE_WORDS
 from hidden.rungs import Said
 
 TERM_PLACES = {

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hidden.effects import Size, apply
-from hidden.equations.machine_code import settle
-from hidden.equations.passes import fill_closed_loop, fill_open_loop
+from hidden.equations.motion import fill_closed_loop, fill_open_loop, settle
 from hidden.equations.truth import Truth
 from hidden.excitations import Excitation
-from hidden.sensors import ADC_STEP_PA, AO_STEP_V, ENCODER_STEP_M, Sensors
+from hidden.sensors import ADC_STEP_PA, AO_STEP_V, ENCODER_STEP_M, Sensors, remember
 from pamctl.kernel.calls import machine
 
 Array = NDArray[np.float64]
@@ -43,14 +40,20 @@ class Record:
         """Return the record of a rig that lacks these columns."""
         return replace(self, **dict.fromkeys(names))
 
-    def write_csv(self, path: Path) -> None:
-        """Write as a spreadsheet would read it: one header line, ten significant digits."""
-        columns = self.columns()
-        with path.open("w", newline="") as file:
-            writer = csv.writer(file)
-            writer.writerow(columns)
-            for row in zip(*columns.values(), strict=True):
-                writer.writerow([f"{value:.10g}" for value in row])
+
+FLOORS = {"pressure_pa": 300.0, "position_m": 5e-6}
+"""A sensor's noise; a count's error, and what the pressure's noise does to a muscle that sticks."""
+
+
+def in_floors(records: Sequence[Record]) -> Array:
+    """Return pressure and position of records in floors, one row a channel that they have."""
+    columns = [record.columns() for record in records]
+    rows = [
+        np.concatenate([own[name] / floor for own in columns])
+        for name, floor in FLOORS.items()
+        if name in columns[0]
+    ]
+    return np.stack(rows)
 
 
 @dataclass(frozen=True)
@@ -108,12 +111,8 @@ class HiddenRig:
         s = self.sensors
         if s.perfect:
             return np.zeros(n)
-        keep = np.exp(-1.0 / 4.0)
-        slow = np.empty(n)
-        slow[0] = rng.normal()
-        kicks = rng.normal(size=n) * np.sqrt(1.0 - keep**2)
-        for k in range(1, n):
-            slow[k] = keep * slow[k - 1] + kicks[k]
+        keep, first = np.exp(-1.0 / 4.0), rng.normal()
+        slow = remember(keep, first, rng.normal(size=n) * np.sqrt(1.0 - keep**2))
         white = np.sqrt(1.0 - s.coloured_share) * rng.normal(size=n)
         return s.pressure_noise_pa * (white + np.sqrt(s.coloured_share) * slow)
 

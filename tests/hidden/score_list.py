@@ -15,7 +15,7 @@ from typing import Any
 
 import yaml
 
-from hidden.ball_screw.ball_screw_cases import BallScrewCase, ball_screw_cases
+from hidden.ball_screw_drive import BallScrewCase, ball_screw_cases
 from hidden.dirty import DirtyRig
 from hidden.effects import CALLED, OUT_OF_CATALOGUE, SINGLES
 from hidden.examination import cases as suite
@@ -23,7 +23,7 @@ from hidden.examination import examine
 from hidden.examination.cases import PAIRS, Case
 from hidden.examination.oracle import SURE, oracle_of
 from hidden.hostile import trial
-from hidden.hostile.causes import FITTED
+from hidden.hostile.lab import FITTED
 from hidden.hostile.misread import NULLS, NullCase
 from hidden.hostile.situations import HostileCase, Situation, all_cases, all_situations
 from hidden.hostile.visible import is_hopeless

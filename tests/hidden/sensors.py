@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
 ENCODER_STEP_M = 25.4e-3 / 8000.0
 ADC_STEP_PA = 47.5
 AO_STEP_V = 20.0 / 65536.0
@@ -28,3 +32,8 @@ class Sensors:
     missed_ticks: int = 0
     perfect: bool = False
     """Neither noise nor steps nor jitter: for tests of the truth."""
+
+
+def remember(keep: float, first: float, kicks: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return noise that keeps a share of its last value, from `first` on in place of a kick."""
+    return np.asarray(lfilter([1.0], [1.0, -keep], np.concatenate([[first], kicks[1:]])))

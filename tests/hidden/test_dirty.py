@@ -9,34 +9,22 @@ import pytest
 from numpy.typing import NDArray
 
 from hidden.dirty import DIRT, RECALIBRATED, SHARES, Dirt, DirtyRig, run_dirty
-from hidden.rig import HiddenRig
+from hidden.rig import HiddenRig, in_floors
 from hidden.rungs import KINDS, NAMES, PLACES, Cause, Said, carried_rung, mark, named_cause
 from hidden.score_list import draw_list
-from hidden.sensors import Sensors
 from pamctl.plant.catalogue import CATALOGUE
 
 
 def show(rig: HiddenRig, dirty: DirtyRig, dirts: tuple[Dirt, ...] = ()) -> NDArray[np.float64]:
-    """Return what perfect sensors show, in 300 Pa and 5 um."""
-    perfect = Sensors(
-        perfect=True,
-        **{
-            name: getattr(rig.sensors, name)
-            for name in ("pressure_gain", "pressure_offset_pa", "encoder_scale")
-        },
-    )
-    runs = [run_dirty(replace(rig, sensors=perfect), run, dirts) for run in dirty.programs[0][1:4]]
-    columns = [np.concatenate([r.position_m / 5e-6 for r in runs if r.position_m is not None])]
-    if runs[0].pressure_pa is not None:
-        columns += [
-            np.concatenate([r.pressure_pa / 300.0 for r in runs if r.pressure_pa is not None])
-        ]
-    return np.concatenate(columns)
+    """Return what perfect sensors show, in floors."""
+    perfect = replace(rig, sensors=replace(rig.sensors, perfect=True))
+    runs = dirty.programs[0][1:4]
+    return in_floors([run_dirty(perfect, run, dirts) for run in runs]).ravel()
 
 
 @pytest.mark.long
 def test_each_small_thing_leaves_its_share_of_what_the_effect_leaves() -> None:
-    rig = DirtyRig(3)  # with cross-talk and a bowed sensor
+    rig = DirtyRig(3, program="brief")  # with cross-talk and a bowed sensor
     base = show(rig.affected, rig)
     number = rig.affected.truth._asdict()
     moved = [

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from hidden.excitations import pulling, square, tracking
-from hidden.plant import HiddenPlant
+from hidden.own_run import HiddenPlant
 from hidden.rig import hidden_rig
 from hidden.sensors import ADC_STEP_PA, AO_STEP_V, ENCODER_STEP_M
 

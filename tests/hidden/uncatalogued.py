@@ -30,7 +30,6 @@ class Uncatalogued:
     """A truth, and the places and drivers that say it rightly."""
 
     name: str
-    block: str
     right: tuple[Place, ...]
     effect: str = ""
     """Of the rig's own equations, at three times the smallest size of interest."""
@@ -118,55 +117,55 @@ def _bend(gauge_pa: np.ndarray) -> np.ndarray:
     return gauge_pa + 4.0 * 3e3 * share * (1.0 - share)
 
 
-def _in_truth(name: str, block: str, right: Place, called: str = "") -> Uncatalogued:
-    return Uncatalogued(name, block, (right,), name, called=called)
+def _in_truth(name: str, right: Place, called: str = "") -> Uncatalogued:
+    return Uncatalogued(name, (right,), name, called=called)
 
 
 OFF_CENTRE = _on_position(lambda x, t: x + 60e-6 * np.sin(2.0 * np.pi * x / 6.3e-3))
 
 UNCATALOGUED = (
     # --- in the rig's own equations
-    _in_truth("position_dependent_friction", "mechanics", ("braid_friction", "position"),
+    _in_truth("position_dependent_friction", ("braid_friction", "position"),
               "position_friction"),
-    _in_truth("hysteretic_spring", "mechanics", ("force", "position"), "spring_hysteresis"),
-    _in_truth("second_spring", "mechanics", ("force", "position")),
-    _in_truth("wearing_friction", "mechanics", ("braid_friction", "time")),
-    _in_truth("friction_with_pressure", "mechanics", ("braid_friction", "pressure")),
-    _in_truth("drag_along_stroke", "mechanics", ("damping", "position")),
-    _in_truth("pull_along_stroke", "mechanics", ("pull", "position")),
-    _in_truth("supply_ripple", "pressure", ("supply", "time"), "supply_ripple"),
-    _in_truth("valve_gain_wobble", "pressure", ("opening", "time")),
-    _in_truth("slewing_driver", "pressure", ("command", "command"), "valve_slew"),
-    _in_truth("swelling_hose", "pressure", ("volume", "pressure")),
+    _in_truth("hysteretic_spring", ("force", "position"), "spring_hysteresis"),
+    _in_truth("second_spring", ("force", "position")),
+    _in_truth("wearing_friction", ("braid_friction", "time")),
+    _in_truth("friction_with_pressure", ("braid_friction", "pressure")),
+    _in_truth("drag_along_stroke", ("damping", "position")),
+    _in_truth("pull_along_stroke", ("pull", "position")),
+    _in_truth("supply_ripple", ("supply", "time"), "supply_ripple"),
+    _in_truth("valve_gain_wobble", ("opening", "time")),
+    _in_truth("slewing_driver", ("command", "command"), "valve_slew"),
+    _in_truth("swelling_hose", ("volume", "pressure")),
     # --- numbers that change while it runs
-    Uncatalogued("supply_falls", "pressure", (("supply", "time"),),
+    Uncatalogued("supply_falls", (("supply", "time"),),
                  run=_times("supply_pa", -0.009)),
-    Uncatalogued("supply_jumps", "pressure", (("supply", "time"),),
+    Uncatalogued("supply_jumps", (("supply", "time"),),
                  run=_times("supply_pa", -0.03, 1.37)),
-    Uncatalogued("exhaust_clogs", "pressure", (("exhausting", "time"),),
+    Uncatalogued("exhaust_clogs", (("exhausting", "time"),),
                  run=_times("vent_gain", -0.02)),
-    Uncatalogued("valve_opens_wider", "pressure", (("opening", "time"),),
+    Uncatalogued("valve_opens_wider", (("opening", "time"),),
                  run=_times("valve_m2_per_v", 0.06, 1.73)),
-    Uncatalogued("spring_softens", "mechanics", (("stiffness", "time"),),
+    Uncatalogued("spring_softens", (("stiffness", "time"),),
                  run=_times("stiffness", -0.009)),
-    Uncatalogued("damping_grows", "mechanics", (("damping", "time"),),
+    Uncatalogued("damping_grows", (("damping", "time"),),
                  run=_times("damping", 0.08)),
-    Uncatalogued("load_is_hung_on", "mechanics", (("force", "time"),),
+    Uncatalogued("load_is_hung_on", (("force", "time"),),
                  run=_over_time(lambda p, t_s: p._replace(load_n=1.7 if t_s >= 1.31 else 0.0))),
     # --- on what goes in and comes out
-    Uncatalogued("null_offset", "pressure", (("command", ""),),
+    Uncatalogued("null_offset", (("command", ""),),
                  run=_with_valve(lambda v: v + 0.07), called="null_offset"),
-    Uncatalogued("null_jumps", "pressure", (("command", "time"),),
+    Uncatalogued("null_jumps", (("command", "time"),),
                  run=_with_valve(lambda v: v + 0.06 * (np.arange(len(v)) >= 1610))),
-    Uncatalogued("null_creeps", "pressure", (("command", "time"),),
+    Uncatalogued("null_creeps", (("command", "time"),),
                  run=_with_valve(lambda v: v + 0.025e-3 * np.arange(len(v)))),
-    Uncatalogued("slew_limit", "pressure", (("command", "command"),),
+    Uncatalogued("slew_limit", (("command", "command"),),
                  run=_with_valve(lambda v: _limit_rate(v, 1.3)), called="valve_slew"),
-    Uncatalogued("off_centre_encoder", "mechanics", (("encoder", "position"),), run=OFF_CENTRE),
-    Uncatalogued("slipping_encoder", "mechanics", (("encoder", "time"),),
+    Uncatalogued("off_centre_encoder", (("encoder", "position"),), run=OFF_CENTRE),
+    Uncatalogued("slipping_encoder", (("encoder", "time"),),
                  run=_on_position(lambda x, t: x + 70e-6 * (t >= 1.43))),
-    Uncatalogued("bent_sensor", "pressure", (("pressure_sensor", "pressure"),),
+    Uncatalogued("bent_sensor", (("pressure_sensor", "pressure"),),
                  run=_on_pressure(lambda g, t: _bend(g))),
-    Uncatalogued("drifting_sensor", "pressure", (("pressure_sensor", "time"),),
+    Uncatalogued("drifting_sensor", (("pressure_sensor", "time"),),
                  run=_on_pressure(lambda g, t: g + 0.8e3 * t)),
 )  # fmt: skip

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from hidden.equations.physics import braid_grip, braid_lever, pull_area
+from hidden.equations.air import braid_grip, braid_lever, pull_area
 
 
 def band(p, x, gauge_pa, speed, t_s):

@@ -23,14 +23,10 @@ from numpy.typing import NDArray
 from hidden.effects import MECHANICAL_BLOCK, ON_BOTH_BLOCKS, PRESSURE_BLOCK, SINGLES
 from hidden.equations.truth import Truth
 from hidden.excitations import PROGRAMS, Excitation
-from hidden.rig import HiddenRig, hidden_rig
+from hidden.rig import HiddenRig, hidden_rig, in_floors
 from hidden.sensors import Sensors
 
 Array = NDArray[np.float64]
-
-PRESSURE_FLOOR_PA = 300.0
-POSITION_FLOOR_M = 5e-6
-"""A count's error, and what the pressure's noise does to a muscle that sticks."""
 
 SURE = 0.45
 """Above this share of the floor the residual's RMS is 10 % above the floor: it must be found."""
@@ -96,10 +92,7 @@ class _Eye:
         return self._seen(HiddenRig(truth, Sensors(perfect=True), 0, 20e-6)) - self.plain
 
     def _seen(self, rig: HiddenRig) -> Array:
-        records = [rig.run(excitation).record for excitation in self.runs]
-        pressure = np.concatenate([r.pressure_pa for r in records if r.pressure_pa is not None])
-        position = np.concatenate([r.position_m for r in records if r.position_m is not None])
-        return np.stack([pressure / PRESSURE_FLOOR_PA, position / POSITION_FLOOR_M])
+        return in_floors([rig.run(excitation).record for excitation in self.runs])
 
 
 def _judged(

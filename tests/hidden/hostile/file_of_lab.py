@@ -1,21 +1,112 @@
-"""From what was there to what the user's file holds: sensors, clocks, and offline habits."""
+"""A rig that may change while it runs, and what the user's file holds of it.
+
+Sensors, clocks, and offline habits; each channel is read at instants of its own.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, filtfilt
 
+from hidden.equations.motion import prepare_passage, settle
 from hidden.equations.truth import State, Truth
 from hidden.excitations import Excitation
 from hidden.hostile.lab import Channel, Lab
-from hidden.hostile.varying_pass import Passed, run_varying
 from hidden.rig import HiddenRig, Record, needed_step_s
-from hidden.sensors import ADC_STEP_PA, ENCODER_STEP_M, Sensors
+from hidden.sensors import ADC_STEP_PA, AO_STEP_V, ENCODER_STEP_M, Sensors, remember
 
 Array = NDArray[np.float64]
+Reader = Callable[[int, State], tuple[float, float]]
+"""(tick, state) -> (pressure in Pa, position in m) as the loop's sensors show them."""
+
+
+@dataclass(frozen=True)
+class Passed:
+    """What was there: the commands of the ticks, and the state at the asked instants."""
+
+    volts: Array
+    sensed_pa: Array
+    geared_m: Array
+    """Both at their own instants."""
+    rest_m: float
+
+
+def run_varying(
+    truth_at: Callable[[float], Truth],
+    excitation: Excitation,
+    tick_s: Array,
+    pressure_s: Array,
+    position_s: Array,
+    read: Reader,
+    step_s: float,
+) -> Passed:
+    """Move the rig under the commands of the ticks, from rest and vented.
+
+    A command acts from its tick on. `pressure_s` and `position_s` are the instants at which the
+    file's values were really there; before the start and after the last tick the rig is as then.
+    """
+    start = truth_at(0.0)
+    state = settle(start, excitation.rest_v, step_s)
+    end_s = float(tick_s[-1])
+    instants = np.unique(np.clip(np.concatenate([tick_s, pressure_s, position_s]), 0.0, end_s))
+    ticks = {float(t): k for k, t in enumerate(tick_s)}
+    loop = _Loop(excitation)
+    volts = np.zeros(len(tick_s))
+    seen = np.zeros((2, len(instants)))
+    call = prepare_passage(start, state, np.ascontiguousarray(tick_s), volts, step_s)
+    rest_m = float(state.geared_m)
+    for i, now in enumerate(instants):
+        seen[:, i] = state.sensed_pa, state.geared_m
+        tick = ticks.get(float(now))
+        if tick is not None:
+            dt = float(tick_s[tick] - tick_s[tick - 1]) if tick else 1e-3
+            volts[tick] = loop.choose_volts(tick, float(now), dt, *read(tick, state))
+            call.put("written", tick + 1)
+        if i + 1 < len(instants):
+            call.put("p", truth_at(float(now)))
+            call.put("since", float(now))
+            call.put("until", float(instants[i + 1]))
+            call.run()
+            state = call.get("state")
+    at = [np.searchsorted(instants, np.clip(t, 0.0, end_s)) for t in (pressure_s, position_s)]
+    return Passed(volts, seen[0][at[0]], seen[1][at[1]], rest_m)
+
+
+class _Loop:
+    """Asks for a voltage: the excitation's own, or a PID's on what it reads."""
+
+    def __init__(self, excitation: Excitation) -> None:
+        self._asked = excitation
+        self._total = self._slope = self._slow = 0.0
+        self._before = 0.0
+        self._began = False
+
+    def choose_volts(
+        self, k: int, t_s: float, dt: float, pressure: float, position: float
+    ) -> float:
+        asked = self._asked
+        if asked.volts is not None:
+            return round(float(asked.volts[k]) / AO_STEP_V) * AO_STEP_V
+        assert asked.wanted_m is not None
+        if not self._began:
+            self._before, self._slow, self._began = position, pressure, True
+        proportional, integral, derivative, damping = asked.gains
+        self._slope += dt / 8e-3 * ((position - self._before) / dt - self._slope)
+        self._slow += dt / 50e-3 * (pressure - self._slow)
+        self._before = position
+        if t_s < asked.rest_s:
+            return round(asked.rest_v / AO_STEP_V) * AO_STEP_V
+        error = float(asked.wanted_m[k]) - position
+        u = proportional * error + integral * self._total - derivative * self._slope
+        u -= damping * (pressure - self._slow)
+        if abs(u) < 5.0:
+            self._total += error * dt
+        return round(min(max(u, -5.0), 5.0) / AO_STEP_V) * AO_STEP_V
+
 
 STATED_ATMOSPHERE_PA = 101.3e3
 PRESSURE_SPAN_PA = 700e3
@@ -82,9 +173,8 @@ def draw_noise(sensors: Sensors, n: int, rng: np.random.Generator) -> Array:
     """Return pressure noise: white, and a share that is correlated over 4 ms."""
     if sensors.perfect:
         return np.zeros(n)
-    kicks, slow, keep = rng.normal(size=n), np.zeros(n), np.exp(-0.25)
-    for k in range(1, n):
-        slow[k] = keep * slow[k - 1] + np.sqrt(1.0 - keep**2) * kicks[k]
+    keep = np.exp(-0.25)
+    slow = remember(keep, 0.0, np.sqrt(1.0 - keep**2) * rng.normal(size=n))
     white = np.sqrt(1.0 - sensors.coloured_share) * rng.normal(size=n)
     return np.asarray(sensors.pressure_noise_pa * (white + np.sqrt(sensors.coloured_share) * slow))
 
@@ -195,12 +285,9 @@ def draw_wander(lab: Lab, ticks: Array, rng: np.random.Generator) -> Array:
     if lab.wander_pa == 0.0:
         return np.zeros(len(ticks))
     keep = np.exp(-np.median(np.diff(ticks)) / lab.wander_s)
-    wander = np.zeros(len(ticks))
-    wander[0] = rng.normal()
+    first = rng.normal()
     kicks = rng.normal(size=len(ticks)) * np.sqrt(1.0 - keep**2)
-    for k in range(1, len(ticks)):
-        wander[k] = keep * wander[k - 1] + kicks[k]
-    return lab.wander_pa * wander
+    return lab.wander_pa * remember(keep, first, kicks)
 
 
 def _drop_rows(gauge: Array, lab: Lab, rng: np.random.Generator) -> Array:

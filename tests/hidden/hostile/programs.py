@@ -18,6 +18,7 @@ from hidden.excitations import (
     square,
     tracking,
 )
+from hidden.sensors import remember
 
 Records = tuple[list[Excitation], list[Excitation]]
 
@@ -69,9 +70,8 @@ def shake_levels(seed: int, seconds: float) -> Excitation:
     while sum(map(len, levels)) < count:
         height = rng.choice([0.3, 0.8, 2.0, 5.0]) * rng.uniform(-1.0, 1.0)
         levels.append(np.full(round(rng.gamma(2.0, 0.06) / TICK_S) + 5, height))
-    shake = np.zeros(count)
-    for k in range(1, count):  # a first-order lag of 8 ms on white noise
-        shake[k] = 0.88 * shake[k - 1] + rng.normal(0.0, 0.12)
+    # A first-order lag of 8 ms on white noise.
+    shake = remember(0.88, 0.0, np.append(0.0, rng.normal(0.0, 0.12, count - 1)))
     return _rested("random-levels", np.concatenate(levels)[:count] + shake, seed)
 
 

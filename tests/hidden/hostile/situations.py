@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from hidden.effects import CALLED, Size
-from hidden.hostile.causes import Answer, Kind, SetupCause
-from hidden.hostile.lab import Channel, Lab
+from hidden.hostile.lab import Answer, Channel, Kind, Lab, SetupCause
 from hidden.hostile.programs import EXCITATIONS
 
 SIZES = ("small", "large")
@@ -79,12 +78,9 @@ def _each(key: str, values: tuple[float, float]) -> tuple[dict[str, float], dict
     return {key: values[0]}, {key: values[1]}
 
 
-def _set_up(
-    kind: Kind, number: str, sizes: tuple[float | None, float | None] = (None, None)
-) -> Answers:
-    """Return the answers that name one cause, of a value for each size."""
-    small, large = (Answer(setup=(SetupCause(kind, number, value),)) for value in sizes)
-    return small, large
+def _set_up(kind: Kind, number: str) -> Answers:
+    """Return the answers that name one cause."""
+    return _same(Answer(setup=(SetupCause(kind, number),)))
 
 
 def _with(answers: Answers, **changes: Any) -> Answers:
@@ -124,7 +120,7 @@ def set_up_situations() -> Iterator[Situation]:
     for name, (small, large) in {"null_up": (0.02, 0.15), "null_down": (-0.05, -0.2)}.items():
         # Laps that are shifted to one side: what is left of a command u is exactly u - volts.
         laps = [{"overlap_fill_v": v, "overlap_vent_v": -v} for v in (small, large)]
-        answers = _set_up("null_offset", "", (small, large))
+        answers = _set_up("null_offset", "")
         yield Situation(name, "set_up", _two(truth=(laps[0], laps[1])),
                         _with(answers, equal=frozenset({"null_offset"})))  # fmt: skip
     place = "atmospheric_pressure_pa"
@@ -133,7 +129,7 @@ def set_up_situations() -> Iterator[Situation]:
         "set_up",
         _two(true_atmosphere_pa=(94e3, 80e3), sensor_is_gauge=(True, True)),
         _with(
-            _set_up("plant_constant", place, (94e3, 80e3)),
+            _set_up("plant_constant", place),
             beside=frozenset({"pressure_sensor_gain"}),
         ),
     )
@@ -142,7 +138,7 @@ def set_up_situations() -> Iterator[Situation]:
         "set_up",
         _two(true_atmosphere_pa=(98e3, 88e3)),
         _with(
-            _set_up("plant_constant", place, (98e3, 88e3)),
+            _set_up("plant_constant", place),
             beside=frozenset({"pressure_sensor_gain", "pressure_sensor_offset"}),
         ),
     )
@@ -151,7 +147,7 @@ def set_up_situations() -> Iterator[Situation]:
 
 
 def _wrong_plant_numbers() -> Iterator[Situation]:
-    length = _set_up("plant_constant", "rest_length_m", (0.2, 0.2))
+    length = _set_up("plant_constant", "rest_length_m")
     short, long = (
         _two(plant_factors=_each("rest_length_m", f)) for f in ((0.99, 0.97), (1.01, 1.03))
     )
@@ -160,13 +156,13 @@ def _wrong_plant_numbers() -> Iterator[Situation]:
     lost = _with(length, equal=frozenset({"end_cap"}))
     yield Situation("rest_length_long", "set_up", long, lost)
     braid = _two(plant_factors=_each("braid_length_m", (1.005, 1.03)))
-    answers = _set_up("plant_constant", "braid_length_m", (0.232, 0.232))
+    answers = _set_up("plant_constant", "braid_length_m")
     yield Situation("braid_length", "set_up", braid, answers)
     # The large one: the gauge's reading typed as absolute.
     supply = (
         Lab(plant_factors={"tank_pressure_pa": 0.93}), Lab(plant={"tank_pressure_pa": 340e3}),
     )  # fmt: skip
-    answers = _set_up("plant_constant", "tank_pressure_pa", (441.3e3, 441.3e3))
+    answers = _set_up("plant_constant", "tank_pressure_pa")
     yield Situation("supply", "set_up", supply, answers)
 
 
@@ -184,7 +180,7 @@ def _wrong_columns() -> Iterator[Situation]:
         "set_up",
         _two(position_scale=(1.03, 4.0)),
         _with(
-            _set_up("scale", "position_m", (1.03, 4.0)),
+            _set_up("scale", "position_m"),
             equal=frozenset({"encoder_scale"}),
             refusal=("scale", "unit", "travel", "stroke", "count", "longer", "limit"),
         ),
@@ -224,12 +220,12 @@ def time_situations() -> Iterator[Situation]:
     for name, (channel, late_s) in shifts.items():
         beside = {"pressure_late": {"pressure_sensor_lag"}}.get(name, set())
         equal = {"command_delay"} if name == "command_early" else set()
-        skew = _set_up("skew", channel, late_s)
+        skew = _set_up("skew", channel)
         answers = _with(skew, beside=frozenset(beside), equal=frozenset(equal))
         yield Situation(name, "time", _two(late_s=_each(channel, late_s)), answers)
     # Samples that are older than their stamp, at which the command acts: the command is early.
     small, large = ({"pressure_pa": s, "position_m": s} for s in (0.5e-3, 1.5e-3))
-    early = _set_up("skew", "valve_v", (-0.5e-3, -1.5e-3))
+    early = _set_up("skew", "valve_v")
     yield Situation("stamps_late", "time", _two(late_s=(small, large)),
                     _with(early, equal=frozenset({"command_delay"})))  # fmt: skip
     clocks: dict[Channel, tuple[float, float]] = {
@@ -238,7 +234,7 @@ def time_situations() -> Iterator[Situation]:
     }
     for channel, rates in clocks.items():
         labs = _two(clock_rates=_each(channel, rates))
-        yield Situation(f"clock_{channel}", "time", labs, _set_up("clock_rate", channel, rates))
+        yield Situation(f"clock_{channel}", "time", labs, _set_up("clock_rate", channel))
 
 
 CHANGING = {
@@ -252,7 +248,7 @@ CHANGING = {
 def change_situations() -> Iterator[Situation]:
     """Numbers that drift within or between the records, or change at an instant."""
     for name, (mine, theirs, shares) in CHANGING.items():
-        drift = _set_up("drift", theirs, shares)
+        drift = _set_up("drift", theirs)
         yield Situation(f"{name}_within", "change", _two(within=_each(mine, shares)),
                         _with(drift, equal=frozenset({"drift"})))  # fmt: skip
         yield Situation(f"{name}_between", "change", _two(between=_each(mine, shares)), drift)
@@ -263,7 +259,7 @@ def change_situations() -> Iterator[Situation]:
                     _with(began, beside=frozenset({"chamber_leak"})))  # fmt: skip
     yield Situation("softer_from_half", "change",
                     _two(at_half_factors=_each("stiffness", (0.98, 0.93))),
-                    _set_up("change_at_instant", "stiffness_n_per_m", (-0.02, -0.07)))  # fmt: skip
+                    _set_up("change_at_instant", "stiffness_n_per_m"))  # fmt: skip
 
 
 def noise_situations() -> Iterator[Situation]:
@@ -319,7 +315,7 @@ def unknown_situations() -> Iterator[Situation]:
     yield Situation("second_spring", "unknown", _two(truth=(small, large)),
                     _same(Answer(unknown=True)))  # fmt: skip
     yield Situation("sensor_bow", "unknown", _two(pressure_bow=(0.005, 0.02)),
-                    _set_up("bow", "pressure_pa", (1750.0, 7000.0)))  # fmt: skip
+                    _set_up("bow", "pressure_pa"))  # fmt: skip
     for name, called in CALLED.items():
         if name != "hysteretic_spring":
             yield Situation(name, "unknown", NONE, _same(_name(called)), ({name: 3}, {name: 10}))

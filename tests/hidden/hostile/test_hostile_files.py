@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hidden.effects import Size
 from hidden.equations.truth import Truth
 from hidden.examination.oracle import SURE
-from hidden.excitations import Excitation
+from hidden.excitations import Excitation, tracking
 from hidden.hostile.file_of_lab import record_of, truth_over_time
 from hidden.hostile.lab import Lab
 from hidden.hostile.programs import EXCITATIONS, random_levels
@@ -189,12 +189,15 @@ def test_the_plant_file_is_wrong_where_the_case_says_so() -> None:
         assert wrong == {*case.lab.plant_factors, *case.lab.plant}
 
 
-def test_records_come_back_in_parts_and_change_in_the_order_of_recording() -> None:
+def test_records_come_back_in_parts_and_change_in_the_order_of_recording(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    runs = [replace(tracking(1.0, seed), name=f"run-{seed}") for seed in range(4)]
+    monkeypatch.setitem(EXCITATIONS, "closed", lambda seed: (runs[:2], runs[2:]))
     case = next(c for c in all_cases() if c.id == "stiffness_between/large/closed")
     train, held_out = records_of(case)
     assert [len(train), len(held_out)] == [2, 2]
-    first = EXCITATIONS["closed"](case.seed)[0][0]
-    again = record_of(rig_of(case), case.lab, first, 0.0)
+    again = record_of(rig_of(case), case.lab, runs[0], 0.0)
     for name, column in train[0].columns().items():
         assert np.array_equal(column, getattr(again, name))
 

@@ -20,13 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hidden.equations.truth import Truth
-from hidden.examination.oracle import HOPELESS, POSITION_FLOOR_M, PRESSURE_FLOOR_PA
+from hidden.examination.oracle import HOPELESS
 from hidden.excitations import Excitation
 from hidden.hostile.file_of_lab import record_of
 from hidden.hostile.programs import EXCITATIONS
 from hidden.hostile.situations import HostileCase, all_cases
 from hidden.hostile.trial import TRUTH_NAMES, start_plant
-from hidden.rig import HiddenRig, Record, hidden_rig
+from hidden.rig import HiddenRig, Record, hidden_rig, in_floors
 from hidden.sensors import Sensors
 
 Array = NDArray[np.float64]
@@ -69,7 +69,7 @@ def measure_share(case: HostileCase) -> float:
     ]
     typed = start_plant(case).parameters
     model = Truth(**{mine: getattr(typed, name) for name, mine in TRUTH_NAMES.items()})
-    seen = np.concatenate([_floors_of(file) for file in files], axis=1)
+    seen = in_floors(files)
     best = np.inf
     for _ in range(ROUNDS):
         error = seen - _predict(model, files)
@@ -106,13 +106,7 @@ def _predict(model: Truth, files: list[Record]) -> Array:
         for file in files
         if file.valve_v is not None
     ]
-    return np.concatenate([_floors_of(run) for run in runs], axis=1)
-
-
-def _floors_of(record: Record) -> Array:
-    assert record.pressure_pa is not None
-    assert record.position_m is not None
-    return np.stack([record.pressure_pa / PRESSURE_FLOOR_PA, record.position_m / POSITION_FLOOR_M])
+    return in_floors(runs)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
-"""One small step of the truth, and many of them between two readings."""
+"""One small step of the truth, many of them between two readings, and whole records."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from hidden.equations.air import (
     air_after,
@@ -10,9 +11,14 @@ from hidden.equations.air import (
     fast_tank_after,
     flows,
     gas_after,
+    opening,
+    play,
     pressure_of,
+    slewed,
+    spool,
     supply_pa,
     tank_after,
+    volume,
 )
 from hidden.equations.mechanism import (
     SLIP_A,
@@ -28,9 +34,8 @@ from hidden.equations.mechanism import (
     strained,
     velocity_after,
 )
-from hidden.equations.physics import volume
-from hidden.equations.truth import State
-from hidden.equations.valve import opening, play, slewed, spool
+from hidden.equations.truth import State, Truth
+from pamctl.kernel.calls import Call, prepare
 
 
 def at_rest(p, command_v):
@@ -186,3 +191,119 @@ def small_step(p, s, command_v, force_n, h):
 def volume_growth(p, x, x_after, gauge_pa):
     """Return the change of the muscle's volume at one pressure."""
     return volume(p, x_after, gauge_pa) - volume(p, x, gauge_pa)
+
+
+def between_readings(
+    p, state, since, until, times, volts, written, arrived, start_force, force_rate, longest
+):
+    """Move from one reading to the next.
+
+    The first `written` of `times` and `volts` have been asked for so far; what arrives at the
+    driver is `delay_s` older. Returns the state and the index of the voltage that has arrived.
+    """
+    steps = max(math.ceil((until - since) / longest - 1e-9), 1)
+    h = (until - since) / steps
+    now = since
+    for k in range(steps):
+        end = since + (k + 1) * h
+        while now < end:
+            stop = end
+            if arrived + 1 < written:
+                change = times[arrived + 1] + p.delay_s
+                if change <= now:
+                    arrived += 1
+                    continue
+                stop = min(end, change)  # a flow is not linear in the opening: no averaging
+            force = start_force + force_rate * (0.5 * (now + stop) - since)
+            state = small_step(p, state, volts[arrived], force, stop - now)
+            now = stop
+    return state, arrived
+
+
+def fill_open_loop(p, state, times, volts, forces, longest, seen):
+    """Fill (sensed pressure, sensed position, true pressure, true position) at the readings."""
+    n = len(times)
+    arrived = 0
+    for k in range(n):
+        seen[0, k] = state.sensed_pa
+        seen[1, k] = state.geared_m
+        seen[2, k] = state.pressure_pa
+        seen[3, k] = state.x
+        if k + 1 < n:
+            rate = (forces[k + 1] - forces[k]) / (times[k + 1] - times[k])
+            state, arrived = between_readings(
+                p, state, times[k], times[k + 1], times, volts, k + 1, arrived,
+                forces[k], rate, longest,
+            )  # fmt: skip
+
+
+def fill_closed_loop(
+    p, state, times, wanted, rest_s, rest_v, gains, reading, noise, longest, seen, volts
+):
+    """Fill what `fill_open_loop` does, and the volts that a PID on the readings asked for.
+
+    `gains` are (V/m, V/(m s), V s/m, V/Pa on the pressure's fast part); `reading` is (counts
+    per metre, phase, pressure gain, pressure offset, AO step), `noise` in Pa.
+    """
+    n = len(times)
+    proportional, integral, derivative, damping = gains[0], gains[1], gains[2], gains[3]
+    per_m, phase, pressure_gain = reading[0], reading[1], reading[2]
+    pressure_offset, step_v = reading[3], reading[4]
+    arrived, total, slope, slow = 0, 0.0, 0.0, p.atmosphere_pa
+    before = math.floor(state.geared_m * per_m + phase) / per_m
+    for k in range(n):
+        seen[0, k] = state.sensed_pa
+        seen[1, k] = state.geared_m
+        seen[2, k] = state.pressure_pa
+        seen[3, k] = state.x
+        dt = times[k] - times[k - 1] if k > 0 else 1e-3
+        position = math.floor(state.geared_m * per_m + phase) / per_m
+        pressure = (
+            p.atmosphere_pa
+            + pressure_gain * (state.sensed_pa - p.atmosphere_pa)
+            + pressure_offset
+            + noise[k]
+        )
+        slope += dt / 8e-3 * ((position - before) / dt - slope)
+        slow += dt / 50e-3 * (pressure - slow)
+        before = position
+        error = wanted[k] - position
+        if times[k] < rest_s:
+            u = rest_v
+        else:
+            u = proportional * error + integral * total - derivative * slope
+            u -= damping * (pressure - slow)
+            if abs(u) < 5.0:
+                total += error * dt
+        volts[k] = round(min(max(u, -5.0), 5.0) / step_v) * step_v
+        if k + 1 < n:
+            state, arrived = between_readings(
+                p, state, times[k], times[k + 1], times, volts, k + 1, arrived,
+                0.0, 0.0, longest,
+            )  # fmt: skip
+
+
+def settled(p, state, volts, seconds, longest):
+    """Return the state after holding one voltage for long, its clock set back to zero."""
+    for _ in range(math.ceil(seconds / longest)):
+        state = small_step(p, state, volts, 0.0, longest)
+    return state
+
+
+def settle(truth: Truth, rest_v: float, step_s: float) -> State:
+    """Return a rig that has been vented under this voltage, its clock at zero."""
+    start: State = at_rest(truth, rest_v)
+    given = {"p": truth, "state": start, "volts": rest_v, "seconds": 0.3, "longest": step_s}
+    call = prepare(settled, given, updates=("state",))
+    call.run()
+    state: State = call.get("state")
+    return state._replace(t_s=0.0)
+
+
+def prepare_passage(truth: Truth, state: State, times: Any, volts: Any, step_s: float) -> Call:
+    """Return the call of `between_readings` that goes on from reading to reading."""
+    given = {
+        "p": truth, "state": state, "since": 0.0, "until": 0.0, "times": times, "volts": volts,
+        "written": 0, "arrived": 0, "start_force": 0.0, "force_rate": 0.0, "longest": step_s,
+    }  # fmt: skip
+    return prepare(between_readings, given, updates=("state", "arrived"))

@@ -7,8 +7,13 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.signal import butter, sosfiltfilt
 
-from hidden.ball_screw.ball_screw_cases import BallScrewCase, ball_screw_cases
-from hidden.ball_screw.ball_screw_rig import ASYMMETRIC, SYMMETRIC, BallScrewRig
+from hidden.ball_screw_drive import (
+    ASYMMETRIC,
+    SYMMETRIC,
+    BallScrewCase,
+    BallScrewRig,
+    ball_screw_cases,
+)
 from pamctl.plant.model import values_of
 from pamctl.plant.parameters import parameters_of
 from pamctl.plant.required_force import required_force_n

@@ -15,7 +15,9 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from standin.standin import PERMIT, Card, here
+from standin.standin import Card, here
+from support.benches import Reversed, Unsupplied, bench_of, card_rig
+from support.card_rigs import use_card
 from support.command_line import run_pamctl
 from support.patience import PATIENCE_S
 from support.runs import MS
@@ -41,7 +43,7 @@ from pamctl.commissioning.rig_file_text import RigValue, insert_values
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
-from pamctl.realtime.clock import VirtualClock, Wake
+from pamctl.realtime.clock import VirtualClock
 from pamctl.settings.config_files import config_dir
 from pamctl.settings.resolve import RunSettings, check_config_file, resolve
 from pamctl.settings.yaml12 import load_yaml, parse_yaml
@@ -75,9 +77,7 @@ class Rig:
             now_ns=clock.now_ns,
         )
         rig = FaultyRig(self.sim, faults)
-        rig.open()
-        file = settings.rig
-        self.bench = Bench(rig, clock, file.calibration, file.limits, file.homing, file.safe_volts)
+        self.bench = bench_of(settings, rig, clock)
 
 
 class Gauges:
@@ -284,20 +284,6 @@ def test_the_null_of_a_valve_with_a_dead_band_lies_in_its_middle() -> None:
     assert re.search(r"dead band (19|20)\d mV", found(outcome)["driver_offset_v"].how)
 
 
-class Reversed(SimulatedPlant):
-    """A valve plumbed the wrong way."""
-
-    def advance(self, command_v: float, duration_s: float) -> None:
-        super().advance(-command_v, duration_s)
-
-
-class Unsupplied(SimulatedPlant):
-    """A supply that is shut."""
-
-    def advance(self, command_v: float, duration_s: float) -> None:
-        super().advance(min(command_v, 0.0), duration_s)
-
-
 @pytest.mark.parametrize(("kind", "complaint"), [(Reversed, "REVERSED"), (Unsupplied, "supply")])
 def test_a_valve_that_is_reversed_or_has_no_supply_has_no_null(
     kind: type[SimulatedPlant], complaint: str
@@ -316,30 +302,16 @@ def test_a_null_outside_the_span_is_not_guessed() -> None:
 
 
 @pytest.fixture
-def card(monkeypatch: pytest.MonkeyPatch) -> Iterator[Card]:
-    monkeypatch.setenv(PERMIT, "1")
-    here().power_up()
-    yield here()
-    here().mend()
+def card() -> Iterator[Card]:
+    yield from use_card(here())
 
 
 @pytest.fixture
 def on_card(card: Card) -> Iterator[Bench]:
     """A bench over the stand-in on a virtual clock, by the shipped rig file."""
-    from hal.nidaq.nidaq_rig import NidaqRig
-
-    class Clock(VirtualClock):
-        def wait(self) -> Wake:
-            wake = super().wait()
-            card.set_time_ns(wake.now_ns)
-            return wake
-
-    settings = resolve(rig="pci6221").rig
-    card.stop_time()
-    clock = Clock(MS)
-    rig = NidaqRig(settings.nidaq, safe_output_v=0.0, now_ns=clock.now_ns)  # type: ignore[union-attr]
-    rig.open()
-    yield Bench(rig, clock, settings.calibration, settings.limits, settings.homing, 0.0)
+    settings = resolve(rig="pci6221")
+    rig, clock = card_rig(card, settings)
+    yield bench_of(settings, rig, clock)
     rig.close()
 
 

@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 from standin.standin import PERMIT, Card, here
+from support.benches import Reversed, Unsupplied, bench_of, card_rig
+from support.card_rigs import READ_VOLTS, use_card
 from support.command_line import run_pamctl
 from support.patience import PATIENCE_S
 from support.runs import AO_STEP_V, MS, parts, run_settings
@@ -54,36 +56,21 @@ from pamctl.commissioning.rig_checks import (
     make_probe_request,
     measure_at_rest,
 )
-from pamctl.plant.simulated import SimulatedPlant
+from pamctl.plant.model import plant_parameters
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
 from pamctl.processes.interrupts import Interrupts, SignalInterrupt
-from pamctl.realtime.clock import VirtualClock, Wake
+from pamctl.realtime.clock import VirtualClock
 from pamctl.realtime.scheduling import Preparation, PreparationStep
 from pamctl.report.report import Problems, format_part
-from pamctl.settings.resolve import RunSettings, resolve
+from pamctl.settings.resolve import resolve
 
 PAMCTL = str(Path(sys.executable).with_name("pamctl"))
-READ_VOLTS = "DAQmxReadAnalogScalarF64"
 
 
 def index_by_name(findings: list[Problem]) -> dict[str, Problem]:
     """Return findings by name, each of them once."""
     assert len({finding.key for finding in findings}) == len(findings)
     return {finding.key: finding for finding in findings}
-
-
-def bench_of(settings: RunSettings, rig: object, clock: VirtualClock) -> Bench:
-    file = settings.rig
-    rig.open()  # type: ignore[attr-defined]
-    return Bench(
-        rig,  # type: ignore[arg-type]
-        clock,
-        file.calibration,
-        file.limits,
-        file.homing,
-        file.safe_volts,
-        file.record.keys,
-    )
 
 
 def examine_bench(bench: Bench, *, actuate: bool = True) -> dict[str, Problem]:
@@ -105,13 +92,6 @@ def simulated(*faults: FaultSettings, plant: object = None, **homing: object) ->
 
 def fault(kind: str, size: float = 0.0) -> FaultSettings:
     return FaultSettings(kind=kind, from_tick=0, size=size)  # type: ignore[arg-type]
-
-
-class Reversed(SimulatedPlant):
-    """A valve plumbed the wrong way."""
-
-    def advance(self, command_v: float, duration_s: float) -> None:
-        super().advance(-command_v, duration_s)
 
 
 def test_a_sound_rig_has_nothing_but_ok() -> None:
@@ -150,8 +130,6 @@ def test_a_reversed_encoder_is_told_which_sign_to_set() -> None:
 
 
 def test_a_reversed_valve_shows_at_the_safe_voltage_and_by_its_pulses() -> None:
-    from pamctl.plant.model import plant_parameters
-
     plant = Reversed(plant_parameters(run_settings().plant))
     found = examine_bench(simulated(plant=plant))
     assert found["sensor.voltage"].level == "fault"
@@ -162,13 +140,8 @@ def test_a_reversed_valve_shows_at_the_safe_voltage_and_by_its_pulses() -> None:
 
 
 def test_without_supply_nothing_moves_and_the_valve_is_blamed_before_the_encoder() -> None:
-    class Shut(SimulatedPlant):
-        def advance(self, command_v: float, duration_s: float) -> None:
-            super().advance(min(command_v, 0.0), duration_s)
-
-    from pamctl.plant.model import plant_parameters
-
-    found = examine_bench(simulated(plant=Shut(plant_parameters(run_settings().plant))))
+    shut = Unsupplied(plant_parameters(run_settings().plant))
+    found = examine_bench(simulated(plant=shut))
     assert found["valve.sign"].level == "fault"
     assert "supply" in found["valve.sign"].fix
     assert found["encoder.alive"].level == "warning"
@@ -213,47 +186,18 @@ def test_a_motion_by_hand_proves_the_encoder_alive_or_not() -> None:
 
 
 @pytest.fixture
-def card(monkeypatch: pytest.MonkeyPatch) -> Iterator[Card]:
-    monkeypatch.setenv(PERMIT, "1")
-    here().power_up()
-    yield here()
-    here().mend()
-    here().registers.is_gone = 0
-
-
-class CardClock(VirtualClock):
-    """Takes the card's time along."""
-
-    def __init__(self, card: Card) -> None:
-        super().__init__(MS)
-        self._card = card
-        card.stop_time()
-
-    def wait(self) -> Wake:
-        wake = super().wait()
-        self._card.set_time_ns(wake.now_ns)
-        return wake
+def card() -> Iterator[Card]:
+    yield from use_card(here())
 
 
 @pytest.fixture
-def wired(card: Card) -> Iterator[Callable[..., Bench]]:
+def wired(card: Card) -> Iterator[Callable[[], Bench]]:
     """Make a bench over the card on a virtual clock; it is closed at the end."""
-    from hal.nidaq.nidaq_rig import NidaqRig
-
-    made = []
-
-    def make(*overrides: str) -> Bench:
-        settings = resolve(rig="pci6221", overrides=overrides)
-        clock = CardClock(card)
-        made.append(
-            NidaqRig(settings.rig.nidaq, safe_output_v=0.0, now_ns=clock.now_ns)  # type: ignore[union-attr]
-        )
-        return bench_of(settings, made[-1], clock)
-
-    yield make
+    settings = resolve(rig="pci6221")
+    rig, clock = card_rig(card, settings)
+    yield lambda: bench_of(settings, rig, clock)
     card.mend()
-    for rig in made:
-        rig.close()
+    rig.close()
 
 
 def cards(*overrides: str) -> dict[str, Problem]:

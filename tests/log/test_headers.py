@@ -31,6 +31,9 @@ UNDERSTOOD = {
     "AO0 (V)": ("valve_v", "V", None),
     "Zeit in ms": ("t_s", "ms", None),
     "zeit": ("t_s", "", None),
+    "Ventil [V]": ("valve_v", "V", None),
+    "Druck [bar rel]": ("pressure_pa", "bar", True),
+    "Weg / mm": ("position_m", "mm", None),
     "Joint angle [deg]": ("position_m", "", None),
     "Gelenkwinkel [\N{DEGREE SIGN}]": ("position_m", "", None),
 }

@@ -78,8 +78,7 @@ def test_a_grouping_mark_is_no_decimal_one(tmp_path, decimal, group, apart):
 def test_a_map_says_which_mark_it_is_where_no_number_does(tmp_path):
     head = ("Time [ms]", "Position [um]")
     path = write(tmp_path, table(head, ((T_S * 1000).astype(int), ["1,016"] * 60), "\t"))
-    shown = Outcome(path).stderr
-    text = "\n".join(line for line in shown.splitlines() if line.startswith("  "))
+    text = Outcome(path).shown_map
     for decimal, value_m in ((".", 1016e-6), (",", 1.016e-6)):
         map_path = write(tmp_path, text.replace("decimal: '.'", f"decimal: '{decimal}'"), "m.yaml")
         done = Outcome(path, "--map", str(map_path))
@@ -161,10 +160,9 @@ def test_an_unknown_word_is_refused_with_a_map_that_makes_it_a_missing_value(tmp
     cells = [str(x) for x in BAR]
     cells[7] = "ERR 7"
     path = write(tmp_path, table(columns=(T_S, VALVE_V, cells, MM)))
-    shown = Outcome(path).stderr
-    assert ":9: Pressure [bar gauge] is 'ERR 7'" in shown
-    text = "\n".join(line for line in shown.splitlines() if line.startswith("  "))
-    done = Outcome(path, "--map", str(write(tmp_path, text, "map.yaml")))
+    refused = Outcome(path)
+    assert ":9: Pressure [bar gauge] is 'ERR 7'" in refused.stderr
+    done = Outcome(path, "--map", str(write(tmp_path, refused.shown_map, "map.yaml")))
     assert np.flatnonzero(np.isnan(done.signals.pressure_pa)).tolist() == [7]
 
 
@@ -199,9 +197,8 @@ def test_a_quantity_without_its_unit_is_asked_for_and_never_dropped(tmp_path, at
         return
     assert done.code == 65
     assert told in done.stderr
-    text = "\n".join(line for line in done.stderr.splitlines() if line.startswith("  "))
-    assert f"column: '{name}'" in text
-    assert Outcome(path, "--map", str(write(tmp_path, text, "map.yaml"))).code == 0
+    assert f"column: '{name}'" in done.shown_map
+    assert Outcome(path, "--map", str(write(tmp_path, done.shown_map, "map.yaml"))).code == 0
 
 
 def test_every_column_of_the_file_stands_in_the_report(tmp_path):

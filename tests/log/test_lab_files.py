@@ -51,13 +51,6 @@ def columns(*values: Any) -> list[list[str]]:
 # The files.
 
 
-def german_csv(folder: Path) -> Path:
-    head = "Prüfstand 3;Montag\nZeit;Ventil;Druck;Weg\ns;V;bar rel;mm\n"
-    rows = columns(T_S, COMMAND_V, GAUGE_BAR, POSITION_MM)
-    rows = [[cell.replace(".", ",") for cell in row] for row in rows]
-    return write_text(folder / "german.csv", head, rows, ";", encoding="utf-8-sig", newline="\r\n")
-
-
 def clock_csv_over_midnight(folder: Path) -> Path:
     late = [time + dt.timedelta(hours=11, minutes=59, seconds=59.9) for time in times()]
     stamps = [time.strftime("%H:%M:%S.%f")[:-3] for time in late]
@@ -221,7 +214,6 @@ def test_a_matrix_and_signals_without_labels_are_called_by_their_numbers(tmp_pat
 
 
 WRITERS: tuple[Callable[[Path], Path], ...] = (
-    german_csv,
     clock_csv_over_midnight,
     excel_with_units,
     excel_with_clock,
@@ -289,16 +281,11 @@ def test_a_header_that_leaves_a_doubt_is_refused_with_the_map_to_write(tmp_path,
     assert not done.path.exists()
 
 
-def save_shown_map(folder: Path, stderr: str) -> str:
-    text = "\n".join(line for line in stderr.splitlines() if line.startswith("  "))
-    (folder / "map.yaml").write_text(text)
-    return text
-
-
 @pytest.mark.parametrize("named", [{}, {"P1 [bar]": GAUGE_BAR, "P2 [bar]": GAUGE_BAR}])
 def test_a_time_column_of_a_strange_name_stands_in_the_map_to_write(tmp_path, named):
     columns = {"row": POSITION_MM, "zeit": T_S * 1e3, "Position [mm]": POSITION_MM, **named}
-    shown = save_shown_map(tmp_path, import_columns(tmp_path, **columns).stderr)
+    shown = import_columns(tmp_path, **columns).shown_map
+    (tmp_path / "map.yaml").write_text(shown)
     assert shown.startswith("  time: {column: 'zeit', unit: ms}")
     done = Outcome(tmp_path / "a.csv", "--map", str(tmp_path / "map.yaml"))
     np.testing.assert_allclose(done.signals.t_s, T_S, atol=1e-9)

@@ -138,17 +138,16 @@ def test_numbers_times_and_values_that_cannot_be_are_named(tmp_path, changes, ki
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("verb", "changes", "words"),
     [
-        ({"t_s": STEPS[::-1] * 1e-3}, "t_s runs backwards"),
-        ({"t_s": STEPS % 25 * 1e-3}, "the record is there twice"),
-        ({"t_s": np.where(STEPS < 30, STEPS * 1e-3, np.inf)}, "rows 30 to 49"),
-        ({"t_s": STEPS * np.nan}, "t_s is missing or not finite"),
-        ({"phase": np.where(STEPS < 30, 2, 99)}, "from row 30 on, the phase is 99"),
+        ("report", {"t_s": STEPS[::-1] * 1e-3}, "t_s runs backwards"),
+        ("diagnose", {"t_s": STEPS % 25 * 1e-3}, "the record is there twice"),
+        ("compare", {"t_s": np.where(STEPS < 30, STEPS * 1e-3, np.inf)}, "rows 30 to 49"),
+        ("report", {"t_s": STEPS * np.nan}, "t_s is missing or not finite"),
+        ("diagnose", {"phase": np.where(STEPS < 30, 2, 99)}, "from row 30 on, the phase is 99"),
     ],
 )
-@pytest.mark.parametrize("verb", ["report", "diagnose", "compare"])
-def test_no_verb_computes_from_ticks_that_cannot_be(tmp_path, changes, words, verb):
+def test_no_verb_computes_from_ticks_that_cannot_be(tmp_path, verb, changes, words):
     path = write_ticks(tmp_path / "a.mcap", dict(changes))
     done = pamctl(verb, path, *(["--out", tmp_path / "out"] if verb == "diagnose" else []))
     assert done.exit_code == 65

@@ -12,17 +12,16 @@ from pamctl.plant.model import PlantSettings, plant_parameters, settings_of, val
 from pamctl.plant.parameters import vented_state
 
 PERIOD_S = 2e-3
-T_S = np.arange(0.0, 5.0, PERIOD_S)
+T_S = np.arange(0.0, 2.5, PERIOD_S)
 
 
 @pytest.mark.parametrize(
     "cylinder",
     [
-        Cylinder(),
         Cylinder(area_m2=2e-3, volume_m3=2e-4, stroke_m=0.4, mass_kg=8.0, gain_m2_per_v=2e-6),
         Cylinder(preload_n=60.0, stiffness_n_per_m=400.0),
     ],
-    ids=["small", "large", "soft spring"],
+    ids=["large", "soft spring"],
 )
 def test_piston_and_pressure_follow_the_equations_also_into_both_ends(cylinder: Cylinder) -> None:
     commands = excite(T_S)

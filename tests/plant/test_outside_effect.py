@@ -131,7 +131,7 @@ drive.machine = lambda kernel: SimpleNamespace(fill_until_it_fails=kernel)
 plain = drive.drive_coupled(on, command_v, 1e-3)
 drive.machine = machine
 hidden = {"friction_slope.per_m": 12.0}
-few = {"friction_slope", "stribeck", "return_friction", "creep", "cubic_stiffness"}
+few = {"friction_slope", "stribeck", "creep"}
 found = diagnose(*pair(**hidden), PlantSettings(), without={*CATALOGUE} - few)
 print(json.dumps({
     "warned": [str(w.message) for w in warned],

@@ -45,7 +45,6 @@ from pamctl.replay.program_replay import trace_course
 from pamctl.replay.replay_source import REPLAYED_FIELDS, replay_stretch
 from pamctl.replay.tick_replay import OTHER_CPU, find_differing
 from pamctl.safety import PINNED, SENSOR_RANGE, admit
-from pamctl.settings.resolve import from_resolved
 from pamctl.signals import TICK_FIELDS, Phase
 
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -448,16 +447,6 @@ def test_a_damaged_log_is_refused_with_the_way_to_recover_it(tmp_path: Path) -> 
     assert "pamctl log recover" in done.stderr
 
 
-def test_a_truncated_log_replays_once_it_is_recovered(tmp_path: Path) -> None:
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes((GOLDEN / "missed.mcap").read_bytes()[:-60_000])
-    recover_file(cut, tmp_path / "saved.mcap")
-    found = replay_log(read(tmp_path / "saved.mcap"), tolerances=OTHER_CPU)
-    assert found.is_equal
-    assert found.is_whole
-    assert found.ticks > 300
-
-
 # --- logs of other origin -------------------------------------------------------------------------
 
 
@@ -618,10 +607,3 @@ def test_a_difference_is_code_3_with_tick_stage_field_and_both_values(
     assert repr(first["replayed"]) in said
     assert "decision differs from tick" in said
     assert "equal: reference, zero, measurement, estimate" in said
-
-
-def test_the_settings_of_a_golden_log_are_those_of_this_version(
-    golden: Callable[[str], Log],
-) -> None:
-    for name in NAMES:
-        assert from_resolved(json.dumps(golden(name).config)).controller.law

@@ -79,24 +79,16 @@ def pack(journal: MemoryJournal) -> list[bytes]:
 CASES = {
     "homing, tracking and stop": SHORT,
     "a late output": (*SHORT, "rig.homing.enabled=false", "rig.sim.output_delay_ticks=1"),
-    "a plant with effects": (
+    "a plant with effects, of which one is compensated": (
         *SHORT,
         "rig.homing.enabled=false",
         "plant.effects.valve_spool.time_constant_s=0.002",
         "plant.effects.pressure_sensor_lag.time_constant_s=0.003",
         "plant.effects.stribeck.rise=0.3",
-    ),
-    "a compensated valve": (
-        *SHORT,
-        "rig.homing.enabled=false",
+        "plant.effects.command_delay.delay_s=0.0025",
         "plant.effects.valve_deadband.fill_width_v=0.2",
         "plant.effects.valve_deadband.exhaust_width_v=0.1",
         "rig.compensate=[valve_deadband]",
-    ),
-    "a delayed command": (
-        *SHORT,
-        "rig.homing.enabled=false",
-        "plant.effects.command_delay.delay_s=0.0025",
     ),
     "a trip": (*SHORT, "rig.homing.enabled=false", "rig.limits.pressure_pa=200000"),
 }

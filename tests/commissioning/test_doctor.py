@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from standin.standin import PERMIT, Card, here
+from standin.standin import Card, here
 from support.benches import Reversed, Unsupplied, bench_of, card_rig
 from support.card_rigs import READ_VOLTS, use_card
 from support.command_line import run_pamctl

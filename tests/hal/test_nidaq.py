@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 from standin.standin import Card, here, library
-from support.card_rigs import READ_VOLTS, WRITE, make_and_close, use_card
+from support.card_rigs import READ_COUNT, READ_VOLTS, WRITE, make_and_close, use_card
 from support.runs import (
     AO_STEP_V,
     MS,
@@ -73,6 +73,14 @@ def test_once_opened_it_says_which_library_and_card_it_drives(make) -> None:
 
 
 # --- reading -----------------------------------------------------------------------------
+
+
+def test_each_reading_has_the_time_at_which_it_was_begun(card: Card, make) -> None:
+    rig = make()
+    rig.open()
+    card.fail(READ_COUNT, hang_s=0.003)
+    sample = rig.read()
+    assert sample.pressure_t_ns - sample.encoder_t_ns >= 3 * MS
 
 
 @pytest.mark.parametrize(

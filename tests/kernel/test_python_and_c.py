@@ -236,15 +236,19 @@ def test_a_function_may_return_from_a_loop_without_end():
 def compare_mixed(out, n, x):
     out[0] = 1.0 if n == x else 2.0
     out[1] = 1.0 if n > x else 2.0
-    out[2] = n / 3
-    out[3] = 1.0 if n / 3 > x else n / 7
-    out[4] = n * x + n
+
+
+def divide_mixed(out, n, x):
+    out[0] = n / 3
+    out[1] = 1.0 if n / 3 > x else n / 7
+    out[2] = n * x + n
 
 
 def test_ints_and_floats_are_compared_and_divided_as_python_does():
     for n in (0, 5, -5, 2**53, 2**53 + 1, 2**62 + 1, -(2**53) - 1, 2**63 - 1, -(2**63)):
         for x in (float(n), 0.5, INF, -INF, NAN, -0.0):
             assert agree(compare_mixed, n, x), (n, x)
+            assert agree(divide_mixed, n, x), (n, x)
 
 
 def chain(out, x, y):

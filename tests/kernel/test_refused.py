@@ -70,6 +70,11 @@ while n > 3:  # no
 else:
     n = 0
 
+for k in range(n):  # no
+    x += 1.0
+else:
+    x = 0.0
+
 return random.random() + x  # no
 
 return x.is_integer()  # no

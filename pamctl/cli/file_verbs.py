@@ -283,9 +283,7 @@ def _collect_numbers(
     values: dict[str, float] = {}
     for question in questions:
         if question.name in given:
-            value = read_quantity(question.name, given[question.name], values)
-            question.check(value)
-            values[question.name] = value
+            values[question.name] = read_quantity(question.name, given[question.name], values)
         elif question.default is not None:
             values[question.name] = question.default
     guesses: dict[str, Guess] = {}

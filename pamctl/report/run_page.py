@@ -289,47 +289,39 @@ def write_timing(page: Report, runs: Sequence[ReportedRun]) -> None:
 
 
 def _write_spreads(page: Report, run: ReportedRun) -> None:
-    rows = []
-    for name, label in _DURATIONS:
-        values = run.column(name)
-        if values is not None:
-            found = summarise_durations(values[np.isfinite(values)])
-            rows.append([label, *(f"{part * MICRO:.1f}" for part in found)])
-    if rows:
-        page.add(ReportTable(["µs", "p50", "p99", "max"], rows))
+    spreads = [
+        [
+            label,
+            *(f"{part * MICRO:.1f}" for part in summarise_durations(values[np.isfinite(values)])),
+        ]
+        for name, label in _DURATIONS
+        if (values := run.column(name)) is not None
+    ]
+    if spreads:
+        page.add(ReportTable(["µs", "p50", "p99", "max"], spreads))
 
 
 def _plot_histograms(page: Report, run: ReportedRun) -> None:
-    plots = []
-    for name, label in (("late_s", "wake-up behind deadline"), ("work", "read, tick and write")):
-        values = _compute_work_s(run) if name == "work" else run.column(name)
+    durations = {"Wake-up behind deadline": run.column("late_s")}
+    durations["Read, tick and write"] = _compute_work_s(run)
+    plots: list[Plot] = []
+    for title, values in durations.items():
         if values is None:
             continue
         edges = np.geomspace(FASTEST_US, SLOWEST_US, 141)
         counts, _ = np.histogram(np.clip(values * MICRO, FASTEST_US, SLOWEST_US), edges)
         used = np.flatnonzero(counts)
         first, last = max(0, used[0] - 2), min(len(counts), used[-1] + 3)
-        duration = PlotAxis("duration (0.1 means 0.1 or less)", "µs", log=True, tight=True)
-        plot = Plot(
-            label.capitalize(), duration, PlotAxis("ticks", low=0.5, log=True), height_px=150
-        )
+        x = PlotAxis("duration (0.1 means 0.1 or less)", "µs", log=True, tight=True)
+        plot = Plot(title, x, PlotAxis("ticks", low=0.5, log=True), height_px=150)
         plots.append(plot.bars(edges[first : last + 1], counts[first:last]))
     if plots:
-        page.add(
-            Figure(
-                [*plots], "Both axes are logarithmic: a single tick is still a bar.", is_grid=True
-            )
-        )
+        said = "Both axes are logarithmic: a single tick is still a bar."
+        page.add(Figure([*plots], said, is_grid=True))
         return
     steps_ms = np.diff(run.log["t_s"]) * 1e3
-    # Steps that differ only by rounding become one bar, not many bars without width.
-    usual_ms = float(np.median(steps_ms))
-    over = (min(float(steps_ms.min()), 0.9 * usual_ms), max(float(steps_ms.max()), 1.1 * usual_ms))
-    counts, edges = np.histogram(steps_ms, 81, over)
-    plot = Plot(
-        "Time between samples", PlotAxis("step", "ms"), PlotAxis("ticks", low=0.5, log=True)
-    )
-    page.add(Figure([plot.bars(edges, counts)], "This log has no other timing data."))
+    spread = f"{steps_ms.min():.4g} to {steps_ms.max():.4g} ms, usually {np.median(steps_ms):.4g}"
+    page.add(Text(f"This log has no timing data but the time between samples: {spread}."))
 
 
 def _compute_work_s(run: ReportedRun) -> np.ndarray | None:

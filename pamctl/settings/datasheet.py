@@ -11,9 +11,9 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, get_args
+from typing import Any, get_args
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 from pydantic.fields import FieldInfo
 
 from pamctl.exit_codes import ExitCode
@@ -229,20 +229,6 @@ class PlantQuestion:
     """None where it must be given."""
     is_optional: bool = False
     """An effect that may be absent."""
-    field: FieldInfo | None = None
-
-    def check(self, value: float) -> None:
-        """Raise DatasheetError outside the limits of the settings."""
-        limits = tuple(self.field.metadata) if self.field else ()
-        kind: Any = Annotated[(float, *limits)] if limits else float
-        try:
-            TypeAdapter(kind).validate_python(value)
-        except ValidationError as error:
-            first = error.errors()[0]
-            words = first["msg"].removeprefix("Input should be ")
-            if "ge" in first.get("ctx", {}):
-                words = f"at least {first['ctx']['ge']:g}"
-            raise DatasheetError(f"{self.name}: must be {words} (got {value:g})") from None
 
 
 def list_questions(actuator: str) -> tuple[PlantQuestion, ...]:
@@ -275,7 +261,6 @@ def _make_question(actuator: str, name: str, field: FieldInfo) -> PlantQuestion:
         list_units(name),
         None if needed else _DEFAULTS.get(name, field.default),
         is_optional=name in _OPTIONAL.get(actuator, set()),
-        field=field,
     )
 
 

@@ -117,10 +117,7 @@ def test_an_imported_log_shows_its_signals_and_its_source_is_escaped(imported):
     assert ">Displacement <" not in html
     assert "<script" not in html
     assert "&lt;script&gt;" in html
-    _, after = html.split("Time between samples", 1)
-    (left, right), *others = re.findall(r"M(\d+) [^VH]*V\d+H(\d+)V\d+z", after)
-    assert int(right) - int(left) >= 50  # equal steps are one visible bar
-    assert not others
+    assert "the time between samples: 1 to 1 ms, usually 1." in html
 
 
 def test_a_log_without_ticks_and_one_with_a_single_tick_are_reported_in_words(folder, imported):

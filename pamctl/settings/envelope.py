@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 from pydantic import ValidationError
@@ -79,27 +79,22 @@ def find_excesses(settings: RunSettings) -> list[str]:
 
 def _judge_motion(settings: RunSettings, samples: Sequence[TimedReference]) -> Iterator[str]:
     limits, most = settings.rig.limits, settings.rig.envelope
-    kinematic: list[tuple[_Limit, Callable[[TimedReference], float]]] = [
-        (
-            _Limit("for a position", "mm", limits.stroke_low_mm, limits.stroke_high_mm,
-                   "rig.limits.stroke_low_mm and stroke_high_mm"),
-            lambda s: s.reference.reference_m * _MM,
-        ),
-        (
-            _Limit("for a speed", "mm/s", -most.speed_mm_per_s, most.speed_mm_per_s,
-                   "rig.envelope.speed_mm_per_s"),
-            lambda s: s.reference.reference_velocity_m_per_s * _MM,
-        ),
-        (
-            _Limit("for an acceleration", "mm/s^2", -most.acceleration_mm_per_s2,
-                   most.acceleration_mm_per_s2, "rig.envelope.acceleration_mm_per_s2"),
-            lambda s: s.reference.reference_acceleration_m_per_s2 * _MM,
-        ),
-    ]  # fmt: skip
+    kinematic = (
+        ("for a position", "mm", "reference_m", limits.stroke_low_mm, limits.stroke_high_mm,
+         "rig.limits.stroke_low_mm and stroke_high_mm"),
+        ("for a speed", "mm/s", "reference_velocity_m_per_s", -most.speed_mm_per_s,
+         most.speed_mm_per_s, "rig.envelope.speed_mm_per_s"),
+        ("for an acceleration", "mm/s^2", "reference_acceleration_m_per_s2",
+         -most.acceleration_mm_per_s2, most.acceleration_mm_per_s2,
+         "rig.envelope.acceleration_mm_per_s2"),
+    )  # fmt: skip
     said = [
         line
-        for limit, read in kinematic
-        for line in _judge(limit, ((sample.t_s, read(sample)) for sample in samples))
+        for what, unit, field, low, high, key in kinematic
+        for line in _judge(
+            _Limit(what, unit, low, high, key),
+            ((t_s, getattr(reference, field) * _MM) for t_s, reference in samples),
+        )
     ]
     if said:  # outside the stroke the model means nothing
         yield from said

@@ -17,6 +17,9 @@ import pytest
 from support.command_line import run_pamctl
 from support.patience import PATIENCE_S
 
+from pamctl.cli.output import Saving
+from pamctl.new_file import NewFileError, write_files
+
 GOLDEN = Path(__file__).parents[1] / "golden"
 LOG = str(GOLDEN / "readonly.mcap")
 PAMCTL = [sys.executable, "-m", "pamctl"]
@@ -180,6 +183,14 @@ def test_a_comparison_whose_page_finds_no_room_is_printed(place: Path, tmp_path:
     document = json.loads(done.stdout)
     assert (document["exit_code"], document["plot"]) == (1, None)
     assert document["plants"]
+
+
+def test_only_a_failure_to_write_is_kept_until_the_result_is_printed(tmp_path: Path) -> None:
+    with Saving() as saving:
+        write_files({tmp_path: "a folder is there"})
+    assert isinstance(saving.failure, NewFileError)
+    with pytest.raises(KeyError), Saving():
+        raise KeyError
 
 
 @pytest.mark.parametrize(

@@ -135,6 +135,8 @@ def test_a_fast_run_compares_its_tracking_with_table_iv(tmp_path: Path) -> None:
     tracked = np.isin(log["phase"], (Phase.TRACK, Phase.REST))
     error_m = (log["position_m"] - log["reference_m"])[tracked]
     assert report["tracking"]["measured"]["max_m"] == pytest.approx(np.abs(error_m).max())
+    true_m = np.abs(log["true_position_m"] - log["reference_m"])[tracked].max()
+    assert report["tracking"]["true"]["max_m"] == pytest.approx(true_m)
     assert report["tracking"]["measured"]["rms_m"] == pytest.approx(np.sqrt(np.mean(error_m**2)))
     assert {row["law"] for row in report["paper"]} == {"qsmc", "smc"}
     assert report["timing"] is None

@@ -15,11 +15,13 @@ from typer.testing import CliRunner
 
 from pamctl.cli.app import app
 from pamctl.compare.comparison import compare_model, measure_gap, split_regimes
+from pamctl.compare.comparison_report import report_comparison
 from pamctl.log import LogError, read, signals
 from pamctl.log.importing.pipeline import write_imported
 from pamctl.plant.drive import drive_coupled, drive_mechanics, drive_pressure
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import parameters_of, rest_state
+from pamctl.report.report import Figure
 from pamctl.settings.resolve import settings_to_yaml
 
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -110,6 +112,25 @@ def test_a_real_time_log_agrees_with_its_own_plant_for_commands_act_when_the_log
     assert part.position_m is not None
     at_once = drive_pressure(plant, part.valve_v, part.position_m, part.dt_s[1:])
     assert np.sqrt(np.mean((at_once.pressure_pa - part.pressure_pa) ** 2)) > at_once_pa
+
+
+def test_a_gap_is_drawn_as_model_minus_measurement() -> None:
+    log = read(GOLDEN / "qsmc.mcap")
+    found = compare_model(log, PAPER)
+    report = report_comparison(log.path, {"paper": found}, log)
+    plots = {p.title: p for part in report.parts if isinstance(part, Figure) for p in part.plots}
+    for title, factor, model, seen in (
+        ("Mechanics alone", 1e6, found.mechanics.position_m, found.measured.position_m),
+        (
+            "Pressure block alone",
+            1e-3,
+            found.pressure_block.pressure_pa,
+            found.measured.pressure_pa,
+        ),
+    ):
+        (line,) = plots[title].marks
+        assert line.ys[0] == pytest.approx(factor * (model - seen), nan_ok=True)
+    assert [mark.label for mark in plots["Displacement"].marks] == ["measured", "paper"]
 
 
 def test_an_imported_measurement_of_the_same_plant_agrees_as_well(tmp_path: Path) -> None:

@@ -19,12 +19,18 @@ from pamctl.cli.app import app
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log.annotation import SWEEP, Annotation, make_annotation
 from pamctl.log.edit import append_metadata, read_annotation, write_annotation
+from pamctl.report.report import Figure
 from pamctl.runs.run_index import RunIndex
 from pamctl.runs.run_row import RunRow, read_row
 from pamctl.settings.resolve import resolve
 from pamctl.sweep.run_sweep import SweepPlan, find_runs, run_sweep
 from pamctl.sweep.sweep_plan import SweepError, SweepRun, list_runs, parse_sweep, require_end
-from pamctl.sweep.sweep_result import format_points_csv, summarise_points, tabulate_points
+from pamctl.sweep.sweep_result import (
+    format_points_csv,
+    summarise_points,
+    tabulate_points,
+    write_sweep_page,
+)
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "qsmc.mcap"
 KEY = "controller.lambda_per_s"
@@ -161,7 +167,8 @@ def test_the_table_is_mean_and_deviation_of_the_runs_that_ended_well() -> None:
         sweep = {"name": "s", "point": {KEY: gain}, "repeat": 0}
         return RunRow("a", 1, 1, ending=ending, rms_um=rms_um, sweep=sweep)
 
-    points = summarise_points([row(2.0, 3.0), row(1.0, 9.0), row(2.0, 4.0), row(2.0, 99.0, "trip")])
+    rows = [row(2.0, 3.0), row(1.0, 9.0), row(2.0, 4.0), row(2.0, 99.0, "trip")]
+    points = summarise_points(rows)
     first = points[0]
     assert (first.runs, first.failed) == (2, {"trip": 1})
     assert first.metrics["rms_um"].mean == 3.5
@@ -173,6 +180,12 @@ def test_the_table_is_mean_and_deviation_of_the_runs_that_ended_well() -> None:
     assert (named[KEY], named["runs"], named["failed"], named["rms_um_high"]) == (
         "2.0", "2", "1", "4.0",
     )  # fmt: skip
+    page = write_sweep_page("s", Path("logs"), rows, [KEY])
+    ((plot,),) = (part.plots for part in page.parts if isinstance(part, Figure))
+    band, line, dots = plot.marks
+    assert (line.x.tolist(), line.ys[0].tolist()) == ([1.0, 2.0], [9.0, 3.5])
+    assert [side.tolist() for side in band.ys] == [[9.0, 3.0], [9.0, 4.0]]
+    assert dots.ys[0].tolist() == [9.0, 3.5]
 
 
 def sweep_fast(folder: Path, *words: str) -> Any:

@@ -37,8 +37,11 @@ from pamctl.tune import (
 )
 from pamctl.tune.gains_search import compute_cost, find_space
 from pamctl.tune.gains_trial import (
+    MOVING,
     PARAMETER_TOLERANCE,
+    RESTING,
     SHORT,
+    TRIP_COST,
     UNCERTAIN_PARAMETERS,
     GainsVerdict,
     holds_the_farthest_point,
@@ -96,6 +99,11 @@ def test_the_full_trial_agrees_with_the_experiments_of_the_paper() -> None:
         assert verdict.figures_um[f"max {number}"] == found.max_m * 1e6
         assert verdict.figures_um[f"RMS {number}"] == found.rms_m * 1e6
     assert verdict.is_inside
+    assert tuple(RESTING) == (272e-6, 35.6e-6, 15e-6)
+    assert MOVING[:2] == (284e-6, 43.2e-6)
+    ratios = (verdict.figures_um["RMS 1"] / 35.6, verdict.figures_um["RMS 2"] / 43.2)
+    assert verdict.worst >= max(ratios)
+    assert verdict.mean <= verdict.worst
 
 
 def test_the_short_trial_ranks_gains_like_the_full_one() -> None:
@@ -128,6 +136,29 @@ def test_gains_that_trip_cost_more_than_gains_that_do_not() -> None:
     verdict = GainsTrial().verdict(wild, Member("delayed", PAPER[0].plant, output_delay_ticks=1))
     assert verdict.worst > 5.0
     assert not verdict.is_inside
+
+
+def test_gains_cost_the_more_the_sooner_safety_ends_their_run() -> None:
+    printed = resolve(controller="paper-table3-smc").controller
+    verdict = GainsTrial("short").verdict(printed, PAPER[0])
+    assert (verdict.why, verdict.figures_um) == ("safety trip", {})
+    assert 85.0 < verdict.worst == verdict.mean < TRIP_COST
+
+
+@pytest.mark.parametrize("hold_s", [0.0, 6.0])
+def test_a_motion_of_ones_own_that_never_rests_is_held_to_experiment_2(
+    hold_s: float, tmp_path: Path
+) -> None:
+    ramps = {"kind": "ramps", "levels_mm": [6, 8, 6], "speed_mm_per_s": 4}
+    path = tmp_path / "mine.yaml"
+    path.write_text(json.dumps({**ramps, "jerk_mm_per_s3": 900, "hold_s": hold_s}))
+    base = resolve(experiment=str(path)).model_dump_json()
+    verdict = GainsTrial("whole", base, own_motion=True).verdict(PID, PAPER[0])
+    bounds_um = {"max": 272.0, "RMS": 35.6, "steady": 15.0} if hold_s else {"max": 272, "RMS": 43.2}
+    assert verdict.figures_um.keys() == bounds_um.keys()
+    ratios = [verdict.figures_um[name] / bound for name, bound in bounds_um.items()]
+    assert verdict.mean == pytest.approx(np.mean(ratios))
+    assert verdict.worst == pytest.approx(max(ratios))
 
 
 # --- the space -----------------------------------------------------------------------
@@ -245,6 +276,15 @@ def three_generations() -> list[float]:
 def test_the_search_improves_and_never_worsens(three_generations: list[float]) -> None:
     assert three_generations == sorted(three_generations, reverse=True)
     assert three_generations[-1] < 1.0
+
+
+def test_a_search_begins_within_its_bounds_in_every_part_of_them() -> None:
+    going = search()
+    low, high = np.array(find_space("pid").bounds).T
+    shares = (going._population - low) / (high - low)
+    assert ((shares >= 0.0) & (shares <= 1.0)).all()
+    apart = shares[len(shares) // 2 :]
+    assert (np.unique(np.floor(apart * len(shares)), axis=0).shape) == apart.shape
 
 
 class Shortsighted(GainsTrial):

@@ -222,7 +222,10 @@ def doctor(asked: DoctorOptions) -> None:
                     typer.echo(format_part(Problems([finding])))
     except (SignalInterrupt, KeyboardInterrupt) as error:
         interrupt = error if isinstance(error, SignalInterrupt) else SignalInterrupt(2)
-    code = _exit_code(findings, interrupt)
+    is_fit = worst_level(findings) != "fault"
+    code = int(ExitCode.OK if is_fit else ExitCode.CHECK_FAILED)
+    if interrupt is not None:
+        code = interrupt.code
     document = {
         "schema": SCHEMA,
         "exit_code": code,
@@ -246,12 +249,6 @@ def doctor(asked: DoctorOptions) -> None:
     verdict = f"{levels.count('fault')} faults, {levels.count('warning')} warnings"
     print_result(document, str(interrupt or verdict), as_json=asked.as_json)
     raise typer.Exit(code)
-
-
-def _exit_code(findings: list[Problem], interrupt: SignalInterrupt | None) -> int:
-    if interrupt is not None:
-        return interrupt.code
-    return int(ExitCode.CHECK_FAILED if worst_level(findings) == "fault" else ExitCode.OK)
 
 
 # --- calibrate --------------------------------------------------------------------------------

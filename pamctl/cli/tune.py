@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Callable
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -199,7 +199,7 @@ def sweep(asked: SweepOptions) -> None:
         raise typer.BadParameter(f"{title!r}: {allowed}", param_hint="--name")
     request = parse_sweep(asked.overrides, asked.repeats)
     silent = asked.quiet or asked.as_json
-    tell = partial(_tell, quiet=silent)
+    tell_run: Callable[[str], object] = (lambda line: None) if silent else tell
     if asked.by_daemon:
         own = ["backend", "controller", "controller_from", "rig", "plant", "seed", "rt", "fast"]
         if any(map(asked.is_typed, own)):
@@ -222,7 +222,7 @@ def sweep(asked: SweepOptions) -> None:
             DaemonRunner(client, settings, file_safe_name(named)) as runner,
         ):
             plan = runner.plan_sweep(request, asked.repeats, title, said)
-            end = run_sweep(plan, runner, tell)
+            end = run_sweep(plan, runner, tell_run)
     else:
         base, names = asked.resolve_with(request.fixed)
         # Every point is checked before the first run.
@@ -237,13 +237,8 @@ def sweep(asked: SweepOptions) -> None:
 
         own_runner = OwnRunner(points, names, asked.logs, lambda: ProgressLine(quiet=silent))
         plan = own_runner.plan_sweep(base, request, asked.repeats, title, said)
-        end = run_sweep(plan, own_runner, tell)
+        end = run_sweep(plan, own_runner, tell_run)
     _conclude(plan, end, as_json=asked.as_json)
-
-
-def _tell(line: str, *, quiet: bool) -> None:
-    if not quiet:
-        tell(line)
 
 
 def _conclude(plan: SweepPlan, end: SweepEnd, *, as_json: bool) -> None:
@@ -287,6 +282,6 @@ def _conclude(plan: SweepPlan, end: SweepEnd, *, as_json: bool) -> None:
     if not end.ending.code:
         return
     print_error(end.ending.reason)
-    if end.left:
-        _tell(f"{end.left} runs are left: the same command with --name {plan.name}", quiet=as_json)
+    if end.left and not as_json:
+        tell(f"{end.left} runs are left: the same command with --name {plan.name}")
     raise typer.Exit(end.ending.code)

@@ -163,9 +163,10 @@ def compare_model(
         if judge_motion([used[s] for s in stretches], actuator, _find_usual_s(used))[1]
         else None
     )
+    was_homed = not log.is_imported and bool(np.any(log["phase"] == Phase.HOMING))
     for number, stretch in enumerate(stretches):
         part = used[stretch]
-        start = _find_start(plant, part, follows_homing=stretch.start == 0 and _was_homed(log))
+        start = _find_start(plant, part, follows_homing=stretch.start == 0 and was_homed)
         # The mechanics have no command, and need no step where one acts.
         steps = count_steps(find_period_s(part.dt_s[1:]))
         grid = build_grid(part.dt_s[1:], len(part), steps, part.acts_after_s, part.held_v)
@@ -315,10 +316,6 @@ def _find_stretches(measured: Signals) -> Iterator[slice]:
     for begin, end in pairwise(sorted(breaks)):
         if whole[begin] and end - begin >= _SHORTEST:
             yield slice(begin, end)
-
-
-def _was_homed(log: Log) -> bool:
-    return not log.is_imported and bool(np.any(log["phase"] == Phase.HOMING))
 
 
 def _find_start(plant: PlantParameters, part: Signals, *, follows_homing: bool) -> PlantState:

@@ -130,17 +130,15 @@ class Homing:
         if not complete:
             blocks[-1].take(sample)
             return False
-        if len(blocks) >= 2 and self._agree(*blocks[-2:]):
-            return True
+        if len(blocks) >= 2:
+            drift_v, counts = _drift(*blocks[-2:])
+            if drift_v <= self._settings.steady_v and counts <= self._settings.steady_counts:
+                return True
         if t_s - self._since_s > self._settings.timeout_s:
             raise HomingError(self._describe_unrest())
         self._blocks = [blocks[-1], _Block(t_s)]
         self._blocks[-1].take(sample)
         return False
-
-    def _agree(self, first: _Block, second: _Block) -> bool:
-        drift_v, counts = _drift(first, second)
-        return drift_v <= self._settings.steady_v and counts <= self._settings.steady_counts
 
     def _describe_unrest(self) -> str:
         drift_v, counts = _drift(self._blocks[0], self._blocks[-1])

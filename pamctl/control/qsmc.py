@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field
 
@@ -75,14 +75,6 @@ def qsmc(
 _SEARCH_TERMS = (1.75, "kp_v_s3_per_length", 1.0)
 
 
-def _to_gains(numbers: dict[str, float]) -> dict[str, Any]:
-    return sliding_gains_at(numbers, *_SEARCH_TERMS)
-
-
-def _from_gains(gains: dict[str, Any]) -> dict[str, float]:
-    return sliding_numbers_of(read_numbers(gains), *_SEARCH_TERMS)
-
-
 LAW = Law(
     name="qsmc",
     title="qSMC",
@@ -103,7 +95,7 @@ LAW = Law(
             GainAxis("lpf1_hz", *LPF1_BOUNDS, 200.0),
             GainAxis("lpf2_hz", *LPF2_BOUNDS, 430.0),
         ),
-        to_gains=_to_gains,
-        from_gains=_from_gains,
+        to_gains=lambda numbers: sliding_gains_at(numbers, *_SEARCH_TERMS),
+        from_gains=lambda gains: sliding_numbers_of(read_numbers(gains), *_SEARCH_TERMS),
     ),
 )

@@ -248,7 +248,9 @@ def write_law(page: Report, runs: Sequence[ReportedRun]) -> None:
     if not lawful:
         return
     page.add(Section("Law"))
-    _write_equations(page, lawful)
+    equations = {run.law.title: run.law.equation for run in lawful if run.law.equation}
+    if equations:
+        page.add(Points([f"{title}: {equation}" for title, equation in equations.items()]))
     surfaces = _plot_surfaces(lawful)
     caption = (
         "While tracking and resting; a run that came to neither is shown in its approach. The "
@@ -261,12 +263,6 @@ def write_law(page: Report, runs: Sequence[ReportedRun]) -> None:
         )
     page.add(Figure([*surfaces, *_plot_phase_planes(lawful)], caption, is_grid=True))
     _write_terms(page, lawful)
-
-
-def _write_equations(page: Report, runs: Sequence[ReportedRun]) -> None:
-    equations = {run.law.title: run.law.equation for run in runs if run.law.equation}
-    if equations:
-        page.add(Points([*(f"{title}: {equation}" for title, equation in equations.items())]))
 
 
 def _plot_surfaces(runs: Sequence[ReportedRun]) -> list[Plot]:

@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from fnmatch import fnmatchcase
 from io import StringIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from pamctl.exit_codes import ExitCode
 from pamctl.plain_text import hint_at_nearest
@@ -132,16 +132,15 @@ _MOST_NOTE = 60
 
 def report_runs(rows: Sequence[RunRow], total: int, folder: Path) -> Report:
     """Return a table, the newest run last, and how many of how many runs they are."""
+    documents = [
+        {"start": datetime.fromtimestamp(row.when_s, UTC).isoformat(), **vars(row)} for row in rows
+    ]
     report = Report(
         f"Runs of {folder}",
         f"{len(rows)} of {total} runs",
-        document={"logs": str(folder), "runs": [*map(_make_document, rows)], "of": total},
+        document={"logs": str(folder), "runs": documents, "of": total},
     )
     return report.add(ReportTable(_HEADER, [*map(_make_cells, rows)])) if rows else report
-
-
-def _make_document(row: RunRow) -> dict[str, Any]:
-    return {"start": datetime.fromtimestamp(row.when_s, UTC).isoformat(), **vars(row)}
 
 
 def _make_cells(row: RunRow) -> list[str]:

@@ -122,6 +122,7 @@ def read_row(path: Path) -> RunRow:
 def _describe_run(bare: RunRow, scan: Scan) -> RunRow:
     run, said = scan.metadata.get("run", {}), scan.metadata.get(ANNOTATION, {})
     events = scan.values[EVENT_TOPIC]
+    marks = [clean_text(str(e.get("text", ""))) for e in events if e.get("event") == "mark"]
     config: dict[str, Any] = {}
     with suppress(LogError):
         config = scan.config()
@@ -135,7 +136,7 @@ def _describe_run(bare: RunRow, scan: Scan) -> RunRow:
         note=annotation.note,
         operator=annotation.operator,
         sample=annotation.sample,
-        marks=_join_marks(events),
+        marks="; ".join(marks[:_MOST_MARKS]),
         sweep=_read_sweep(scan.metadata.get(SWEEP, {})),
         gains=_collect_gains(config),
     )
@@ -174,11 +175,6 @@ def _judge_ending(scan: Scan) -> dict[str, Any]:
     is_estop = code == ExitCode.SAFETY_TRIP and reason.startswith(EMERGENCY_STOP)
     ending = ESTOP if is_estop else ENDINGS.get(ExitCode(code), FAILED)
     return {"exit_code": code, "reason": reason, "ending": ending}
-
-
-def _join_marks(events: list[dict[str, Any]]) -> str:
-    texts = [clean_text(str(e.get("text", ""))) for e in events if e.get("event") == "mark"]
-    return "; ".join(texts[:_MOST_MARKS])
 
 
 def _find_start_s(scan: Scan, otherwise_s: float) -> float:
@@ -231,12 +227,12 @@ def find_varying_keys(rows: Sequence[RunRow], *, numbers_only: bool = True) -> l
     """
     swept = dict.fromkeys(key for row in rows for key in row.sweep.get("point", {}))
     keys = [*swept, *dict.fromkeys(k for row in rows for k in row.gains if k not in swept)]
-    return [key for key in keys if key != "seed" and _varies(rows, key, numbers_only=numbers_only)]
-
-
-def _varies(rows: Sequence[RunRow], key: str, *, numbers_only: bool) -> bool:
-    values = {read_value(row, key) for row in rows} - {None}
-    return len(values) > 1 and (not numbers_only or all(map(is_number, values)))
+    values = {key: {read_value(row, key) for row in rows} - {None} for key in keys if key != "seed"}
+    return [
+        key
+        for key, found in values.items()
+        if len(found) > 1 and (not numbers_only or all(map(is_number, found)))
+    ]
 
 
 def is_number(value: SettingValue) -> bool:

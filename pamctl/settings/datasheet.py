@@ -236,7 +236,7 @@ def list_questions(actuator: str) -> tuple[PlantQuestion, ...]:
     fields = {
         name: field
         for name, field in PlantSettings.model_fields.items()
-        if _is_number(field)
+        if (field.annotation is float or float in get_args(field.annotation))
         and name in _NO_DEFAULT.get(actuator, set()) | _OPTIONAL.get(actuator, set())
     }
     fields |= {
@@ -247,10 +247,6 @@ def list_questions(actuator: str) -> tuple[PlantQuestion, ...]:
     ordered = sorted(fields, key=lambda name: name not in _FIRST)
     asked = [_make_question(actuator, name, fields[name]) for name in ordered]
     return (*asked, *_ask_effects(actuator))
-
-
-def _is_number(field: FieldInfo) -> bool:
-    return field.annotation is float or float in get_args(field.annotation)
 
 
 def _make_question(actuator: str, name: str, field: FieldInfo) -> PlantQuestion:

@@ -183,7 +183,7 @@ def test_the_limits_of_the_envelope_are_keys_of_the_rig() -> None:
     done = dry_run("--experiment", "sine", *slow)
     # 2 mm at 0.5 Hz: 6.28 mm/s, and a little more while it grows.
     assert "a speed of 6.2" in done.stderr or "a speed of -6.2" in done.stderr
-    assert "the limits are -5 to 5" in done.stderr
+    assert "the limits are -5 to 5 (" in done.stderr
     assert dry_run("--experiment", "sine").exit_code == 0
 
 

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from support.command_line import run_pamctl
 
 import pamctl.log
@@ -91,24 +90,6 @@ def test_a_spring_and_a_piston_settle_where_their_forces_balance() -> None:
     )
     pressed = drive_mechanics(p, np.full(2000, ATMOSPHERE_PA + 4e4), TICK_S)
     assert pressed.position_m[-1] == pytest.approx(-5e-4 * 4e4 / 2000.0, rel=1e-6)
-
-
-def test_asymmetric_friction_moves_as_an_independent_solution() -> None:
-    """Speed never changes sign: a biased force against friction of the forward direction."""
-    values = axis(
-        viscous_asymmetry__share=-0.2, coulomb_friction__force_n=20.0, friction_asymmetry__share=0.1
-    )
-    force_n = 80.0 + 30.0 * np.sin(2 * math.pi * 1.3 * T_S)
-    ours = drive_mechanics(
-        parameters_of(values), np.full(3000, ATMOSPHERE_PA), TICK_S, force_n=force_n
-    )
-
-    def rates(t: float, y: np.ndarray) -> list[float]:
-        pushed = 80.0 + 30.0 * math.sin(2 * math.pi * 1.3 * t)
-        return [y[1], (pushed - 22.0 - 160.0 * y[1]) / 95.0]
-
-    exact = solve_ivp(rates, (0.0, T_S[-1]), [0.0, 0.0], t_eval=T_S, rtol=1e-10, atol=1e-12)
-    np.testing.assert_allclose(ours.position_m, exact.y[0], atol=2e-6)
 
 
 FORMS = {

@@ -1,6 +1,6 @@
 """The catalogue of effects: neutral to the bit, the same compiled, and described completely.
 
-`test_effects_physics.py` compares the physics of each effect with independent solutions.
+`test_against_truth.py` compares the physics of each effect with an independent simulation.
 """
 
 from __future__ import annotations

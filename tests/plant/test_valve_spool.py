@@ -14,12 +14,6 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from pamctl.plant.effects.valve import ValveSpool, spool_step
-from pamctl.plant.model import PlantSettings, plant_parameters
-from pamctl.plant.paper import middle_pressure_pa, pressure_step
-from pamctl.plant.parameters import vented_state
-from pamctl.plant.step import plant_step
-
-PAPER_VALVE = ValveSpool(1 / (2 * math.pi * 109), 0.7)
 
 dampings = st.one_of(st.sampled_from([0.2, 1.0, 2.0]), st.floats(0.2, 2.0))
 time_constants_s = st.floats(1e-5, 8e-3)
@@ -79,19 +73,3 @@ def test_a_spool_much_faster_than_the_step_arrives_within_it(
     # The slower pole is w (zeta - sqrt(zeta^2 - 1)), and 0.2 w at the least.
     assert opening_v == pytest.approx(command_v, abs=10 * math.exp(-0.2 * 1e-3 / time_constant_s))
     assert rate == pytest.approx(0.0, abs=1e-2)
-
-
-# --- within the plant --------------------------------------------------------------------------
-
-
-def test_the_flow_of_a_step_is_that_of_the_spool_in_its_middle() -> None:
-    p = plant_parameters(PlantSettings(effects={"valve_spool": {"time_constant_s": 1.46e-3}}))
-    after = plant_step(p, vented_state(p), 5.0, 1e-3)
-    middle_v, rate = spool_step(p.effects.valve.valve_spool, 0.0, 0.0, 5.0, 0.5e-3)
-    end_v, _ = spool_step(p.effects.valve.valve_spool, middle_v, rate, 5.0, 0.5e-3)
-    assert after.valve.spool_v == end_v
-    middle_pa = middle_pressure_pa(p.paper, p.atmospheric_pressure_pa, middle_v, 0.0, 0.0, 1e-3)
-    expected_pa = pressure_step(
-        p.paper, p.atmospheric_pressure_pa, middle_pa, middle_v, 0.0, after.position_m, 1e-3
-    )
-    assert after.pressure_pa == expected_pa

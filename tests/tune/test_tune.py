@@ -139,8 +139,9 @@ def test_gains_that_trip_cost_more_than_gains_that_do_not() -> None:
 
 
 def test_gains_cost_the_more_the_sooner_safety_ends_their_run() -> None:
-    printed = resolve(controller="paper-table3-smc").controller
-    verdict = GainsTrial("short").verdict(printed, PAPER[0])
+    strict = resolve(overrides=["rig.limits.tracking_error_mm=0.2"]).model_dump_json()
+    weak = PID.model_copy(update={"kp_v_per_length": 0.3, "ki_v_per_length_s": 0.0})
+    verdict = GainsTrial("short", strict).verdict(weak, PAPER[0])
     assert (verdict.why, verdict.figures_um) == ("safety trip", {})
     assert 85.0 < verdict.worst == verdict.mean < TRIP_COST
 

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from hal.child import advise_install
 from pamctl.exit_codes import ExitCode
 from pamctl.log.framing import LogError
-from pamctl.log.reader import NoSuchColumn, read
+from pamctl.log.reader import Log, NoSuchColumn, read
+from pamctl.log.run_meta import flight_record_path
 from pamctl.log.schema import TICK_TOPIC, unit_of_column
 from pamctl.new_file import create_new_file, require_place
 from pamctl.plain_text import escape_name
@@ -25,6 +26,7 @@ from pamctl.plain_text import escape_name
 Columns = Mapping[str, NDArray[Any]]
 
 _CSV_ROWS = 4096
+FLIGHT_RECORD_S = 2.0
 
 
 class ExportError(LogError):
@@ -72,6 +74,18 @@ def export_ticks(
         write(stream, columns, escape_name(Path(source).name))
     ticks = len(next(iter(columns.values())))
     return ExportSummary(str(source), str(destination), ticks, tuple(columns))
+
+
+def dump_last_seconds(log: Log) -> Path:
+    """Write the last two seconds of a log beside it as CSV; return its path.
+
+    Raise NewFileError if that fails.
+    """
+    path = flight_record_path(log.path)
+    first = int(log.t[:].searchsorted(log.t[-1] - FLIGHT_RECORD_S))
+    with create_new_file(path, replaces="") as stream:
+        _write_csv(stream, {name: log[name][first:] for name in log.columns}, "")
+    return path
 
 
 def _select_ticks(

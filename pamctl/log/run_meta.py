@@ -1,22 +1,19 @@
 """What is known of a run beside its ticks: its description, the name of its log, its moments.
 
-Moments are marks, changes of gains, the trip, and the last seconds before it.
+Moments are marks, changes of gains, and the trip.
 """
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
-from io import StringIO
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pamctl.json_text import from_json, to_json
-from pamctl.new_file import write_files
 from pamctl.signals import TICK_FIELDS, Field
 
 if TYPE_CHECKING:
@@ -93,7 +90,6 @@ CHANGES = "controller_changes"
 """Key beside `controller`, the name of the file: what differs from it; missing if nothing does."""
 BESIDE_GAINS = ("event", "tick", "t_ns", "row", "from_t_s", "ramp_s")
 """What a message of gains holds besides: when they changed, and how fast."""
-FLIGHT_RECORD_S = 2.0
 
 _NAMES = {"mark": "mark", "tripped": "trip"}
 
@@ -164,18 +160,3 @@ def describe_running_changes(gains: Sequence[Mapping[str, Any]]) -> str | None:
 
 def _spell(value: object) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def dump_last_seconds(log: Log) -> Path:
-    """Write the last two seconds of a log beside it as CSV; return its path.
-
-    Raise NewFileError if that fails.
-    """
-    path = flight_record_path(log.path)
-    first = int(log.t[:].searchsorted(log.t[-1] - FLIGHT_RECORD_S))
-    text = StringIO()
-    table = csv.writer(text)
-    table.writerow(log.columns)
-    table.writerows(zip(*(log[name][first:].tolist() for name in log.columns), strict=True))
-    write_files({path: text.getvalue()}, replaces="")
-    return path

@@ -201,8 +201,8 @@ def _compute_figures(
     figures = summarise_run(log)
     text = format_terminal(report_run(figures, settings.controller.law))
     if ending.code in (ExitCode.SAFETY_TRIP, ExitCode.OVERRUNS):
+        from pamctl.log.export import dump_last_seconds
         from pamctl.log.reader import read_paged
-        from pamctl.log.run_meta import dump_last_seconds
         from pamctl.new_file import NewFileError
 
         try:

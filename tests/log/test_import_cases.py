@@ -179,6 +179,19 @@ def test_a_pressure_in_any_usual_unit_is_read(tmp_path, name, pascals):
 
 
 @pytest.mark.parametrize(
+    "name", ["Druck [bar \N{LATIN CAPITAL LETTER U WITH DIAERESIS}berdruck]", "P1 bar ueberdruck"]
+)
+def test_a_gauge_pressure_may_be_said_in_german(tmp_path, name):
+    require_good(Outcome(write(tmp_path, table((*HEAD[:2], name, HEAD[3])))))
+
+
+def test_a_text_with_a_head_like_labviews_and_a_time_of_day_is_read_as_a_text(tmp_path):
+    head = "LabVIEW Measurement\nOperator\tKim\n***End_of_Header***\n\n"
+    rows = table(("Time of day", *HEAD[1:]), (clock_rows(CLOCKS["colons"]), *GOOD[1:]), "\t")
+    require_good(Outcome(write(tmp_path, head + rows)))
+
+
+@pytest.mark.parametrize(
     ("at", "name", "told"),
     [
         (1, "Valve current [A]", None),
@@ -288,7 +301,9 @@ def test_a_line_break_within_quotes_is_no_line(tmp_path):
 def test_a_line_in_the_middle_that_is_no_row_is_refused_with_its_number(tmp_path, line, told):
     lines = table().splitlines()
     lines.insert(31, line)
-    assert told in Outcome(write(tmp_path, "\n".join(lines) + "\n")).stderr
+    said = Outcome(write(tmp_path, "\n".join(lines) + "\n")).stderr
+    assert told in said
+    assert "or delete it" in said
 
 
 def test_a_line_below_the_table_is_left_out_and_told(tmp_path):

@@ -69,7 +69,8 @@ _NAMES: Mapping[str, frozenset[str]] = {
 _BESIDE = frozenset({
     "muscle", "muskel", "pam", "actuator", "aktor", "measured", "meas", "gemessen", "actual", "act",
     "ist", "sensor", "channel", "ch", "ai", "signal", "value", "wert", "applied", "feedback",
-    "elapsed", "relative", "rel", "absolute", "abs", "absolut", "gauge", "internal", "inner",
+    "elapsed", "of", "day", "clock", "relative", "rel", "absolute", "abs", "absolut", "gauge",
+    "internal", "inner",
     "voltage", "spannung", "since", "start", "cell", "load", "axial", "linear", "number", "no",
     "chamber", "vessel", "cylinder", "piston", "rod", "carriage", "slide", "axis", "drive", "motor",
     "joint", "gelenk",
@@ -88,7 +89,9 @@ _OTHER = frozenset({
 _OF_A_COMMAND = frozenset({"set", "setpoint", "sp", "soll", "demand", "desired", "reference"})
 """They do not rule out the valve's command."""
 _BRACKETED = re.compile(r"(.*?)\s*[\[(](.+?)[\])]+\s*", re.DOTALL)
-_SENSE_WORDS = r"(\S+\s+(?:g|gauge|rel|relative|a|abs|absolute))"
+_SENSE_WORDS = (
+    r"(\S+\s+(?:g|gauge|rel|relative|a|abs|absolute|[u\xfc]e?berdruck|absolut(?:druck)?))"
+)
 _FORMS = [
     _BRACKETED,
     *(
@@ -114,8 +117,8 @@ _LETTERS = str.maketrans(
 )
 _SENSE = re.compile(
     r"(\S+?|mm hg|in hg)[\s_(]*"
-    r"(?:(g|gauge|gage|rel\.?|relative?|\N{LATIN SMALL LETTER U WITH DIAERESIS})"
-    r"|(a|abs\.?|absolute?))\)?"
+    r"(?:(g|gauge|gage|rel\.?|relative?|\xfc|[u\xfc]e?berdruck)"
+    r"|(a|abs\.?|absolute?|absolut(?:druck)?))\)?"
 )
 
 

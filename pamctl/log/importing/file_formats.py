@@ -164,6 +164,8 @@ def read_table(source: Path, hints: TextHints | None = None) -> MeasuredTable:
 def _find_format(source: Path, begin: bytes, *, is_packed: bool) -> _Format | None:
     """Return who parses a file, None for a text; raise ImportRefused for what nobody here reads."""
     kind = next((kind for magic, kind in _PARSED.items() if begin.startswith(magic)), None)
+    if kind is _LVM and b"Writer_Version" not in begin:
+        kind = None  # a table that a program of LabVIEW wrote in a form of its own
     closed = next((said for magic, said in _CLOSED.items() if begin.startswith(magic)), None)
     if begin.startswith(b"PK\x03\x04") and not is_packed:
         kind, closed = _look_into_zip(source)

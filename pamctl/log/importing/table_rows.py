@@ -259,7 +259,10 @@ class TableBuilder:
     def _refuse_odd(self, before: float) -> None:
         """Raise ImportRefused where a line before this one is no row of the table."""
         if self._odd and (number := min(self._odd)) < before:
-            raise ImportRefused(f"{self._path}:{number}: {self._odd[number]}")
+            raise ImportRefused(
+                f"{self._path}:{number}: {self._odd[number]}; complete the line, or delete it: "
+                "its time is then a gap"
+            )
 
     def _complain(self, at: int, line: int, cell: str) -> None:
         name = self._layout.names[at]

@@ -26,7 +26,7 @@ from pamctl.plant.model import PlantSettings
 Flags = NDArray[np.bool_]
 
 RULES: Mapping[str, str] = {
-    "short": "a record of a muscle or a chamber lasts less than 2 s",
+    "short": "a record lasts less than 2 s; of a direct mechanism, and has less than 2000 samples",
     "gap": "gaps in the time leave no stretch that is long enough",
     "coarse": "a signal passes half of its span between two samples",
     "command_unit": "the command does not look like -5 to 5 V",
@@ -39,7 +39,8 @@ RULES: Mapping[str, str] = {
 }
 """The rules and what they doubt, by the name that `--accept` takes."""
 
-SHORTEST_S = 2.0
+SHORTEST_S, QUICK_SAMPLES = 2.0, 2000
+"""A record is not shorter, unless that of a quick mechanism has as many samples."""
 FEWEST_SAMPLES = 100
 SHORTEST_STRETCH = 20
 """A stretch between gaps with fewer samples shows nothing."""
@@ -99,7 +100,8 @@ def _doubt_length(record: Record, plant: PlantSettings) -> Iterator[Problem]:
             "stretches",
             fix="record without pauses of the logger",
         )
-    if plant.actuator != "direct" and record.duration_s < SHORTEST_S:
+    is_quick = plant.actuator == "direct" and len(record) >= QUICK_SAMPLES
+    if record.duration_s < SHORTEST_S and not is_quick:
         yield Problem(
             record.name,
             "short",

@@ -16,7 +16,7 @@ MASS_KG, DAMPING, DRY_N, COGGING_N, PITCH_M = 3.1, 28.0, 1.5, 3.2, 0.016
 PERIOD_S, STEPS, LASTS_S = 1e-3, 10, 10.0
 
 
-def positioned(seed: int) -> Record:
+def positioned(seed: int, cogging_n: float = COGGING_N) -> Record:
     """Let a stiff controller bring the axis from place to place; the force is measured."""
     random, dt_s = np.random.default_rng(seed), PERIOD_S / STEPS
     x, v, force, aim, goal = 0.05, 0.0, 0.0, 0.05, 0.05
@@ -29,7 +29,7 @@ def positioned(seed: int) -> Record:
         wanted = 3000.0 * (aim - x) - 110.0 * v
         for _ in range(STEPS):
             force += dt_s * (wanted - force) / 0.002
-            pushes = force - DAMPING * v - COGGING_N * sin(2.0 * pi * x / PITCH_M + 0.4)
+            pushes = force - DAMPING * v - cogging_n * sin(2.0 * pi * x / PITCH_M + 0.4)
             free, most = v + dt_s * pushes / MASS_KG, dt_s * DRY_N / MASS_KG
             v = 0.0 if abs(free) <= most else free - copysign(most, free)
             x += dt_s * v

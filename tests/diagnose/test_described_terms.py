@@ -119,11 +119,10 @@ def test_friction_that_grows_with_position_is_named() -> None:
     assert numbers_of(found)["position_friction.share_per_m"] == pytest.approx(15.0, rel=0.16)
 
 
-def test_a_load_that_is_hung_on_is_a_force_over_time() -> None:
+def test_a_load_that_is_hung_on_is_a_force_that_begins_then() -> None:
     (term,) = build_diagnosis_document(of_uncatalogued("load_is_hung_on", *LOAD, seed=4))["terms"]
-    assert (term["location"], term["driver"]) == ("force", "time")
-    before, *_, after = (point["value"] for point in term["curve"])
-    assert after - before == pytest.approx(-1.7, rel=0.1)
+    assert (term["location"], term["operator"], term["driver"]) == ("force", "onset", "time")
+    assert term["parameters"]["size"]["value"] == pytest.approx(-1.7, rel=0.02)
 
 
 def test_a_spring_that_softens_at_an_instant_is_said_with_the_instant() -> None:

@@ -49,6 +49,25 @@ def test_the_weights_are_the_slope_of_the_loss_over_the_coefficient() -> None:
     np.testing.assert_allclose(slope, (loss.weights * d)[0, 1, 5], rtol=1e-4)
 
 
+def test_where_scales_follow_the_whole_misfit_each_coefficient_counts_by_that_too() -> None:
+    rng = np.random.default_rng(4)
+    d, like = student.rvs(1.5, size=(1, 16, 128), random_state=rng), make_likelihood(16)
+    loss, free = like(d, np.zeros(1)), np.zeros(1)
+    slopes = like.find_slopes(d, loss, free)
+    assert (slopes > loss.weights).all()
+    for at in (abs(d).argmax(), 700):
+        moved = d.copy()
+        moved.flat[at] += 1e-5
+        slope = (like(moved, free).by_block - loss.by_block).sum() / 1e-5
+        np.testing.assert_allclose(slope, (slopes * d).flat[at], rtol=0.02)
+
+
+def test_under_a_floor_that_stays_they_count_by_themselves() -> None:
+    d, like = np.random.default_rng(5).normal(size=(1, 16, 128)), make_likelihood(16)
+    loss = like(d, np.ones(1))
+    assert like.find_slopes(d, loss, np.ones(1)) is loss.weights
+
+
 def test_a_scale_is_the_one_that_makes_the_likelihood_largest() -> None:
     rng = np.random.default_rng(3)
     d, like = student.rvs(NU, scale=2.0, size=(1, 64, 128), random_state=rng), make_likelihood(64)

@@ -33,12 +33,12 @@ def list_heavy_imports(*arguments: str) -> set[str]:
     return HEAVY & set(done.stderr.rpartition("imported:")[2].split())
 
 
-@pytest.mark.parametrize("arguments", [["--help"], [], ["nosuch"], ["--version"]])
+@pytest.mark.parametrize("arguments", [["--help"], ["nosuch"]])
 def test_help_and_advice_import_no_verb(arguments: list[str]) -> None:
     assert list_heavy_imports(*arguments) <= {"rich"}
 
 
-@pytest.mark.parametrize("verb", ["status", "stop", "estop", "ack", "disarm"])
+@pytest.mark.parametrize("verb", ["status", "estop"])
 def test_a_verb_of_the_daemon_imports_no_model_and_no_algebra(verb: str, tmp_path: Path) -> None:
     assert list_heavy_imports(verb, "--socket", str(tmp_path / "none.sock")) == set()
 

@@ -190,7 +190,8 @@ class Weigher:
             tangent = self._find_tangent(m)
             fresh = is_rough or bool((np.abs(m.x - m.tangent_at) < NEAR * scale).all())
             flat = tangent.reshape(len(m.x), -1)
-            weighed = flat * m.cost.weights.ravel()
+            slopes = self.like.find_slopes(m.d, m.cost, self.floor2)
+            weighed = flat * slopes.ravel()
             hessian, slope = weighed @ flat.T, weighed @ m.d.ravel()
             cost = float(m.cost.by_block.sum())
             better = None

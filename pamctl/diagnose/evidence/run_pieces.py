@@ -74,6 +74,7 @@ HELD_OUT = (5, 11)
 ADDED_PA = f"{CHAIN}added.pressure_pa"
 """What a file's pressure is too high by: a record begins by so much lower."""
 ADDED_M = f"{CHAIN}added.position_m"
+LATE_M = f"{CHAIN}late.position_m"
 """The same of a piston's position."""
 FAR = 1e4
 """What a simulation shows where the plant leaves the range of its model."""
@@ -268,6 +269,12 @@ class Runs:
         self.shown = self.pack([s.shown for s in self.stretches])
         masked = self.pack([s.masked.astype(float) for s in self.stretches], rest=1.0) > 0.5
         self.masked: Mask = masked
+        for channel, gone in zip(self.channels, masked, strict=True):
+            if gone.all():
+                raise TooLittleRecorded(
+                    f"{channel}: no sample counts: all are near a gap, a frozen sensor, or the "
+                    "begin of a record; record for longer"
+                )
         self.when_s = self.pack([s.grids[COARSE_STEP_S].samples_s[None] for s in self.stretches])[0]
         self._counts = np.ones(self.n_blocks, dtype=bool)
         self._note_hidden()
@@ -322,7 +329,7 @@ class Runs:
         air_pa = chain.get(f"{CHAIN}atmosphere")
         if air_pa is not None:
             plain["atmospheric_pressure_pa"] = air_pa
-        early = ("valve_v", "t_s", ADDED_PA, ADDED_M)
+        early = ("valve_v", "t_s", ADDED_PA, ADDED_M, *([LATE_M] if self.windowed else []))
         command = {k: v for k, v in chain.items() if k.endswith(early)}
         key = (step_s, *sorted((plain | command).items()))
         last = self._whole._last
@@ -357,7 +364,7 @@ class Runs:
                 inputs.get("pressure_pa"),
             )[None]  # fmt: skip
         if self.actuator == "direct":
-            return self._drive_mechanism(p, stretch, grid)
+            return self._drive_mechanism(p, stretch, grid, command.get(LATE_M, 0.0))
         if "valve_v" not in inputs:
             start = self._start(p, stretch, command)
             response = drive_mechanics(p, inputs["pressure_pa"], grid, start=start)
@@ -383,8 +390,14 @@ class Runs:
         position_m = first.get("position_m", 0.0) - chain.get(ADDED_M, 0.0)
         return rest_state(p, keep_in_stroke(p, position_m), pressure_pa)
 
-    def _drive_mechanism(self, p: PlantParameters, stretch: RunPiece, grid: SampleGrid) -> Array:
+    def _drive_mechanism(
+        self, p: PlantParameters, stretch: RunPiece, grid: SampleGrid, late_s: float
+    ) -> Array:
+        """Return the position; one that is `late_s` late shows the state of an instant later."""
         inputs, rates, n = stretch.inputs, stretch.rates, len(grid.samples_s)
+        if late_s:
+            shown_s = grid.samples_s + late_s
+            rates = {k: np.interp(shown_s, grid.samples_s, c) for k, c in rates.items()}
         pressure = inputs.get("pressure_pa")
         if pressure is None:
             pressure = np.full(n, p.paper.atmospheric_pressure_pa)

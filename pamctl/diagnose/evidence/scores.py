@@ -28,7 +28,7 @@ MOST_SHARE = 3.0
 """A least-squares dose may be so many times the simulated one."""
 MOST_HAT = 10.0
 HOPE_NATS = 4.0
-"""Where the first shape of a hypothesis promises less, no other is asked."""
+"""Of what promises less, no reader sees anything."""
 ALIKE = 1e-4
 """Of a secant's square: what is smaller beside the model's tangent is rounding."""
 NEARLY_OWN = 0.1
@@ -91,7 +91,7 @@ class _Beside:
         self.room = (low - m.x) / scale, (high - m.x) / scale
         self.free = np.flatnonzero((self.room[0] < -STUCK) & (self.room[1] > STUCK))
         self.tangent = m.tangent.reshape(len(m.x), -1)[self.free]
-        self.root = np.sqrt(cost.weights).ravel()
+        self.root = np.sqrt(weigher.like.find_slopes(m.d, cost, weigher.floor2)).ravel()
         self.weighed = self.tangent * self.root
         self.off = m.d.ravel() * self.root
         hessian = self.weighed @ self.weighed.T + LIKELY_MOVE**-2 * np.eye(len(self.free))
@@ -108,9 +108,7 @@ class _Beside:
         """Return the best of the variants and doses; None where none does anything."""
         variants = self._scan(hypothesis) if hypothesis.scan else hypothesis.variants
         best: tuple[EvidenceScore, WeighedModel] | None = None
-        for number, variant in enumerate(variants):
-            if number and not hypothesis.scan and (best is None or best[0].gain < HOPE_NATS):
-                break  # another shape of what gains nothing
+        for variant in variants:
             for sizes, secants in self._push(hypothesis.name, variant):
                 found = self._predict(hypothesis.name, variant, sizes, secants)
                 if found is not None and (best is None or found[0].gain > best[0].gain):

@@ -194,12 +194,16 @@ def _report_finding(diagnosis: Diagnosis, finding: Finding) -> Iterator[Part]:
 
 
 def _report_numbers(diagnosis: Diagnosis) -> Iterator[Part]:
+    own = {n.name: f"{diagnosis.start_value(n.name):.4g}" for n in diagnosis.recalibrated}
     rows = [
-        [n.name, *n.spell(), "at an end" if n.name in diagnosis.at_bound else ""]
+        [
+            n.name, own.get(n.name, ""), *n.spell(),
+            "at an end" if n.name in diagnosis.at_bound else "",
+        ]
         for n in list_fitted(diagnosis)
-    ]
+    ]  # fmt: skip
     if rows:
-        yield ReportTable(["fitted", "value", "90 % interval", "unit", "range"], rows)
+        yield ReportTable(["fitted", "was", "value", "90 % interval", "unit", "range"], rows)
 
 
 def _report_gap(diagnosis: Diagnosis) -> Iterator[Part]:

@@ -220,14 +220,17 @@ def make_rig(asked: RigForPlantOptions) -> None:
     require_rig_place(out, str(out))
     path = find_argument_file("plant", asked.plant)
     try:
-        text, notes = make_rig_file(read_section_file("plant", path), asked.plant, asked.backend)
+        plant = read_section_file("plant", path)
+        text, notes = make_rig_file(plant, asked.plant, asked.backend)
     except ValueError as error:
         raise ConfigError([Problem(asked.plant, "", str(error))]) from error
     write_files({out: text})
     document = {"plant": asked.plant, "rig_file": str(out), "notes": notes}
     words = ["pamctl", "doctor", "--rig", str(out)]
     if known[asked.backend].is_simulated:
-        words = ["pamctl", "run", "--fast", "--experiment", "diagnosis"]  # open loop: no gains yet
+        # There are no gains yet: open loop, but for an axis, which would drift to its end.
+        motion = ["step", "--controller", "pid"] if plant.actuator == "direct" else ["diagnosis"]
+        words = ["pamctl", "run", "--fast", "--experiment", *motion]
         words += ["--plant", asked.plant, "--rig", str(out)]
     lines = [f"rig file: {out}", *notes, f"next: {shlex.join(words)}"]
     print_result(document, "\n".join(lines), as_json=asked.as_json)

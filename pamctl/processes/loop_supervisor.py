@@ -18,7 +18,7 @@ from pamctl.exit_codes import EMERGENCY_STOP, LOG_DISK_FULL, Ending, ExitCode
 from pamctl.processes.interrupts import STOP_SIGNALS
 from pamctl.realtime.clock import LoopSettings, SleepWatch
 from pamctl.realtime.orders import Orders
-from pamctl.recording.journal import SILENT_RECORDER_S
+from pamctl.recording.journal import SILENT_RECORDER_S, StandStill
 from pamctl.recording.ring import RecorderFlag, Ring
 
 _LOOK_EVERY_S = 8e-3
@@ -48,7 +48,6 @@ class LoopSupervisor:
         """
         self._orders = orders
         self._ring = ring
-        self._recorded: Ring | None = ring
         self._asked = 0
         # Counted in calls, not in tick numbers, because ticks may be missed.
         self._look_every = max(1, round(pace.rate_hz * _LOOK_EVERY_S))
@@ -64,14 +63,13 @@ class LoopSupervisor:
         self._longest_sleep_ns = round(pace.heartbeat_ms * 1e6)
         self._loss: Ending | None = None
         self._signals: list[int] = []
-        self._beats = -1
-        self._beat_s = time.monotonic()
+        self.watch_recording(ring)
         self._front = None if front_fd is None else ParentPipe(front_fd)
 
     def watch_recording(self, ring: Ring | None) -> None:
         """Watch the recorder of this ring from now on; None: nothing is recorded."""
-        self._recorded = ring
-        self._beats, self._beat_s = -1, time.monotonic()
+        self._recorded: Ring | None = ring
+        self._silence = StandStill(lambda: ring.recorder_beats if ring else 0)
 
     def listen(self) -> None:
         """Take over the signals that end a run: the first stops smoothly, the second at once."""
@@ -177,9 +175,7 @@ class LoopSupervisor:
             return None
         if ring.pending > ring.rows - self._spare_rows:
             return Ending(ExitCode.UNEXPECTED, "the recorder is too far behind")
-        if ring.recorder_beats != self._beats:
-            self._beats, self._beat_s = ring.recorder_beats, time.monotonic()
-        elif time.monotonic() - self._beat_s > SILENT_RECORDER_S:
+        if self._silence.lasts_s() > SILENT_RECORDER_S:
             return Ending(ExitCode.UNEXPECTED, "the recorder gives no sign of life")
         return None
 

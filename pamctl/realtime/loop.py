@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
 from hal.calibration import Zero
 from hal.rig import RawSample, Rig, RigError, open_rig
@@ -19,37 +19,17 @@ from pamctl.control.homing import HomingError
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.realtime.clock import Clock, Wake
 from pamctl.realtime.tick import TickSetup, first_state, rezero_state
-from pamctl.realtime.tick_runner import RunningCourse, TickJournal, TickRunner
+from pamctl.realtime.tick_runner import Journal, RunningCourse, TickRunner
 from pamctl.safety import OVERRUNS, explain_verdicts
 from pamctl.signals import Decision, Reference, TickOutcome, Timing, Truth
 
 KEYFRAME_TICKS = 1000
 
 
-class Journal(TickJournal, Protocol):
-    """Takes what must not be lost. Its methods raise `RingFull` where there is no room."""
-
-    def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
-        """Keep an event; its key `event` names it."""
-
-    def put_keyframe(self, tick: int, t_ns: int, state: Sequence[float]) -> None:
-        """Keep the frozen state after a tick."""
-
-    def end_ticks(self) -> None:
-        """Take note that the valve is safe and will not be moved again."""
-
-
-class RowsJournal(Protocol):
-    """Takes many ticks at once."""
-
-    def put_rows(self, rows: memoryview) -> None:
-        """Keep ticks that are packed already as rows of the ring."""
-
-
 class ManyTicks(Protocol):
     """Runs many ticks of a simulated rig at once, for a loop without a clock."""
 
-    def run(self, tick: Any, first_tick: int, ticks: int, journal: Any) -> int:
+    def run(self, tick: TickRunner, first_tick: int, ticks: int, journal: Journal) -> int:
         """Run at most so many ticks and put their rows; return how many there were."""
 
 

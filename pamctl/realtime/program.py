@@ -16,7 +16,7 @@ from pamctl.control.homing import Homing
 from pamctl.control.law_registry import read_controller
 from pamctl.realtime.gain_ramp import SHORTEST_RAMP_S, GainRamp
 from pamctl.realtime.tick import TickSetup
-from pamctl.realtime.tick_runner import TickRunner
+from pamctl.realtime.tick_runner import Journal, TickRunner
 from pamctl.signals import Phase, Reference
 
 
@@ -115,16 +115,6 @@ class Program:
         return make_valve_reference(Phase.STOPPING, ramp_v)
 
 
-class CueJournal(Protocol):
-    """Takes the marks and the gains of a run."""
-
-    def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
-        """Keep an event; its key `event` names it."""
-
-    def put_gains(self, tick: int, t_ns: int, gains: Mapping[str, object]) -> None:
-        """Keep gains that apply from the next tick on."""
-
-
 class OrderSlot(Protocol):
     """Where orders come from."""
 
@@ -143,7 +133,7 @@ class CuedHelm:
         setup: TickSetup,
         controller: Mapping[str, Any],
         program: Program | None,
-        journal: CueJournal,
+        journal: Journal,
         orders: OrderSlot | None = None,
     ) -> None:
         """Begin with the gains of `setup`; `controller` holds them as a file does.

@@ -11,7 +11,7 @@ import math
 import struct
 import time
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from statistics import median
 from typing import NamedTuple, Protocol
 
@@ -69,6 +69,25 @@ class TickJournal(Protocol):
 
     def rehearse_row(self, row: bytearray) -> None:
         """Do the work of `put_row`, and keep nothing."""
+
+
+class Journal(TickJournal, Protocol):
+    """Takes what must not be lost. Its methods raise `RingFull` where there is no room."""
+
+    def put_rows(self, rows: memoryview) -> None:
+        """Keep many ticks, packed as rows of the ring."""
+
+    def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
+        """Keep an event; its key `event` names it."""
+
+    def put_gains(self, tick: int, t_ns: int, gains: Mapping[str, object]) -> None:
+        """Keep gains that apply from the next tick on."""
+
+    def put_keyframe(self, tick: int, t_ns: int, state: Sequence[float]) -> None:
+        """Keep the frozen state after a tick."""
+
+    def end_ticks(self) -> None:
+        """Take note that the valve is safe and will not be moved again."""
 
 
 class TickRunner:

@@ -21,6 +21,23 @@ SILENT_RECORDER_S = 3.0
 _ROOM_PATIENCE_S = 1.0
 
 
+class StandStill:
+    """Tells for how long a number has stood still, such as the beats of a process."""
+
+    def __init__(self, look: Callable[[], int]) -> None:
+        """Begin now; whatever `look` returns first is new."""
+        self._look = look
+        self._seen: int | None = None
+        self._since_s = time.monotonic()
+
+    def lasts_s(self) -> float:
+        """Look once more; return how long ago something new was seen (s)."""
+        now_s, seen = time.monotonic(), self._look()
+        if seen != self._seen:
+            self._seen, self._since_s = seen, now_s
+        return now_s - self._since_s
+
+
 class RingJournal:
     """Puts rows, and writes the loop's heartbeat and worst lateness into the ring's header.
 
@@ -110,11 +127,9 @@ def wait_for_recorder(ring: Ring) -> None:
     """
 
     def await_room(has_room: Callable[[], bool]) -> None:
-        beats, since_s = ring.recorder_beats, time.monotonic()
+        silence = StandStill(lambda: ring.recorder_beats)
         while not (has_room() or ring.recorder_flags & RecorderFlag.FAILED):
-            if ring.recorder_beats != beats:
-                beats, since_s = ring.recorder_beats, time.monotonic()
-            elif time.monotonic() - since_s > SILENT_RECORDER_S:
+            if silence.lasts_s() > SILENT_RECORDER_S:
                 return
             time.sleep(1e-3)
             ring.loop_beat_ns = time.monotonic_ns()

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.recording.journal import end_for_dead_loop
+from pamctl.recording.journal import StandStill, end_for_dead_loop
 from pamctl.recording.recorder import RECORDER_PATIENCE_S, RecorderError, record, spawn_recorder
 from pamctl.recording.ring import RecorderFlag, Ring
 
@@ -157,18 +157,11 @@ def await_process(
     get on with its rows within a minute, or read on in the file that it goes on with.
     """
     fault = ""
-    seen, beaten_s = (ring.recorder_beats, ring.tail), time.monotonic()
-    moved_s = beaten_s
+    silence, idleness = StandStill(lambda: ring.recorder_beats), StandStill(lambda: ring.tail)
     while recorder.poll() is None:
-        now, now_s = (ring.recorder_beats, ring.tail), time.monotonic()
-        if now[0] != seen[0]:
-            beaten_s = now_s
-        if now[1] != seen[1]:
-            moved_s = now_s
-        seen = now
-        if now_s - beaten_s > silent_s:
+        if silence.lasts_s() > silent_s:
             fault = f"the recorder gave no sign of life for {silent_s:g} s"
-        elif now_s - moved_s > _FINISH_PATIENCE_S:
+        elif idleness.lasts_s() > _FINISH_PATIENCE_S:
             fault = f"the recorder did not finish the log within {_FINISH_PATIENCE_S:g} s"
         if fault:
             recorder.kill()

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from hal.child import ParentPipe, child_command
 from pamctl.exit_codes import LOG_DISK_FULL, ExitCode
 from pamctl.kept_memory import keep_freed_memory
+from pamctl.recording.journal import StandStill
 from pamctl.recording.ring import LOOP_DEAD_NS, RecorderFlag, Ring, RingError
 
 if TYPE_CHECKING:
@@ -188,14 +189,12 @@ def _await_turn(ring: Ring) -> bool:
 
     One that gives no sign of life is killed.
     """
-    beats, since_s = ring.recorder_beats, time.monotonic()
+    silence = StandStill(lambda: ring.recorder_beats)
     while not ring.claim_log():
         if not ring.path.exists():
             return False
         time.sleep(_LOOK_EVERY_S)
-        if ring.recorder_beats != beats:
-            beats, since_s = ring.recorder_beats, time.monotonic()
-        elif time.monotonic() - since_s > RECORDER_PATIENCE_S:
+        if silence.lasts_s() > RECORDER_PATIENCE_S:
             _kill_recorder(ring)
     return ring.path.exists()
 

@@ -15,7 +15,6 @@ from hal.sim import SimMoment, SimRig
 from pamctl.kernel.calls import machine, prepare
 from pamctl.plant.simulated import LONGEST_STEP_S, SimulatedPlant
 from pamctl.realtime.clock import Clock, VirtualClock
-from pamctl.realtime.loop import RowsJournal
 from pamctl.realtime.run_ticks import (
     NOWHERE,
     Guide,
@@ -26,7 +25,7 @@ from pamctl.realtime.run_ticks import (
     start_loop,
 )
 from pamctl.realtime.tick import TickSetup, first_state
-from pamctl.realtime.tick_runner import UPDATES, TickRunner
+from pamctl.realtime.tick_runner import UPDATES, Journal, TickRunner
 from pamctl.recording.rows import ROW_BYTES, make_rows
 
 MOST_TICKS = 1000
@@ -99,7 +98,7 @@ class SimulatedTicks:
             deviates,
         )
 
-    def run(self, tick: TickRunner, first_tick: int, ticks: int, journal: RowsJournal) -> int:
+    def run(self, tick: TickRunner, first_tick: int, ticks: int, journal: Journal) -> int:
         """Run at most so many ticks and put their rows; return how many there were.
 
         `tick` must follow a course. It is in the state after the last of these ticks.

@@ -23,6 +23,7 @@ from pamctl.processes.guardian import Silence, Takeover
 from pamctl.processes.guardian_handle import Guardianship
 from pamctl.processes.loop_supervisor import LoopSupervisor
 from pamctl.realtime.clock import LoopSettings
+from pamctl.recording import journal
 from pamctl.recording.ring import LoopStage, RecorderFlag, Ring
 
 MS = 1_000_000
@@ -262,11 +263,9 @@ def ask_for_a_look(supervisor: LoopSupervisor) -> bool:
 def test_the_loop_stops_for_a_silent_recorder_as_the_model_says(
     monkeypatch: pytest.MonkeyPatch, ring: Ring
 ) -> None:
-    from pamctl.processes import loop_supervisor
-
     clock = StubClock()
-    monkeypatch.setattr(loop_supervisor, "time", clock)
-    step_s = loop_supervisor.SILENT_RECORDER_S / RULES.recorder_patience
+    monkeypatch.setattr(journal, "time", clock)
+    step_s = journal.SILENT_RECORDER_S / RULES.recorder_patience
     supervisor = LoopSupervisor(ring, None, LoopSettings(ring_rows=256, stop_ramp_s=0.01))
     supervisor.watch_recording(ring)
     for age in range(RULES.recorder_patience + 3):

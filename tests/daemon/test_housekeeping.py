@@ -9,7 +9,7 @@ from pathlib import Path
 from support.patience import PATIENCE_S
 
 from pamctl.daemon.announcements import MonitorDesk
-from pamctl.daemon.shelf import Shelf
+from pamctl.daemon.shelf import Latch, Shelf
 
 
 def test_a_log_that_cannot_be_removed_is_told_and_the_others_still_go(tmp_path: Path) -> None:
@@ -21,6 +21,15 @@ def test_a_log_that_cannot_be_removed_is_told_and_the_others_still_go(tmp_path: 
     assert str(stuck) in problem
     assert not old.exists()
     assert newest.exists()
+
+
+def test_the_first_reason_of_a_fault_stays_until_it_is_acknowledged(tmp_path: Path) -> None:
+    latch = Latch(tmp_path / "fault")
+    latch.engage("the cause")
+    latch.engage("what came of it")
+    assert latch.reason == Latch(tmp_path / "fault").reason == "the cause"
+    assert latch.release() == "the cause"
+    assert Latch(tmp_path / "fault").reason == ""
 
 
 def test_a_trip_of_the_monitor_does_not_wait_for_a_mark_that_is_held_up() -> None:

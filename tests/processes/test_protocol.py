@@ -268,6 +268,12 @@ def test_the_loop_stops_for_a_silent_recorder_as_the_model_says(
     step_s = journal.SILENT_RECORDER_S / RULES.recorder_patience
     supervisor = LoopSupervisor(ring, None, LoopSettings(ring_rows=256, stop_ramp_s=0.01))
     supervisor.watch_recording(ring)
+    for beats in range(2 * RULES.recorder_patience):
+        ring.recorder_beats, ring.guardian_beats = beats, beats
+        assert not ask_for_a_look(supervisor)
+        assert supervisor.find_stop(0) is None
+        clock.sleep(0.999 * step_s)
+    ring.recorder_beats += 1
     for age in range(RULES.recorder_patience + 3):
         ring.guardian_beats += 1
         assert not ask_for_a_look(supervisor)

@@ -126,6 +126,9 @@ def test_runs_lie_over_each_other_with_their_zero_where_it_was_asked(
         "(d => d.slice(1).map(c => c[d[0].indexOf(0)]))(overlayCharts[0].data.map(c => [...c]))"
     )
     names = tab.value("overlayCharts[0].series.slice(1).map(s => s.label)")
+    assert len(names) == tab.value("overlayCharts.length") == 2
+    counts = tab.value("overlayCharts[0].data.slice(1).map(c => c.filter(v => v != null).length)")
+    assert counts == [len(read(up.logs / name)) for name in names]
     for name, value_mm in zip(names, drawn, strict=True):
         log = read(up.logs / name)
         tracks = log["tick"][log["phase"] == Phase.TRACK]

@@ -208,22 +208,6 @@ def test_the_spectrum_is_that_of_numpy(tab: Page) -> None:
     assert told[1] == pytest.approx(lines, abs=1e-12)
 
 
-def test_two_runs_lie_over_each_other(up: Daemon, run: Log, tab: Page) -> None:
-    up.ask("goto", position_m=7e-3, within_s=0.3)
-    up.wait_for("ready")
-    up.ask("stop")
-    parked(up)
-    up.wait_until(lambda _: len(up.finished_logs()) > 1)
-    tab.value("loadRuns()")
-    tab.wait_for("document.querySelectorAll('[data-run]').length > 1")
-    tab.value("document.querySelectorAll('[data-run]').forEach(box => { box.checked = true; })")
-    tab.value("overlayRuns()")
-    assert tab.value("overlayCharts.length") == 2
-    assert tab.value("overlayCharts[0].data.length") == 1 + len(up.finished_logs())
-    drawn = tab.value("overlayCharts[0].data.slice(1).map(c => c.filter(v => v != null).length)")
-    assert sorted(drawn) == sorted(len(read(log)) for log in up.finished_logs())
-
-
 def test_nothing_complains_on_a_phone_and_escape_is_the_emergency_stop(
     up: Daemon, shown: Served, tab: Page, tmp_path: Path
 ) -> None:

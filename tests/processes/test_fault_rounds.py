@@ -10,6 +10,8 @@ import pytest
 from standin.standin import require_compiler
 from support.patience import BUSY_PC, PATIENCE_S
 
+from pamctl.log.reader import read
+
 Fault = tuple[str, str]
 WELL = {"safe_after_ms": 3.0, "ticks_lost": 0}
 ROUNDS = [("sim loop killed", WELL), ("sim loop frozen", {"amiss": "8 V"})]
@@ -95,7 +97,7 @@ def test_the_table_has_a_row_for_each_choice_of_processes(script) -> None:
 # --- real processes -------------------------------------------------------------------------
 
 HARDEST = [
-    # Nobody but the front is left to see it; `test_process_deaths` has the same in simulation.
+    # Nobody but the front is left to see it.
     ("nidaq", ("guardian", "frozen"), ("loop", "frozen")),
     # Nobody is left who knows the ring but a guardian, or a loop: they start a finisher.
     ("daemon", ("front", "killed"), ("recorder", "frozen")),
@@ -117,3 +119,6 @@ def test_a_real_run_keeps_its_promises_whichever_processes_are_hit(
         bench = next(rig for rig in rigs if rig.name == name)
         found = script.round_of(bench, faults, tmp_path / "run.mcap")
     assert found["ticks_lost"] == 0
+    if case == HARDEST[0]:
+        told = [event["event"] for event in read(tmp_path / "run.mcap").events]
+        assert told.count("front_takeover") == 1

@@ -12,7 +12,7 @@ from support.processes.daemons import NOT_HOMED, Daemon, daemon, parked
 from pamctl.log import read
 from pamctl.replay import replay_log
 
-SILENT_FOR_50_MS_IS_KILLED = ("rig.loop.heartbeat_ms=50", "rig.loop.starved_ms=60000")
+SILENT_FOR_100_MS_IS_KILLED = ("rig.loop.heartbeat_ms=100", "rig.loop.starved_ms=60000")
 """A loop that works on something else for so long; not one that a busy PC gives no time."""
 
 
@@ -20,7 +20,7 @@ SILENT_FOR_50_MS_IS_KILLED = ("rig.loop.heartbeat_ms=50", "rig.loop.starved_ms=6
 def strict(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
     """A daemon whose loop is killed as soon as it works on something else."""
     place = tmp_path_factory.mktemp("long")
-    with daemon(place, "long", NOT_HOMED, *SILENT_FOR_50_MS_IS_KILLED) as made:
+    with daemon(place, "long", NOT_HOMED, *SILENT_FOR_100_MS_IS_KILLED) as made:
         yield made
 
 

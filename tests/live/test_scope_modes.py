@@ -26,7 +26,7 @@ pytestmark = pytest.mark.long
 
 assert all((up, shown, tab))  # fixtures
 
-OFFSET_MM, AFTER_S, HOLDOFF_S = 3.0, 0.06, 0.4
+OFFSET_MM, AFTER_S, HOLDOFF_S = 8.0, 0.06, 0.4
 SINE: dict[str, Any] = {
     "kind": "sine", "offset_mm": OFFSET_MM, "amplitude_mm": 1.0, "frequency_hz": 4.0, "cycles": 200,
 }  # fmt: skip

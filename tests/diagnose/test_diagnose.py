@@ -11,6 +11,7 @@ from support.made_records import all_but, measured, names_of, pair
 
 from pamctl.diagnose import Diagnosis, Verdict, diagnose, sentence
 from pamctl.diagnose.audit import audit_run
+from pamctl.diagnose.evidence.weigh import forecast_simulations
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import format_plant_file
 from pamctl.diagnose.report.verdict_words import list_shifts
@@ -57,6 +58,13 @@ def test_a_hidden_dead_band_is_named_and_measured_on_both_sides() -> None:
     assert effect["parameters"]["exhaust_width_v"]["value"] == pytest.approx(0.20, rel=0.02)
     assert all(rival["is_beaten"] or rival["is_freer"] for rival in effect["rivals"])
     assert effect["confidence"] > 0.99
+
+
+def test_the_forecast_of_the_time_is_right_within_a_factor_of_two() -> None:
+    for found, findings in ((diagnosed(), 0), (of_a_dead_band(), 1)):
+        assert found.evidence is not None
+        foretold = forecast_simulations(len(found.evidence.pool), findings)
+        assert 0.5 * foretold < found.evidence.weigher.simulations < 2.0 * foretold
 
 
 def test_the_gap_of_the_coupled_model_shrinks_to_the_sensor_noise() -> None:

@@ -115,6 +115,8 @@ class Weigher:
         if held_out is not None:
             self.like_held = Likelihood(held_out.find_kept(level), least2)
         self.floor2 = least2
+        self.simulations = 0
+        """How often all records were simulated."""
         self.pushes: dict[str, Array] = {}
         """Of each hypothesis, the square of what a unit dose adds to each channel's residual, and
         the model's own numbers do not."""
@@ -138,6 +140,7 @@ class Weigher:
         self, runs: Runs, values: Mapping[str, float], step_s: float = COARSE_STEP_S
     ) -> Array:
         """Return the same of other records."""
+        self.simulations += 1
         off = runs.shown - runs.simulate({**self.base, **values}, step_s)
         return to_haar(runs.fill_masked(off))
 

@@ -57,7 +57,7 @@ def test_no_law_counts_where_the_name_that_explains_as_much_is_too_small() -> No
     assert search.take(base, [name, law]) is None
 
 
-def test_what_explains_nothing_promises_nothing_and_no_loss_beside_a_large_gap() -> None:
+def test_what_explains_nothing_promises_nothing_and_hardly_a_loss_beside_a_large_gap() -> None:
     weigher, start = prepare_weigher(records_of({"valve_deadband": 10}, 40716)[0], [], PAPER)
     pool = {h.name: h for h in list_pool(weigher.train, weigher.base, PAPER)}
     search, base = NameSearch(weigher, pool), weigher.settle(start)
@@ -67,7 +67,7 @@ def test_what_explains_nothing_promises_nothing_and_no_loss_beside_a_large_gap()
     best, *others = search.score(base, asked)
     assert (best.name, best.shows) == ("valve_deadband", True)
     for score in others:
-        assert -0.02 * best.gain < score.gain < 0.01 * best.gain
+        assert -0.05 * best.gain < score.gain < 0.01 * best.gain
         assert not score.shows
 
 

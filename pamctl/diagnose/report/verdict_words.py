@@ -72,6 +72,10 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
     names = spell_findings(diagnosis, "name")
     others = spell_findings(diagnosis, "kind", "place")
     gap, ended = describe_gap(diagnosis), describe_bounds(diagnosis)
+    predicts = "" if describe_left(diagnosis) else ", which predicts what was measured"
+    chosen = diagnosis.deciding
+    may_separate = chosen is None or chosen.promises
+    separates = " Run the experiment that separates them." if may_separate else ""
     parts = (describe_sizes(diagnosis), gap, describe_rest(diagnosis))
     body = " ".join(part for part in parts if part)
     match diagnosis.verdict:
@@ -121,9 +125,8 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
                 "name does better than every effect of the catalogue. This says where and how "
                 "something acts. What it is, the rig must show.",
                 (
-                    "Look at the rig at that place. plant.yaml has the law that fits best: it "
-                    "predicts what was measured, and `pamctl run`, `tune`, `compare` and a next "
-                    "`diagnose` take it.",
+                    "Look at the rig at that place. plant.yaml has the law that fits best"
+                    f"{predicts}. `pamctl run`, `tune`, `compare` and a next `diagnose` take it.",
                 ),
             )
         case Verdict.AMBIGUOUS:
@@ -135,12 +138,8 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
                 f"{ended}",
                 body,
                 "More than one explanation fits the measurement, at more than one place. "
-                "plant.yaml has the first of them. It predicts what was measured. The cause stays "
-                "open.",
-                (
-                    "Do not repair the rig on this evidence. Run the experiment that separates "
-                    "them.",
-                ),
+                f"plant.yaml has the first of them{predicts}. The cause stays open.",
+                (f"Do not repair the rig on this evidence.{separates}",),
                 "note",
             )
         case Verdict.PARTIAL:

@@ -171,12 +171,13 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
                 "bad",
             )
         case Verdict.INTERRUPTED:
-            unjudged = spell_findings(diagnosis, "unjudged") or "nothing"
+            unjudged = spell_findings(diagnosis, "unjudged")
+            added = "what did best was added, and not compared with what looks like it"
             return VerdictWords(
-                f"Interrupted; found until then: {unjudged}{ended}",
+                f"Interrupted; found until then: {unjudged or 'nothing'}{ended}",
                 f"Nothing is sure: no rival was fitted, and more may be missing. {gap}",
-                "The search did not end. The numbers of the model were fitted, and what did best "
-                "was added. What looks like it was not compared with it.",
+                "The search did not end. The numbers of the model were fitted; "
+                f"{added if unjudged else 'nothing was added yet'}.",
                 (
                     "Give the same command again, with another folder, and let it end. plant.yaml "
                     "has the model as far as it came.",

@@ -82,9 +82,10 @@ class Saving:
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> bool:
         """Keep a failure to write; every other error goes on."""
-        if isinstance(error, NewFileError):
-            self.failure = error
-        return self.failure is not None
+        if not isinstance(error, NewFileError):
+            return False
+        self.failure = error
+        return True
 
 
 def print_report(

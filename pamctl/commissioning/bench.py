@@ -18,18 +18,16 @@ from contextlib import contextmanager
 from itertools import pairwise
 from typing import NamedTuple
 
-from hal.backend import NO_KEYS, RigKeys
-from hal.calibration import CalibrationSettings, Zero, calibration, output_v, pressure_pa, valve_v
+from hal.calibration import Zero, calibration, output_v, pressure_pa, valve_v
 from hal.rig import RawSample, Rig, open_rig
-from pamctl.control.homing import HomingSettings
 from pamctl.exit_codes import ExitCode
 from pamctl.processes.backends import build_clock, build_rig, hold_device
 from pamctl.processes.guardian_main import keep_watchman
 from pamctl.processes.interrupts import Interrupts
 from pamctl.processes.keep_awake import MASK, keep_awake
 from pamctl.realtime.clock import Clock, SleepWatch
-from pamctl.safety import LimitSettings
 from pamctl.settings.resolve import RunSettings
+from pamctl.settings.rig_file import RigFile
 
 HOLD_V_PER_PA = 1e-4
 """Gain of the pressure hold. The valve fills some 1.5 MPa a second and volt: a pole at 150 1/s,
@@ -90,32 +88,20 @@ class Bench:
     Every method leaves the last command on the valve. Who opened the rig makes it safe.
     """
 
-    def __init__(
-        self,
-        rig: Rig,
-        clock: Clock,
-        calibration_settings: CalibrationSettings,
-        limits: LimitSettings,
-        homing: HomingSettings,
-        safe_volts: float,
-        keys: RigKeys = NO_KEYS,
-    ) -> None:
-        """`rig` is open already; `homing` says how hard to fill and when the muscle is at rest.
-
-        `keys` are those of the rig file that hints may name.
-        """
-        self.keys = keys
+    def __init__(self, rig: Rig, clock: Clock, file: RigFile) -> None:
+        """`rig` is open already, and `file` is its rig file."""
+        self.keys = file.record.keys
         self.rig = rig
-        self.limits = limits
-        self.homing = homing
-        self.safe_volts = safe_volts
-        self.settings = calibration_settings
-        self.calibration = calibration(calibration_settings)
-        self.safe_valve_v = valve_v(self.calibration, safe_volts)
+        self.limits = file.limits
+        self.homing = file.homing
+        self.safe_volts = file.safe_volts
+        self.settings = file.calibration
+        self.calibration = calibration(file.calibration)
+        self.safe_valve_v = valve_v(self.calibration, file.safe_volts)
         self._clock = clock
         self._sleep = SleepWatch()
         self._command_v = self.safe_valve_v
-        self._zero = Zero(calibration_settings.sensor_zero_v, 0.0)
+        self._zero = Zero(file.calibration.sensor_zero_v, 0.0)
         self._lowest_counts = math.inf
         self._highest_counts = -math.inf
         self._bad_since_ns: int | None = None
@@ -276,7 +262,6 @@ def open_workplace(settings: RunSettings) -> Iterator[Bench]:
     clock = build_clock(settings, may_spin=False)
     # Nothing here is fast: the computer's clock paces the work even where a device could.
     rig = build_rig(settings, clock, by_computer=True).rig
-    file = settings.rig
     with (
         Interrupts() as interrupts,
         hold_device(settings.rig),
@@ -285,15 +270,7 @@ def open_workplace(settings: RunSettings) -> Iterator[Bench]:
         open_rig(rig),
         interrupts.heed_signals(),
     ):
-        yield Bench(
-            rig,
-            clock,
-            file.calibration,
-            file.limits,
-            file.homing,
-            file.safe_volts,
-            file.record.keys,
-        )
+        yield Bench(rig, clock, settings.rig)
 
 
 class NoAnswer(Exception):

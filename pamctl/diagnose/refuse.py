@@ -26,7 +26,7 @@ from pamctl.plant.model import PlantSettings
 Flags = NDArray[np.bool_]
 
 RULES: Mapping[str, str] = {
-    "short": "a record lasts less than 2 s; of a direct mechanism, and has less than 2000 samples",
+    "short": "a record lasts less than 2 s; a direct mechanism's also has less than 2000 samples",
     "gap": "gaps in the time leave no stretch that is long enough",
     "coarse": "a signal passes half of its span between two samples",
     "command_unit": "the command does not look like -5 to 5 V",
@@ -39,8 +39,9 @@ RULES: Mapping[str, str] = {
 }
 """The rules and what they doubt, by the name that `--accept` takes."""
 
-SHORTEST_S, QUICK_SAMPLES = 2.0, 2000
-"""A record is not shorter, unless that of a quick mechanism has as many samples."""
+SHORTEST_S = 2.0
+QUICK_SAMPLES = 2000
+"""A direct mechanism may be quick: so many samples are enough, in whatever time."""
 FEWEST_SAMPLES = 100
 SHORTEST_STRETCH = 20
 """A stretch between gaps with fewer samples shows nothing."""

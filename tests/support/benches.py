@@ -16,17 +16,8 @@ from support.card_rigs import CardClock
 
 def bench_of(settings: RunSettings, rig: Any, clock: Clock) -> Bench:
     """Open a rig, and return a bench of it by the rig file."""
-    file = settings.rig
     rig.open()
-    return Bench(
-        rig,
-        clock,
-        file.calibration,
-        file.limits,
-        file.homing,
-        file.safe_volts,
-        file.record.keys,
-    )
+    return Bench(rig, clock, settings.rig)
 
 
 def card_rig(card: Card, settings: RunSettings) -> tuple[Rig, CardClock]:

@@ -185,6 +185,7 @@ def _judge_rivals(
     asked = [n for n in pool if n != mine.name and _may_rival(search, n, mine)]
     scored = _choose_rivals(search, search.score(without, asked), mine)
     promised = {s.name: s.gain for s in scored}
+    # A rough fit may show less than half of what a rival gains: half of `gain` lets a quarter do.
     fits = search.refit(without, scored, len(scored), 0.5 * gain) if scored else []
     rivals = [r for r in fits if r.names[-1] != mine.name]
     weigher.meet(without, m)

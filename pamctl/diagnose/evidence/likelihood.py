@@ -162,15 +162,12 @@ class Likelihood:
         each coefficient also raises all of these: by dL/ds 2 NUGGET^2 / n, as a square does. By
         its own weight alone, a step would gain on small coefficients, and lose more by the floor.
         """
-        weights = loss.weights
+        more = np.zeros(self.channels)
         least2 = NUGGET**2 * self.mean_squares(d)
         for c in np.flatnonzero(least2 > (1.0 - 1e-9) * np.maximum(floor2, self.least2)):
             scales2 = loss.scales2[c]
             small = np.bincount(self.level, (loss.weights[c] * d[c] ** 2).sum(axis=0))
             rise = 0.5 * (self.counts[c] - small) / scales2
             total = rise[scales2 <= (1.0 + 1e-9) * least2[c]].sum()
-            if total > 0.0:
-                more = 2.0 * NUGGET**2 / self.counts[c].sum() * total
-                weights = weights.copy() if weights is loss.weights else weights
-                weights[c] += more * self.keep[c]
-        return weights
+            more[c] = 2.0 * NUGGET**2 / self.counts[c].sum() * max(total, 0.0)
+        return loss.weights + more[:, None, None] * self.keep if more.any() else loss.weights

@@ -307,12 +307,14 @@ def _collect_numbers(
 
 
 def _list_fitted(plant: PlantSettings) -> list[str]:
-    from pamctl.diagnose.evidence.weigh import CALIBRATED, LOAD
-    from pamctl.diagnose.plant_numbers import value_of
+    from pamctl.diagnose.evidence.weigh import CALIBRATED, LOAD, list_stated
+    from pamctl.plant.model import values_of
 
-    names = [name for name in CALIBRATED[plant.actuator] if value_of(plant, name)]
+    values = values_of(plant)
+    names = [name for name in CALIBRATED[plant.actuator] if values[name]]
     load = [LOAD] if plant.actuator in ("direct", "cylinder") else []
-    return [name for name in (*names, *load) if name not in plant.known]
+    stated = [name for name, _ in list_stated(values)]
+    return [name for name in dict.fromkeys([*names, *load, *stated]) if name not in plant.known]
 
 
 # --- the manual -------------------------------------------------------------------------------

@@ -98,7 +98,7 @@ def mechanism_step(
         p, forces, before.bristles, position_m, velocity_m_per_s, step_s
     )
     kept_m = keep_in_stroke(p, end_m)
-    if kept_m != end_m:  # the end of a cylinder takes all speed
+    if kept_m != end_m:  # a stop takes all speed
         end_m, end_v = kept_m, 0.0
     memory = follow_motion(p.effects.mechanics, before.memory, position_m, end_m, gauge_pa, step_s)
     term = follow_motion_term(p.terms, before.term, position_m, end_m, gauge_pa, step_s)

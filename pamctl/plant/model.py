@@ -176,7 +176,12 @@ class PlantSettings(Configured):
     ] = None
     stroke_m: Annotated[
         float | None,
-        Field(ge=1e-6, le=1e3, description="stroke of a cylinder: the piston moves from 0 to here"),
+        Field(
+            ge=1e-6,
+            le=1e3,
+            description="stroke between two stops: a piston, or the load of a muscle that a floor "
+            "carries, moves from 0 to here",
+        ),
     ] = None
     drive_n_per_v: Annotated[
         float | None,
@@ -207,21 +212,25 @@ class PlantSettings(Configured):
 
     @model_validator(mode="after")
     def _check_actuator(self) -> PlantSettings:
-        numbers = self.parameters
-        if self.actuator in ("muscle", "cylinder"):
-            needed = ("damping_n_s_per_m", "stiffness_n_per_m")
-            for name in needed if self.actuator == "muscle" else needed[:1]:
-                if getattr(numbers, name) < 1.0 / HUGE:
-                    raise ValueError(
-                        f"parameters.{name} of a {self.actuator} must be at least {1.0 / HUGE:g}"
-                    )
+        needed = ["damping_n_s_per_m"] if self.actuator in ("muscle", "cylinder") else []
+        if self.actuator == "muscle" and self.stroke_m is None:
+            needed.append("stiffness_n_per_m")
+        for name in needed:
+            if getattr(self.parameters, name) < 1.0 / HUGE:
+                floor = "; without a spring, stroke_m says what carries the load" * (
+                    name == "stiffness_n_per_m"
+                )
+                raise ValueError(
+                    f"parameters.{name} of a {self.actuator} must be at least {1.0 / HUGE:g}{floor}"
+                )
         return self
 
     @model_validator(mode="after")
     def _check_geometry(self) -> PlantSettings:
         needed = GEOMETRY_OF.get(self.actuator, ())
         for name in GEOMETRY:
-            if (name in needed) != (getattr(self, name) is not None):
+            may_be = (self.actuator, name) == ("muscle", "stroke_m")
+            if not may_be and (name in needed) != (getattr(self, name) is not None):
                 owner = next(kind for kind, names in GEOMETRY_OF.items() if name in names)
                 raise ValueError(f"`actuator: {owner}` needs {name}, and no other does")
         if self.drive_n_per_v is not None and self.actuator != "direct":
@@ -292,8 +301,9 @@ def values_of(settings: PlantSettings) -> dict[str, float]:
     values: dict[str, float] = settings.parameters.model_dump()
     if settings.actuator != "muscle":
         values[ACTUATOR] = float(ACTUATORS.index(settings.actuator))
-    for name in GEOMETRY_OF.get(settings.actuator, ()):
-        values[name] = getattr(settings, name)
+    for name in GEOMETRY:
+        if getattr(settings, name) is not None:
+            values[name] = getattr(settings, name)
     if settings.drive_n_per_v is not None:
         values[DRIVE] = settings.drive_n_per_v
     for name, effect in settings.acting.items():

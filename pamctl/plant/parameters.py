@@ -58,7 +58,7 @@ class PlantParameters(NamedTuple):
     direct: bool
     """A measured force, and a piston if there is one, drive the mechanics instead of the muscle."""
     stroke_m: float = 0.0
-    """A cylinder's piston moves from 0 to here; 0: nothing stops what moves."""
+    """What moves is stopped at 0 and here; 0: nothing stops it."""
     drive_n_per_v: float = 0.0
     """Force of an axis's drive per volt of command; 0 where a log brings the force."""
     terms: Terms | None = None
@@ -141,7 +141,7 @@ def rest_state(p: PlantParameters, position_m: float, pressure_pa: float) -> Pla
 
 
 def keep_in_stroke(p: PlantParameters, position_m: float) -> float:
-    """Return the position between a cylinder's ends; of all else the position."""
+    """Return the position between the stops, if there are any."""
     if p.stroke_m <= 0.0:
         return position_m
     return min(max(position_m, 0.0), p.stroke_m)
@@ -252,7 +252,9 @@ def parameters_of(values: Mapping[str, float]) -> PlantParameters:
         effects=Effects(*groups),
         valve_acts=acting["valve"],
         air_acts=acting["air"],
-        mechanics_act=actuator in ("direct", "cylinder") or acting["mechanics"],
+        mechanics_act=actuator in ("direct", "cylinder")
+        or v["stroke_m"] > 0.0
+        or acting["mechanics"],
         sensors_act=acting["sensors"],
         direct=actuator == "direct",
         stroke_m=v["stroke_m"],

@@ -206,8 +206,8 @@ _NO_DEFAULT = {
     "cylinder": {"cylinder_area_m2", "cylinder_volume_m3", "stroke_m", *_OF_MOTION},
 }
 """Numbers for which no other rig's value is a guess."""
-_OPTIONAL = {"direct": {"drive_n_per_v"}}
-"""Numbers that only `run` and `tune` need."""
+_OPTIONAL = {"direct": {"drive_n_per_v"}, "muscle": {"stroke_m"}}
+"""Numbers that only `run` and `tune` need, or that only some rigs have."""
 _DEFAULTS = {"temperature_k": ROOM_K}
 """Where the paper's number is no guess for a rig of one's own."""
 _LOAD = ("external_load",)

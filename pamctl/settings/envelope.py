@@ -114,7 +114,8 @@ def _judge_motion(settings: RunSettings, samples: Sequence[TimedReference]) -> I
     model = plant.paper
     low_pa = model.atmospheric_pressure_pa
     high_pa = min(model.tank_pressure_pa, limits.pressure_pa)
-    demands = [(sample.t_s, find_demand(model, sample)) for sample in samples]
+    load_n = plant.effects.mechanics.external_load.force_n
+    demands = [(sample.t_s, find_demand(model, sample, load_n)) for sample in samples]
     # The vented muscle stays at rest a little above its length of zero pressure.
     pressure = _Limit(
         "(by the plant's model) for a pressure",
@@ -140,31 +141,32 @@ def _find_drive_commands(
     return list(zip(motion[0].tolist(), commands_v.tolist(), strict=True))
 
 
-def find_demand(model: PaperParameters, sample: TimedReference) -> Demand:
+def find_demand(model: PaperParameters, sample: TimedReference, load_n: float = 0.0) -> Demand:
     """Return what Eq. 4 to 8 need for a motion; the pressure has Eq. 5's friction in it.
+
+    The load, N, pulls against the contraction.
 
     The valve command is without the jump of pressure at a reversal, which no valve can follow.
     """
     _, x, v, a, j, _ = sample.reference
-    gauge_pa = _find_gauge_pa(model, x, v, a, with_friction=False)
-    later_pa = _find_gauge_pa(
-        model, x + v * _INSTANT_S, v + a * _INSTANT_S, a + j * _INSTANT_S, with_friction=False
-    )
+    gauge_pa = _find_gauge_pa(model, load_n, x, v, a, with_friction=False)
+    later = x + v * _INSTANT_S, v + a * _INSTANT_S, a + j * _INSTANT_S
+    later_pa = _find_gauge_pa(model, load_n, *later, with_friction=False)
     pressure_pa = gauge_pa + model.atmospheric_pressure_pa
     growth = (later_pa - gauge_pa) / _INSTANT_S * volume_m3(model, x)
     inflow = (growth + pressure_pa * force_area_m2(model, x) * v) / model.specific_energy_j_per_kg
     per_volt = abs(valve_flow(model, math.copysign(1.0, inflow), pressure_pa))
     return Demand(
-        _find_gauge_pa(model, x, v, a, with_friction=True) + model.atmospheric_pressure_pa,
+        _find_gauge_pa(model, load_n, x, v, a, with_friction=True) + model.atmospheric_pressure_pa,
         inflow / per_volt if per_volt > 0.0 else 0.0,
     )
 
 
 def _find_gauge_pa(
-    model: PaperParameters, x: float, v: float, a: float, *, with_friction: bool
+    model: PaperParameters, load_n: float, x: float, v: float, a: float, *, with_friction: bool
 ) -> float:
-    """Return the gauge pressure that balances the forces of Eq. 4 to 6."""
-    force_n = model.mass_kg * a + model.damping_n_s_per_m * v + model.stiffness_n_per_m * x
+    """Return the gauge pressure that balances the forces of Eq. 4 to 6 and a load."""
+    force_n = load_n + model.mass_kg * a + model.damping_n_s_per_m * v + model.stiffness_n_per_m * x
     area_m2 = force_area_m2(model, x)
     if with_friction and v > 0.0 and force_n > 0.0:
         area_m2 -= model.friction_area_m * (braid_lever_m(model, x) + v)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from pydantic import ValidationError
-from support.cylinder import AIR_PA, Cylinder, excite
+from support.cylinder import AIR_PA, Cylinder, LiftingMuscle, excite
 
 from pamctl.plant.drive import build_grid, drive_coupled
 from pamctl.plant.model import PlantSettings, plant_parameters, settings_of, values_of
@@ -36,15 +36,35 @@ def test_piston_and_pressure_follow_the_equations_also_into_both_ends(cylinder: 
     assert np.sqrt(np.mean(off_pa**2)) < 2e-3 * np.ptp(pressure_pa)
 
 
-def test_a_preloaded_piston_rests_at_its_end() -> None:
-    plant = plant_parameters(Cylinder(preload_n=60.0).plant())
-    rest = vented_state(plant)
+def test_a_muscle_lifts_a_load_off_the_floor_and_lays_it_down_again() -> None:
+    muscle, commands = LiftingMuscle(), excite(T_S) - 1.0
+    grid = build_grid(np.diff(T_S), len(T_S), 4)
+    response = drive_coupled(plant_parameters(muscle.plant()), commands, grid)
+    position_m, pressure_pa = muscle.simulate(T_S, commands)
+    assert position_m[len(T_S) // 3 :].min() < 1e-4 < 0.02 < position_m.max()
+    off_m = np.abs(response.position_m - np.maximum(position_m, 0.0))
+    assert np.sqrt(np.mean(off_m**2)) < 2e-3 * np.ptp(position_m)  # its floor gives way
+    off_pa = response.pressure_pa - pressure_pa
+    assert np.sqrt(np.mean(off_pa**2)) < 2e-3 * np.ptp(pressure_pa)
+
+
+@pytest.mark.parametrize("rig", [Cylinder(preload_n=60.0), LiftingMuscle()], ids=["piston", "load"])
+def test_what_is_pressed_against_its_stop_rests_there(rig: Cylinder) -> None:
+    rest = vented_state(plant_parameters(rig.plant()))
     assert (rest.position_m, rest.pressure_pa) == (0.0, AIR_PA)
 
 
-def test_a_cylinder_file_goes_through_the_flat_numbers_and_back() -> None:
-    plant = Cylinder().plant()
+@pytest.mark.parametrize("rig", [Cylinder(), LiftingMuscle()], ids=["cylinder", "muscle"])
+def test_a_file_with_stops_goes_through_the_flat_numbers_and_back(rig: Cylinder) -> None:
+    plant = rig.plant()
     assert settings_of(values_of(plant)) == plant
+
+
+def test_a_muscle_without_a_spring_needs_what_carries_its_load() -> None:
+    data = LiftingMuscle().plant().model_dump(exclude_none=True)
+    del data["stroke_m"]
+    with pytest.raises(ValidationError, match="without a spring, stroke_m says what carries"):
+        PlantSettings.model_validate(data)
 
 
 @pytest.mark.parametrize("missing", ["cylinder_area_m2", "cylinder_volume_m3", "stroke_m"])

@@ -1,7 +1,7 @@
-"""A cylinder with a spring behind a valve, by the equations of a textbook and LSODA.
+"""A cylinder or a muscle behind a valve, by the equations of a textbook and LSODA.
 
     M x'' = A (P - P_a) - F_0 - k x - c x' - F_c sign(x') + ends
-    (V_0 + A x) P' = n (R T m - P A x'),   m = K (|u| - dead band) Psi - leak
+    V P' = n (R T m - P A x'),   m = K (|u| - dead band) Psi - leak,   A = dV/dx
 
 It shares no code with pamctl. Ends are stiff springs that absorb speed.
 """
@@ -79,6 +79,14 @@ class Cylinder:
             }
         )
 
+    def area(self, x: float) -> float:
+        """Return the area that the pressure pushes, m^2."""
+        return self.area_m2
+
+    def volume(self, x: float) -> float:
+        """Return the volume of the air, m^3."""
+        return self.volume_m3 + self.area_m2 * x
+
     def flow_kg_per_s(self, command_v: float, pressure_pa: float) -> float:
         """Return the mass flow into the cylinder."""
         opening = max(abs(command_v) - self.dead_band_v, 0.0) * self.gain_m2_per_v
@@ -94,15 +102,16 @@ class Cylinder:
 
         def rates(_: float, y: Array, command_v: float) -> list[float]:
             x, v, pressure = y
-            force = self.area_m2 * (pressure - AIR_PA) - self.preload_n
+            area = self.area(x)
+            force = area * (pressure - AIR_PA) - self.preload_n
             force -= self.stiffness_n_per_m * x + self.damping_n_s_per_m * v
             force -= self.coulomb_n * np.tanh(v / 2e-4)
             if x <= 0.0:
                 force += -END_N_PER_M * x - END_N_S_PER_M * min(v, 0.0)
             if x >= self.stroke_m:
                 force -= END_N_PER_M * (x - self.stroke_m) + END_N_S_PER_M * max(v, 0.0)
-            grows = RT * self.flow_kg_per_s(command_v, pressure) - pressure * self.area_m2 * v
-            grows *= self.exponent / (self.volume_m3 + self.area_m2 * x)
+            grows = RT * self.flow_kg_per_s(command_v, pressure) - pressure * area * v
+            grows *= self.exponent / self.volume(x)
             return [v, force / self.mass_kg, grows]
 
         state = np.array([0.0, 0.0, AIR_PA])
@@ -117,3 +126,40 @@ class Cylinder:
             rows.append(state)
         table = np.array(rows)
         return table[:, 0], table[:, 2]
+
+
+@dataclass(frozen=True)
+class LiftingMuscle(Cylinder):
+    """A muscle, Eq. 1 to 3 without friction, that lifts a mass off a floor; it has no spring."""
+
+    stroke_m: float = 0.06
+    mass_kg: float = 12.0
+    damping_n_s_per_m: float = 350.0
+    stiffness_n_per_m: float = 0.0
+    preload_n: float = 117.7
+    gain_m2_per_v: float = 2e-7
+    rest_m: float = 0.2
+    braid_m: float = 0.232
+    turns: float = 1.94
+
+    def area(self, x: float) -> float:
+        """Return the force per gauge pressure of Eq. 3, m^2."""
+        return (3.0 * (self.rest_m - x) ** 2 - self.braid_m**2) / (4.0 * np.pi * self.turns**2)
+
+    def volume(self, x: float) -> float:
+        """Return Eq. 1 and 2, m^3."""
+        length = self.rest_m - x
+        return length * (self.braid_m**2 - length**2) / (4.0 * np.pi * self.turns**2)
+
+    def plant(self) -> PlantSettings:
+        """Return the plant file of these numbers, without what it lacks."""
+        data = super().plant().model_dump(exclude_none=True)
+        own = {"rest_length_m": self.rest_m, "braid_length_m": self.braid_m}
+        numbers = data["parameters"] | own | {"braid_turns": self.turns}
+        return PlantSettings.model_validate(
+            {
+                "stroke_m": self.stroke_m,
+                "parameters": numbers | {"kinetic_friction_per_m": 0.0, "temperature_k": 293.0},
+                "effects": data["effects"],
+            }
+        )

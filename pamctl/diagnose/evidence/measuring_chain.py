@@ -100,7 +100,7 @@ def list_of_chain(
             place = "pull" if name == "rest_length_m" else "air"
             yield _make_number(name.rsplit("_", 1)[0], place, name, plant[name], share, 0.05)
         yield _make_mass(plant["mass_kg"])
-    if actuator == "cylinder" and "position" in reach:
+    if plant.get("stroke_m") and "position" in reach:
         yield _make_stop(plant["stroke_m"], *reach["position"])
 
 

@@ -190,9 +190,8 @@ class NameSearch:
         """Return the model refitted without a name, both weighed by what the poorer resolves."""
         weigher, key = self.weigher, (m.names, m.x.tobytes(), name)
         if key not in self._without:
-            weigher.set_floor(m)
             left = self._fitted.get(frozenset(m.names) - {name})
-            self._without[key] = left or weigher.polish(weigher.fit(drop_name(m, name), 5), 2)
+            self._without[key] = left or weigher.settle(drop_name(m, name), 5)
         weigher.meet(self._without[key], m)
         return self._without[key]
 

@@ -74,8 +74,11 @@ HELD_OUT = (5, 11)
 ADDED_PA = f"{CHAIN}added.pressure_pa"
 """What a file's pressure is too high by: a record begins by so much lower."""
 ADDED_M = f"{CHAIN}added.position_m"
-LATE_M = f"{CHAIN}late.position_m"
 """The same of a piston's position."""
+LATE_M, CLOCK_M = f"{CHAIN}late.position_m", f"{CHAIN}clock.position_m"
+"""When a position is read: a window begins with the state of another instant."""
+HOLD_M = f"{CHAIN}hold.position_m"
+"""A force that a drive holds from sample to sample makes the position late by half a sample."""
 FAR = 1e4
 """What a simulation shows where the plant leaves the range of its model."""
 
@@ -329,7 +332,9 @@ class Runs:
         air_pa = chain.get(f"{CHAIN}atmosphere")
         if air_pa is not None:
             plain["atmospheric_pressure_pa"] = air_pa
-        early = ("valve_v", "t_s", ADDED_PA, ADDED_M, *([LATE_M] if self.windowed else []))
+        early = ("valve_v", "t_s", ADDED_PA, ADDED_M)
+        if self.windowed:
+            early += (LATE_M, CLOCK_M, HOLD_M)
         command = {k: v for k, v in chain.items() if k.endswith(early)}
         key = (step_s, *sorted((plain | command).items()))
         last = self._whole._last
@@ -364,7 +369,7 @@ class Runs:
                 inputs.get("pressure_pa"),
             )[None]  # fmt: skip
         if self.actuator == "direct":
-            return self._drive_mechanism(p, stretch, grid, command.get(LATE_M, 0.0))
+            return self._drive_mechanism(p, stretch, grid, command)
         if "valve_v" not in inputs:
             start = self._start(p, stretch, command)
             response = drive_mechanics(p, inputs["pressure_pa"], grid, start=start)
@@ -391,12 +396,14 @@ class Runs:
         return rest_state(p, keep_in_stroke(p, position_m), pressure_pa)
 
     def _drive_mechanism(
-        self, p: PlantParameters, stretch: RunPiece, grid: SampleGrid, late_s: float
+        self, p: PlantParameters, stretch: RunPiece, grid: SampleGrid, chain: Mapping[str, float]
     ) -> Array:
-        """Return the position; one that is `late_s` late shows the state of an instant later."""
+        """Return the position; a late reading, or one of another clock, shows it at other times."""
         inputs, rates, n = stretch.inputs, stretch.rates, len(grid.samples_s)
-        if late_s:
-            shown_s = grid.samples_s + late_s
+        if chain:
+            rate = 1.0 + chain.get(CLOCK_M, 0.0)
+            late_s = chain.get(LATE_M, 0.0) + chain.get(HOLD_M, 0.0)
+            shown_s = (grid.samples_s + late_s) / rate
             rates = {k: np.interp(shown_s, grid.samples_s, c) for k, c in rates.items()}
         pressure = inputs.get("pressure_pa")
         if pressure is None:
@@ -416,7 +423,7 @@ class Runs:
         """Do to the readings what the measuring chain does."""
         out = rows.reshape(len(rows), -1)
         for row, channel in zip(out, self.channels, strict=True):
-            late_s = chain.get(f"{CHAIN}late.{channel}", 0.0)
+            late_s = sum(chain.get(f"{CHAIN}{n}.{channel}", 0.0) for n in ("late", "hold"))
             rate = 1.0 + chain.get(f"{CHAIN}clock.{channel}", 0.0)
             width_s = chain.get(f"{CHAIN}smooth.{channel}", 0.0)
             at = 0

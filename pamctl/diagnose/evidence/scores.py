@@ -69,14 +69,25 @@ def score_all(
 ) -> list[EvidenceScore]:
     """Return the scores of hypotheses beside a model, the best first.
 
-    A hypothesis is not simulated again if its secants beside an earlier model leave it far behind.
+    Of a large pool a hypothesis is not simulated again if its secants beside an earlier model leave
+    it far behind.
     """
-    beside = _Beside(weigher, m)
-    guesses = {h.name: beside.guess(h) for h in hypotheses} if len(hypotheses) > KEPT else {}
+    beside, is_large = _Beside(weigher, m), len(hypotheses) > 2 * KEPT
+    guesses = {h.name: beside.guess(h) for h in hypotheses} if is_large else {}
     known = sorted((s for s in guesses.values() if s is not None), key=lambda s: -s.gain)
     far = {s.name for s in known[KEPT:]}
     found = [guesses[h.name] if h.name in far else beside.score(h) for h in hypotheses]
     return sorted((s for s in found if s is not None), key=lambda s: -s.gain)
+
+
+class _Own(NamedTuple):
+    """Numbers of a model that may move beside a hypothesis, and what they do, weighed."""
+
+    free: NDArray[np.intp]
+    tangent: Array
+    weighed: Array
+    inverse: Array
+    slope: Array
 
 
 class _Beside:
@@ -84,21 +95,28 @@ class _Beside:
 
     def __init__(self, weigher: Weigher, m: WeighedModel) -> None:
         self.weigher, self.m, cost = weigher, m, m.cost
-        assert m.tangent is not None
         low, high, scale = (
             np.array([getattr(n, k) for n in m.numbers]) for k in ("low", "high", "scale")
         )
         self.room = (low - m.x) / scale, (high - m.x) / scale
-        self.free = np.flatnonzero((self.room[0] < -STUCK) & (self.room[1] > STUCK))
-        self.tangent = m.tangent.reshape(len(m.x), -1)[self.free]
         self.root = np.sqrt(weigher.like.find_slopes(m.d, cost, weigher.floor2)).ravel()
-        self.weighed = self.tangent * self.root
         self.off = m.d.ravel() * self.root
-        hessian = self.weighed @ self.weighed.T + LIKELY_MOVE**-2 * np.eye(len(self.free))
-        self.inverse = np.linalg.inv(hessian)
-        self.slope = self.weighed @ self.off
+        is_inside = (self.room[0] < -STUCK) & (self.room[1] > STUCK)
+        self.own = self._weigh_own(is_inside)
+        self.ways = [self.own]
+        """What may move: a number at its range stays, or a hypothesis draws it back inside."""
+        if not is_inside.all():
+            self.ways.append(self._weigh_own(np.ones_like(is_inside)))
         self.size2 = np.maximum((m.d**2 * self.weigher.like.keep).sum(axis=(1, 2)), 1e-300)
         self.here = self.show(m.values)
+
+    def _weigh_own(self, is_free: NDArray[np.bool_]) -> _Own:
+        assert self.m.tangent is not None
+        tangent = self.m.tangent.reshape(len(self.m.x), -1)[is_free]
+        weighed = tangent * self.root
+        hessian = weighed @ weighed.T + LIKELY_MOVE**-2 * np.eye(len(weighed))
+        inverse = np.asarray(np.linalg.inv(hessian), dtype=float)
+        return _Own(np.flatnonzero(is_free), tangent, weighed, inverse, weighed @ self.off)
 
     def show(self, values: Mapping[str, float]) -> Array:
         """Return the residual of other numbers, in steps that are long enough to compare."""
@@ -166,7 +184,7 @@ class _Beside:
             moved2 = (rest.reshape(len(own), *self.m.d.shape) ** 2).sum(axis=(2, 3))
             self.weigher.pushes[name] = moved2.max(axis=0) / dose**2
             big = float((moved2 / self.size2).max())
-            yield directions * dose, rest + own @ self.tangent
+            yield directions * dose, rest + own @ self.own.tangent
             room = min(room, dose / max(most, 1e-30))
             if again == 2 or big == 0.0 or 0.1 <= big <= 4.0:
                 return
@@ -183,59 +201,50 @@ class _Beside:
 
         `dosed` are the values of which a single secant was simulated.
         """
-        own = (secants * self.root) @ self.weighed.T @ self.inverse
-        rest = secants - own @ self.tangent
+        own = (secants * self.root) @ self.own.weighed.T @ self.own.inverse
+        rest = secants - own @ self.own.tangent
         is_own = (rest**2).sum() < NEARLY_OWN**2 * (secants**2).sum() and np.abs(own).max() < 1.0
         if len(own) > 1 or not is_own:
             return own, rest
         move = np.zeros(len(self.m.x))
-        move[self.free] = -own[0]
+        move[self.own.free] = -own[0]
         move = np.clip(move, *self.room)
         moved = {
             n.name: float(v + k * n.scale)
             for n, v, k in zip(self.m.numbers, self.m.x, move, strict=True)
         }
         both = (self.show({**dosed, **moved}) - self.here).ravel()
-        return -move[None, self.free], both[None]
+        return -move[None, self.own.free], both[None]
 
     def _predict(
         self, name: str, variant: Variant, directions: Array, secants: Array
     ) -> tuple[EvidenceScore, WeighedModel] | None:
         """Return the best dose, and the model that is expected there."""
-        weighed = secants * self.root
-        inside = weighed @ self.weighed.T
-        alone = weighed @ weighed.T
-        normal = alone - inside @ self.inverse @ inside.T
-        if not np.isfinite(normal).all() or np.trace(normal) < 1e-6:
+        weighed, best = secants * self.root, None
+        for own in self.ways:
+            for share, moved in _solve(own, variant, directions, weighed, self.off):
+                found = self._foresee(secants, share, own, moved)
+                if best is None or found[0] > best[0][0]:
+                    best = found, share
+                if found[0] >= 0.0:
+                    break  # else the tangent of the model's numbers leads off: they stay
+        if best is None:
             return None
-        # What the model's own numbers do as well is not asked for by a large dose.
-        ridge = np.diag(ALIKE * np.diag(alone) + 1e-6 * np.trace(normal))
-        fitted = -np.linalg.solve(
-            normal + ridge, weighed @ self.off - inside @ self.inverse @ self.slope
-        )
-        share = _bound_share(variant, directions, fitted)
-        found = self._foresee(secants, share, -self.inverse @ (self.slope + inside.T @ share))
-        if found[0] < 0.0:  # the tangent of the model's numbers leads off: let them stay
-            alone_share = -np.linalg.solve(alone + ridge, weighed @ self.off)
-            alone_share = _bound_share(variant, directions, alone_share)
-            other = self._foresee(secants, alone_share, np.zeros(len(self.free)))
-            if other[0] > found[0]:
-                found, share = other, alone_share
-        gain, move, there = found
+        (gain, move, there), share = best
         neutral = np.array([u.neutral or 0.0 for u in variant.sizes])
         return EvidenceScore(gain, name, variant, neutral + share @ directions, move), there
 
     def _foresee(
-        self, secants: Array, share: Array, own: Array
+        self, secants: Array, share: Array, own: _Own, moved: Array
     ) -> tuple[float, Array, WeighedModel]:
-        """Return what a dose and a move of the free numbers gain, the whole move, the model there.
+        """Return what a dose and a move of free numbers gain, the whole move, the model there.
 
         Of that model only what it leaves is known.
         """
         move = np.zeros(len(self.m.x))
-        move[self.free] = own
+        move[own.free] = moved
         move = np.clip(move, *self.room)
-        left = self.m.d.ravel() + share @ secants + move[self.free] @ self.tangent
+        left = self.m.d.ravel() + share @ secants + move[own.free] @ own.tangent
         there = WeighedModel((), (), {}, self.m.x, d=left.reshape(self.m.d.shape))
         there.loss = self.weigher.like(there.d, self.weigher.floor2, self.m.cost.scales2)
         gain = float(self.m.cost.by_block.sum() - there.cost.by_block.sum())
@@ -251,7 +260,7 @@ class _Beside:
         pressure. A wave in time also has a weight: that of the levels of its frequency.
         """
         runs, m = self.weigher.train, self.m
-        off = self.off - self.inverse @ self.slope @ self.weighed
+        off = self.off - self.own.inverse @ self.own.slope @ self.own.weighed
         pull = from_haar((off * self.root).reshape(self.m.d.shape)).reshape(len(runs.channels), -1)
         if hypothesis.scan == "position":
             if "position_m" not in runs.channels:
@@ -317,6 +326,23 @@ class _Beside:
         t_s = period_s * np.arange(round(lasts_s / period_s))
         answer = (np.exp(slow * t_s) - np.exp(fast * t_s)) / (slow - fast + 1e-9)
         return np.asarray(answer.real)
+
+
+def _solve(
+    own: _Own, variant: Variant, directions: Array, weighed: Array, off: Array
+) -> Iterator[tuple[Array, Array]]:
+    """Yield least-squares doses and moves of a model's own numbers; the second moves none."""
+    inside, alone = weighed @ own.weighed.T, weighed @ weighed.T
+    normal = alone - inside @ own.inverse @ inside.T
+    if not np.isfinite(normal).all() or np.trace(normal) < 1e-6:
+        return
+    # What the model's own numbers do as well is not asked for by a large dose.
+    ridge = np.diag(ALIKE * np.diag(alone) + 1e-6 * np.trace(normal))
+    fitted = -np.linalg.solve(normal + ridge, weighed @ off - inside @ own.inverse @ own.slope)
+    share = _bound_share(variant, directions, fitted)
+    yield share, -own.inverse @ (own.slope + inside.T @ share)
+    share = _bound_share(variant, directions, -np.linalg.solve(alone + ridge, weighed @ off))
+    yield share, np.zeros(len(own.free))
 
 
 def _bound_share(variant: Variant, directions: Array, share: NDArray[Any]) -> Array:

@@ -26,10 +26,17 @@ from pamctl.diagnose.evidence.pool import (
     list_effects,
     list_terms,
 )
-from pamctl.diagnose.evidence.run_pieces import CannotBeWeighed, Recording, Runs, hold_out
+from pamctl.diagnose.evidence.run_pieces import (
+    HOLD_M,
+    CannotBeWeighed,
+    Recording,
+    Runs,
+    hold_out,
+)
 from pamctl.diagnose.evidence.sample_masks import find_resolution
 from pamctl.diagnose.plant_numbers import FittedNumber
 from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.effects.description import EffectParameter
 from pamctl.plant.model import PlantSettings, values_of
 from pamctl.plant.terms import LOCATIONS, SUFFIX
 
@@ -146,9 +153,11 @@ def weigh_evidence(
     by channel. `jobs` records are simulated side by side; the result is the same for any number.
     A KeyboardInterrupt in the search ends it with what was found until then.
     """
-    plant, begin_s = plant or PlantSettings(), time.monotonic()
+    plant = plant or PlantSettings()
     weigher, start = prepare_weigher(records, held_out, plant, noise, jobs, holds_out=True)
     instants = find_instants(weigher)
+    weigher.refine(start)  # also compiles what this rig needs
+    weigher.simulations, begin_s = 0, time.monotonic()
     base = _free_mistyped(weigher, start, weigher.settle(replace(start), FIT_STEPS))
     _check_it_stays(weigher, base)
     pool = {
@@ -217,8 +226,8 @@ def _check_it_stays(weigher: Weigher, base: WeighedModel) -> None:
         if np.abs(off).max() > RUN_AWAY * np.ptp(shown):
             raise CannotBeWeighed(
                 f"{channel}: the plant file's model runs away, whatever its free numbers are, and "
-                "nothing can be compared with it: is a spring or a stop missing, or has a load the "
-                "wrong size or sign?"
+                "nothing can be compared with it: is a spring or a stop missing (stroke_m), or has "
+                "a load the wrong size or sign?"
             )
 
 
@@ -281,8 +290,11 @@ def _find_gap(weigher: Weigher, m: WeighedModel) -> dict[str, float]:
 def list_calibrated(
     runs: Runs, values: Mapping[str, float], plant: PlantSettings
 ) -> tuple[Unknown, ...]:
-    """Return the numbers that every model frees: the plant's guesses, and the sensors' zeros."""
-    found = []
+    """Return the numbers that every model frees.
+
+    They are the plant's guesses, the sensors' zeros, and how a force acts between two samples.
+    """
+    found, tick = [], runs.period_s
     for name, share in CALIBRATED[plant.actuator].items():
         value = values[name]
         if name in plant.known or value == 0.0 or (runs.imposed and name != "damping_n_s_per_m"):
@@ -292,19 +304,16 @@ def list_calibrated(
             most = 50.0 if plant.actuator == "direct" else 12.0
             low, high = value / most, value * most
         found.append(Unknown(name, value, low, high, share * value))
-    for name, number in values.items():
-        effect, dot, short = name.partition(".")
-        if not dot or not number or name in plant.known or effect not in CATALOGUE:
-            continue
-        p = next(p for p in CATALOGUE[effect].parameters if p.name == short)
-        if p.role == "size" and number != p.neutral:
-            most = 50.0 * abs(number)
-            low = -most if p.low < 0.0 else 0.0
-            found.append(Unknown(name, number, low, most, 0.1 * abs(number)))
+    for name, p in list_stated(values, plant.known):
+        most = 50.0 * abs(values[name])
+        low = -most if p.low < 0.0 else 0.0
+        found.append(Unknown(name, values[name], low, most, most / 500.0))
     loaded = plant.actuator in ("direct", "cylinder") and not runs.imposed
     if loaded and LOAD not in values and "external_load" not in plant.known:
         force = scales_of(runs, plant).force_n
         found.append(Unknown(LOAD, 0.0, -10.0 * force, 10.0 * force, 0.1 * force))
+    if "force_n" in runs.stretches[0].inputs and not runs.imposed:  # measured, or held by a drive
+        found.append(Unknown(HOLD_M, 0.5 * tick, 0.0, tick, 0.2 * tick))
     for channel, row in zip(runs.channels, runs.shown, strict=True):
         step = find_resolution(row.ravel())
         most = {"pressure_pa": ZERO_PA, "position_m": step}.get(channel, 1e3 * np.ptp(row))
@@ -312,6 +321,20 @@ def list_calibrated(
             Unknown(f"{CHAIN}zero.{channel}", 0.0, -most, most, 0.2 * min(most, np.ptp(row)))
         )
     return tuple(found)
+
+
+def list_stated(
+    values: Mapping[str, float], known: Sequence[str] = ()
+) -> list[tuple[str, EffectParameter]]:
+    """Return the sizes of the effects that a plant file states, which are fitted with its own."""
+    stated = []
+    for name, number in values.items():
+        effect, dot, short = name.partition(".")
+        if dot and number and name not in known and effect in CATALOGUE:
+            p = next(p for p in CATALOGUE[effect].parameters if p.name == short)
+            if p.role == "size" and number != p.neutral:
+                stated.append((name, p))
+    return stated
 
 
 def list_pool(runs: Runs, values: Mapping[str, float], plant: PlantSettings) -> list[Hypothesis]:

@@ -15,11 +15,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 from hal.calibration import CalibrationSettings, Configured, Output
+from hal.entry_points import find_entry_points
 from hal.problem import Level, Problem
 from hal.rig import Edge, Rig, RigError
 
@@ -181,27 +182,42 @@ _OTHER_KEYS = frozenset(
 
 
 @cache
+def _find_points() -> dict[str, EntryPoint]:
+    points = {point.name: point for point in _SHIPPED}
+    for point in sorted(find_entry_points(GROUP), key=lambda point: point.name):
+        # A shipped name stays with the shipped record.
+        points.setdefault(point.name, point)
+    return points
+
+
+@cache
 def find_backends() -> InstalledBackends:
     """Load the records of all installed backends, the shipped ones first.
 
     A package that fails to load takes no other backend with it.
     """
-    points = {point.name: point for point in _SHIPPED}
-    for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
-        # A shipped name stays with the shipped record.
-        points.setdefault(point.name, point)
-    found: dict[str, Backend[Any]] = {}
-    packages: dict[str, str] = {}
-    failed: dict[str, str] = {}
-    for name, point in points.items():
-        if point.dist is not None:
-            packages[name] = f"{point.dist.name} {point.dist.version}"
-        try:
-            found[name] = _load_record(point)
-        # Whatever the package does wrong: the other backends must go on working.
-        except Exception as error:
-            failed[name] = f"{point.value}: {type(error).__name__}: {error}"
-    return InstalledBackends(found, packages, failed)
+    points = _find_points()
+    loaded = {name: _try_record(name) for name in points}
+    return InstalledBackends(
+        found={name: one for name, one in loaded.items() if isinstance(one, Backend)},
+        packages={
+            name: f"{point.dist.name} {point.dist.version}"
+            for name, point in points.items()
+            if point.dist is not None
+        },
+        failed={name: one for name, one in loaded.items() if isinstance(one, str)},
+    )
+
+
+@cache
+def _try_record(name: str) -> Backend[Any] | str:
+    """Return the record of an entry point, or why it cannot be used."""
+    point = _find_points()[name]
+    try:
+        return _load_record(point)
+    # Whatever the package does wrong: the other backends must go on working.
+    except Exception as error:
+        return f"{point.value}: {type(error).__name__}: {error}"
 
 
 def _load_record(point: EntryPoint) -> Backend[Any]:
@@ -216,10 +232,13 @@ def _load_record(point: EntryPoint) -> Backend[Any]:
 
 
 def get_backend(name: str) -> Backend[Any]:
-    """Return the record of an installed backend; raise `RigError` where it is not installed."""
-    installed = find_backends()
-    if name in installed.found:
-        return installed.found[name]
+    """Return the record of an installed backend; raise `RigError` where it is not installed.
+
+    No other backend is loaded: a guardian needs its own alone.
+    """
+    record = _try_record(name) if name in _find_points() else ""
+    if isinstance(record, Backend):
+        return record
     raise RigError(f"there is no backend '{name}'", fix=hint_at_missing(name))
 
 

@@ -65,6 +65,8 @@ def without_working_directory() -> Iterator[None]:
 
 def _run_module() -> None:
     """Run the module that the first argument names, as `python -m` does."""
+    # Pydantic would look for plugins in every installed package; pamctl has none.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     sys.path.insert(0, os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
     for package in ("hal", "pamctl"):  # their modules are now found there, and nothing else is
         import_module(package)

@@ -19,6 +19,8 @@ def main() -> None:
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115
     out = _never_raise_in_print()
+    # Pydantic would look for plugins in every installed package; pamctl has none.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     try:
         from pamctl.report.progress_line import STARTING, WorkProgress
 

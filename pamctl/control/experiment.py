@@ -7,14 +7,15 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Iterable, Iterator
-from typing import TYPE_CHECKING, Annotated, Literal, Union
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from hal.calibration import Configured
+from pamctl.chosen_model import AnyModel, ChosenModel
 from pamctl.control.course import Plan
-from pamctl.control.forms import FORMS, Count, Drawn, Form, Hertz, Seconds, require_rising
+from pamctl.control.forms import FORMS, Count, Drawn, Hertz, Seconds, find_form, require_rising
 from pamctl.control.sketch import Sketch
 from pamctl.control.waves import Sweep, Tone, Tones
 from pamctl.signals import Phase
@@ -325,11 +326,7 @@ class RepeatPart(Drawn):
         sketch.repeat(self.times, lambda: _draw_parts(sketch, self.parts))
 
 
-if TYPE_CHECKING:
-    Part = Form | PausePart | MarkPart | GainsPart | RepeatPart
-else:  # made at run time
-    _MODELS = (*FORMS.values(), PausePart, MarkPart, GainsPart, RepeatPart)
-    Part = Annotated[Union[_MODELS], Field(discriminator="kind")]  # noqa: UP007
+Part = Annotated[Drawn, AnyModel("kind", lambda: PARTS, lambda kind: find_model(kind))]
 Parts = Annotated[tuple[Part, ...], Field(min_length=1, max_length=1000)]
 
 
@@ -377,26 +374,37 @@ def _walk(parts: Iterable[Drawn]) -> Iterator[Drawn]:
             yield part
 
 
-RepeatPart.model_rebuild()
-
 # --- every experiment ------------------------------------------------------------------------
 
-if TYPE_CHECKING:
-    Experiment = (
-        TrackingSettings
-        | SquareSettings
-        | StepsSettings
-        | ProgramSettings
-        | HoldSettings
-        | SequenceSettings
-        | Form
-    )
-    ExperimentSettings = Experiment
-else:
-    _PAPER = (TrackingSettings, SquareSettings, StepsSettings, ProgramSettings, HoldSettings)
-    _STANDING = tuple(form for form in FORMS.values() if not form.IS_PART)
-    Experiment = Union[(*_PAPER, *_STANDING, SequenceSettings)]
-    ExperimentSettings = Annotated[Experiment, Field(discriminator="kind")]
+_MODELS: Mapping[str, type[Drawn]] = {
+    "tracking": TrackingSettings,
+    "square": SquareSettings,
+    "steps": StepsSettings,
+    "program": ProgramSettings,
+    "hold": HoldSettings,
+    "sequence": SequenceSettings,
+    "pause": PausePart,
+    "mark": MarkPart,
+    "gains": GainsPart,
+    "repeat": RepeatPart,
+}
+PARTS = (*FORMS, "pause", "mark", "gains", "repeat")
+"""The kinds that may stand within a sequence."""
+_STANDING_FORMS = tuple(kind for kind, form in FORMS.items() if not form.IS_PART)
+EXPERIMENTS = ("tracking", "square", "steps", "program", "hold", *_STANDING_FORMS, "sequence")
+"""The kinds of an experiment file."""
+
+
+def find_model(kind: str) -> type[Drawn]:
+    """Return the model of an experiment, or of a part of one, by its kind."""
+    return _MODELS[kind] if kind in _MODELS else find_form(kind)
+
+
+Experiment = Drawn
+ExperimentSettings = Annotated[
+    Experiment,
+    ChosenModel("kind", lambda: EXPERIMENTS, lambda k: find_model(k) if k in EXPERIMENTS else None),
+]
 
 
 def plan_experiment(settings: Experiment) -> Plan:

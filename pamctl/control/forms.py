@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import random
 import re
+from functools import cache
 from inspect import cleandoc
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, cast
@@ -98,27 +99,43 @@ class _InVolts(Form):
 
 
 FORMS: dict[str, type[Form]] = {}
-"""The forms in both units, by their kind."""
+"""The forms by their kinds; `find_form` makes the model of a kind."""
 _Form = TypeVar("_Form", bound=Form)
 
 
 def _in_both_units(form: type[_Form]) -> type[_Form]:
-    """Make the muscle's and the valve's model of a form."""
+    """Make two kinds of a form: one of the muscle and one of the valve."""
     stem = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", form.__name__.removesuffix("Form")).lower()
-    both = (("", "Muscle", _InMm, "closed"), ("valve_", "Valve", _InVolts, "open"))
-    for prefix, whose, unit, loop in both:
-        name, kind = f"{whose}{form.__name__}", f"{prefix}{stem}"
-        kind_of: Any = Literal[kind]
-        made = create_model(
-            name,
-            __base__=(form, unit),
-            __module__=__name__,
-            __doc__=f"{cleandoc(form.__doc__ or '')} Of the {whose.lower()}, in {loop} loop.",
-            kind=(kind_of, ...),
-        )
-        globals()[name] = made  # pickle looks for it here
-        FORMS[kind] = cast(type[Form], made)
+    FORMS[stem] = FORMS[f"{_OF_VALVE}{stem}"] = form
     return form
+
+
+_OF_VALVE = "valve_"
+
+
+@cache
+def find_form(kind: str) -> type[Form]:
+    """Return the model of a kind, made at its first use; a run has one of them or none."""
+    form = FORMS[kind]
+    is_valve = kind.startswith(_OF_VALVE)
+    whose, unit, loop = ("Valve", _InVolts, "open") if is_valve else ("Muscle", _InMm, "closed")
+    kind_of: Any = Literal[kind]
+    made = create_model(
+        f"{whose}{form.__name__}",
+        __base__=(form, unit),
+        __module__=__name__,
+        __doc__=f"{cleandoc(form.__doc__ or '')} Of the {whose.lower()}, in {loop} loop.",
+        kind=(kind_of, ...),
+    )
+    return cast(type[Form], made)
+
+
+def __getattr__(name: str) -> type[Form]:
+    """Return a model by its name: pickle looks for it here."""
+    for kind, form in FORMS.items():
+        if name == f"{'Valve' if kind.startswith(_OF_VALVE) else 'Muscle'}{form.__name__}":
+            return find_form(kind)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 @_in_both_units

@@ -14,16 +14,14 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from importlib import metadata
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import MappingProxyType, ModuleType
-from typing import Annotated, Any, NamedTuple, Union
+from typing import Annotated, Any, NamedTuple
 
-from pydantic import Field, GetCoreSchemaHandler
-from pydantic_core import CoreSchema
-
+from hal.entry_points import find_entry_points
 from pamctl import __version__
+from pamctl.chosen_model import ChosenModel
 from pamctl.control.law import Law, LawSettings, LawTerms, Term, answer
 
 GROUP = "pamctl.laws"
@@ -79,7 +77,7 @@ class _Registry:
 @cache
 def _load_registry() -> _Registry:
     registry = _Registry()
-    points = [p for p in metadata.entry_points(group=GROUP) if p not in _SHIPPED]
+    points = [p for p in find_entry_points(GROUP) if p not in _SHIPPED]
     for one in (*_SHIPPED, *points):
         package, version = OWN_PACKAGE, __version__
         if one.dist is not None:
@@ -145,18 +143,12 @@ def read_controller(data: Mapping[str, Any]) -> LawSettings:
     return find_law(str(data.get("law"))).settings.model_validate(dict(data))
 
 
-class _InstalledSettings:
-    """Makes pydantic read a gains file by the law that it names."""
-
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
-        models: Any = tuple(law.settings for law in installed_laws().values())
-        union: Any = Union[models]  # noqa: UP007  (made at run time)
-        return handler.generate_schema(Annotated[union, Field(discriminator="law")])
+def _find_settings(name: str) -> type[LawSettings] | None:
+    law = installed_laws().get(name)
+    return None if law is None else law.settings
 
 
-ControllerSettings = Annotated[LawSettings, _InstalledSettings()]
+ControllerSettings = Annotated[LawSettings, ChosenModel("law", installed_laws, _find_settings)]
 """The settings of any installed law; the key `law` selects the model."""
 
 

@@ -30,11 +30,12 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import cache, lru_cache
 from graphlib import TopologicalSorter
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from math import nan
 from types import ModuleType
 from typing import Any, NamedTuple
 
+from hal.entry_points import find_entry_points
 from pamctl.kernel.calls import note_composed
 from pamctl.plant.effects.description import EffectDescription, EffectEntry
 from pamctl.plant.effects.places import PLACES, Part
@@ -48,7 +49,7 @@ BLOCKS = ("pressure", "mechanics", "sensors")
 def load_effects() -> dict[str, EffectDescription]:
     """Load the effects of all entry points, by name; the shipped ones first in each block."""
     found: dict[str, EffectDescription] = {}
-    for point in [SHIPPED, *(p for p in entry_points(group=GROUP) if p.value != SHIPPED.value)]:
+    for point in [SHIPPED, *(p for p in find_entry_points(GROUP) if p.value != SHIPPED.value)]:
         try:
             for effect in _list_effects(point.load()):
                 check_effect(effect)

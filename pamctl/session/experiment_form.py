@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, dataclass_transform, get_args
+from typing import Any, ClassVar, dataclass_transform
 
 from pydantic.fields import FieldInfo
 
@@ -71,10 +71,8 @@ def _make_plain(value: Any) -> Any:
 
 def list_models() -> dict[str, type[Drawn]]:
     """Return the model of every kind, experiments and parts of them."""
-    standing = get_args(get_args(experiment.ExperimentSettings)[0])
-    parts = get_args(get_args(experiment.Part)[0])
-    models = dict.fromkeys((*standing, *parts))
-    return {get_args(model.model_fields["kind"].annotation)[0]: model for model in models}
+    kinds = dict.fromkeys((*experiment.EXPERIMENTS, *experiment.PARTS))
+    return {kind: experiment.find_model(kind) for kind in kinds}
 
 
 def list_keys(model: type[Drawn]) -> dict[str, FieldInfo]:

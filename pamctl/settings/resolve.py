@@ -13,7 +13,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, model_validator
+from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
 from hal.calibration import Configured, calibration, valve_v
 from pamctl.control.experiment import ExperimentSettings
@@ -25,7 +25,6 @@ from pamctl.control.law_registry import (
     explain_missing_law,
 )
 from pamctl.errors import ConfigError, Problem
-from pamctl.log.importing.column_map import ImportMap
 from pamctl.plant.model import PlantSettings
 from pamctl.settings.config_files import DEFAULT_NAMES, find_config_file, list_shipped
 from pamctl.settings.known_effects import build_compensation
@@ -127,17 +126,15 @@ class RunSettings(Configured):
         return self
 
 
-_AT_FIRST_USE = ConfigDict(defer_build=True)
 RUN: TypeAdapter[RunSettings] = TypeAdapter(RunSettings)
 SECTIONS: Mapping[str, TypeAdapter[Any]] = {
     "controller": TypeAdapter(ControllerSettings),
-    "experiment": TypeAdapter(ExperimentSettings, config=_AT_FIRST_USE),
-    "rig": TypeAdapter(RigSettings, config=_AT_FIRST_USE),
+    "experiment": TypeAdapter(ExperimentSettings),
+    "rig": TypeAdapter(RigSettings),
     "plant": TypeAdapter(PlantSettings),
 }
 """One folder of `config/` each."""
-KINDS: Mapping[str, TypeAdapter[Any]] = {**SECTIONS, "import-map": TypeAdapter(ImportMap)}
-"""Every kind of user file: the sections of a run, and the map of an import."""
+
 
 _CHOSEN_BY_FILE = {"controller": "law", "rig": "backend", "experiment": "kind"}
 """The key of a section that determines its other keys."""
@@ -215,9 +212,7 @@ def use_law_file(spec: str) -> str:
         law = add_law_file(spec)
     except LawError as error:
         raise ConfigError([Problem("--controller-from", "", str(error))]) from None
-    SECTIONS["controller"].rebuild(force=True)
-    RunSettings.model_rebuild(force=True)
-    RUN.rebuild(force=True)
+    _schema_of.cache_clear()
     return law.name
 
 
@@ -232,15 +227,24 @@ def check_config_file(path: Path, prepare: Callable[[RawSettings], None] = lambd
     if kind == "run":
         validate_settings(RUN, raw)
     else:
-        validate_settings(KINDS[kind], raw, title=kind)
+        validate_settings(list_kinds()[kind], raw, title=kind)
     return kind
+
+
+@cache
+def list_kinds() -> Mapping[str, TypeAdapter[Any]]:
+    """Return every kind of user file: the sections of a run, and the map of an import."""
+    from pamctl.log.importing.column_map import ImportMap  # no run needs it
+
+    return {**SECTIONS, "import-map": TypeAdapter(ImportMap)}
 
 
 def kind_of(path: Path, data: Mapping[str, object]) -> str:
     """Determine a file's kind from its folder, or else from its keys."""
     if path.resolve().parent.name in SECTIONS:
         return path.resolve().parent.name
-    known = {kind: names_in(_schema_of(adapter)) & data.keys() for kind, adapter in KINDS.items()}
+    kinds = list_kinds().items()
+    known = {kind: names_in(_schema_of(adapter)) & data.keys() for kind, adapter in kinds}
     known["run"] = SECTIONS.keys() & data.keys()
     best, second = sorted(known, key=lambda kind: len(known[kind]), reverse=True)[:2]
     if len(known[best]) == len(known[second]):
@@ -282,11 +286,12 @@ def build_config_schema() -> JsonSchema:
     `qsmc` or `tracking`, and complete the keys of that model.
     """
     mode: Literal["validation"] = "validation"
+    kinds = list_kinds()
     sections, shared = TypeAdapter.json_schemas(
-        [(kind, mode, adapter) for kind, adapter in KINDS.items()],
+        [(kind, mode, adapter) for kind, adapter in kinds.items()],
         title="A configuration file of pamctl",
     )
-    models = (sections[kind, mode] for kind in KINDS)
+    models = (sections[kind, mode] for kind in kinds)
     alternatives = [choice for model in models for choice in model.get("oneOf", [model])]
     dialect = "https://json-schema.org/draft/2020-12/schema"
     return {"$schema": dialect, **shared, "anyOf": alternatives}

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from functools import reduce
-from operator import or_
+from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, TypeAdapter, create_model, model_validator
@@ -17,6 +16,8 @@ from pydantic import Field, TypeAdapter, create_model, model_validator
 from hal.backend import Backend, find_backends, get_backend
 from hal.calibration import CalibrationSettings, Configured
 from hal.faulty import FaultSettings
+from hal.rig import RigError
+from pamctl.chosen_model import ChosenModel
 from pamctl.control.homing import HomingSettings
 from pamctl.realtime.clock import LoopSettings
 from pamctl.safety import LimitSettings
@@ -106,8 +107,13 @@ class RigFile(Configured):
         return self
 
 
-def _make_model(record: Backend[Any]) -> type[RigFile]:
-    """Make the model of a backend's rig files; a section with all defaults is optional."""
+@cache
+def _find_model(backend: str) -> type[RigFile] | None:
+    """Return the model of a backend's rig files; a section with all defaults is optional."""
+    try:
+        record = get_backend(backend)
+    except RigError:
+        return None
     section = record.settings
     needed = any(field.is_required() for field in section.model_fields.values())
     fields: dict[str, Any] = {
@@ -117,19 +123,24 @@ def _make_model(record: Backend[Any]) -> type[RigFile]:
     }
     if record.is_simulated:
         fields["faults"] = (_Faults, ())
-    name = f"{record.name.capitalize()}RigSettings"
-    model = create_model(
+    name = f"{record.name.capitalize()}{_OF_FILES}"
+    return create_model(
         name, __base__=RigFile, __doc__=record.description, __module__=__name__, **fields
     )
-    globals()[name] = model  # pickle looks for it here
+
+
+_OF_FILES = "RigSettings"
+
+
+def __getattr__(name: str) -> type[RigFile]:
+    """Return a model by its name: pickle looks for it here."""
+    model = _find_model(name.removesuffix(_OF_FILES).lower()) if name.endswith(_OF_FILES) else None
+    if model is None:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return model
 
 
-if TYPE_CHECKING:
-    RigSettings = RigFile
-else:
-    _MODELS = [_make_model(record) for record in find_backends().found.values()]
-    RigSettings = Annotated[reduce(or_, _MODELS), Field(discriminator="backend")]
+RigSettings = Annotated[RigFile, ChosenModel("backend", lambda: find_backends().found, _find_model)]
 
 
 def read_resolved_rig(resolved: Mapping[str, Any]) -> RigFile:

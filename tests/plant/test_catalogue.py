@@ -54,7 +54,7 @@ def test_a_record_that_contradicts_itself_is_refused(wrong, message: str) -> Non
 
 
 def test_an_old_installation_does_not_lose_the_shipped_effects(monkeypatch) -> None:
-    monkeypatch.setattr(catalogue, "entry_points", lambda group: ())
+    monkeypatch.setattr(catalogue, "find_entry_points", lambda group: ())
     assert list(load_effects()) == [n for n, e in CATALOGUE.items() if is_shipped(e.kind)]
 
 

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from functools import partial
 from typing import Annotated, Any, Literal
 
 from pydantic import (
     Field,
+    GetCoreSchemaHandler,
     SerializerFunctionWrapHandler,
     create_model,
     model_serializer,
     model_validator,
 )
+from pydantic_core import core_schema
 
 from hal.calibration import Configured
 from pamctl.plain_text import hint_at_nearest
@@ -38,75 +41,87 @@ HUGE = 1e15
 """No machine has such a number in SI, nor its inverse; the kernels multiply several of them."""
 
 
-def _limit_number(p: EffectParameter) -> Any:
-    """Return the limits of a plant file; where the range follows the machine, they are wide."""
+class ActingNumbers:
+    """Reads the numbers of one effect or term: a mapping, without a model of its own.
+
+    There are some sixty, and every process that has a plant would build all their models. A term
+    is size x operator(driver), added at its location or changing it by that share.
+    """
+
+    def __init__(self, name: str) -> None:
+        """`name` is an effect's or a term's, as in the catalogue."""
+        self._name = name
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        parameters = WITH_TERMS[self._name].parameters
+        if self._name in TERMS:
+            parameters = tuple(sorted(parameters, key=lambda p: not p.choices))
+        schema: core_schema.CoreSchema = core_schema.typed_dict_schema(
+            {p.name: _make_field(p, self._name in TERMS) for p in parameters},
+            extra_behavior="forbid",
+            ref=f"{self._name}:numbers",  # its name in the JSON schema
+            metadata={"pydantic_js_updates": {"title": self._name}},
+        )
+        if self._name not in TERMS:
+            return schema
+        check = partial(_check_term, self._name)
+        return core_schema.no_info_after_validator_function(check, schema)
+
+
+_IN_EACH_TERM = ("size", "operator", "driver")
+Numbers = dict[str, Any]
+
+
+def _make_field(p: EffectParameter, is_term: bool) -> core_schema.TypedDictField:
+    """Return a number with its limits; where the range follows the machine, they are wide."""
     low, high = p.low, p.high
     if p.is_scaled:
         low, high = (-HUGE if low < 0.0 else 0.0 if low == 0.0 else 1.0 / HUGE), HUGE
-    return Field(ge=low, le=high, description=f"{p.meaning} ({p.unit})")
-
-
-def _make_settings(
-    name: str, parameters: Iterable[EffectParameter], base: type[Configured], *required: str
-) -> type[Configured]:
-    fields: dict[str, Any] = {}
-    for p in parameters:
-        kind: Any = Annotated[float, _limit_number(p)]
-        if p.choices:
-            kind = Annotated[Literal[p.choices], Field(description=p.meaning)]
+    one: core_schema.CoreSchema = core_schema.float_schema(ge=low, le=high, allow_inf_nan=False)
+    meaning = f"{p.meaning} ({p.unit})"
+    if p.choices:
+        one, meaning = core_schema.literal_schema(list(p.choices)), p.meaning
+    required = is_term and p.name in _IN_EACH_TERM
+    if not required:
         default = p.choices[0] if p.choices else p.neutral
-        fields[p.name] = (kind, ... if p.name in required else default)
-    made = create_model(name, __base__=base, **fields)
-    globals()[name] = made  # pickle looks for it here when it sends it to a worker process
-    return made
+        one = core_schema.with_default_schema(one, default=default)
+    return core_schema.typed_dict_field(
+        one, required=required, metadata={"pydantic_js_updates": {"description": meaning}}
+    )
 
 
-_effect_fields: dict[str, Any] = {
-    name: (_make_settings(name, effect.parameters, Configured) | None, None)
-    for name, effect in CATALOGUE.items()
-}
+def _check_term(name: str, term: Numbers) -> Numbers:
+    """Refuse what this location does not have; leave out what the operator does not have."""
+    location = LOCATIONS[name.removesuffix(SUFFIX)]
+    operator, driver = term["operator"], term["driver"]
+    if driver not in location.drivers:
+        raise ValueError(f"driver {driver}: here it may be {', '.join(location.drivers)}")
+    if not location.allows(operator, driver):
+        of = " or ".join(location.memory_of) or "no driver"
+        raise ValueError(f"operator {operator} has a memory, which here is one of {of}")
+    if operator == "curve" and term["high"] <= term["low"]:
+        raise ValueError("a curve's `high` must be greater than its `low`")
+    if operator in NEEDS_INNER and term["inner"] <= 0.0:
+        raise ValueError(f"inner of a {operator} must be greater than 0")
+    used = {*_IN_EACH_TERM, *numbers_of_operator(operator)}
+    return {number: value for number, value in term.items() if number in used}
+
+
+def _acting_fields(names: Iterable[str]) -> dict[str, Any]:
+    return {
+        name.removesuffix(SUFFIX): (Annotated[Numbers, ActingNumbers(name)] | None, None)
+        for name in names
+    }
+
+
 EffectSettings = create_model(
     "EffectSettings",
     __base__=Configured,
     __doc__="Active effects, by their names in the catalogue; all others do not act.",
-    **_effect_fields,
+    **_acting_fields(CATALOGUE),
 )
-
-
-class TermSettings(Configured):
-    """A term: size x operator(driver), added at its location or changing it by that share."""
-
-    @model_validator(mode="after")
-    def _check_term(self) -> TermSettings:
-        location = LOCATIONS[type(self).__name__.removesuffix(SUFFIX)]
-        operator, driver = self.__dict__["operator"], self.__dict__["driver"]
-        if driver not in location.drivers:
-            raise ValueError(f"driver {driver}: here it may be {', '.join(location.drivers)}")
-        if not location.allows(operator, driver):
-            of = " or ".join(location.memory_of) or "no driver"
-            raise ValueError(f"operator {operator} has a memory, which here is one of {of}")
-        if operator == "curve" and self.__dict__["high"] <= self.__dict__["low"]:
-            raise ValueError("a curve's `high` must be greater than its `low`")
-        if operator in NEEDS_INNER and self.__dict__["inner"] <= 0.0:
-            raise ValueError(f"inner of a {operator} must be greater than 0")
-        return self
-
-    @model_serializer(mode="wrap")
-    def _leave_out_idle_numbers(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out the numbers that this operator does not have."""
-        data: dict[str, Any] = write(self)
-        used = {"size", "operator", "driver", *numbers_of_operator(data["operator"])}
-        return {name: value for name, value in data.items() if name in used}
-
-
-def _make_term_settings(name: str) -> type[Configured]:
-    choices_first = sorted(TERMS[name].parameters, key=lambda p: not p.choices)
-    return _make_settings(name, choices_first, TermSettings, "size", "operator", "driver")
-
-
-_term_fields: dict[str, Any] = {
-    name.removesuffix(SUFFIX): (_make_term_settings(name) | None, None) for name in TERMS
-}
 
 
 class _OneTermAPart(Configured):
@@ -127,7 +142,7 @@ TermsSettings = create_model(
     "TermsSettings",
     __base__=_OneTermAPart,
     __doc__="What the catalogue has no name for, by location; one in each part of the plant.",
-    **_term_fields,
+    **_acting_fields(TERMS),
 )
 
 
@@ -276,7 +291,7 @@ class PlantSettings(Configured):
         # Most plants have none, and pydantic is slow to list what is missing.
         for name, term in self.terms if self.terms.model_fields_set else ():
             if term is not None:
-                stated[f"{name}{SUFFIX}"] = dict(term)
+                stated[f"{name}{SUFFIX}"] = term
         return stated
 
 
@@ -308,7 +323,7 @@ def values_of(settings: PlantSettings) -> dict[str, float]:
         values[DRIVE] = settings.drive_n_per_v
     for name, effect in settings.acting.items():
         for parameter in WITH_TERMS[name].parameters:
-            value = effect[parameter.name]
+            value = effect.get(parameter.name, parameter.neutral)  # a term's idle number
             index = parameter.choices.index(value) if parameter.choices else value
             values[f"{name}.{parameter.name}"] = float(index)
     return values

@@ -101,12 +101,12 @@ def diagnose(asked: DiagnoseOptions) -> None:
     assert out is not None  # only --dry-run, which is for --on-rig, goes without
     from pamctl.diagnose import DiagnosisInterrupted, report_diagnosis
     from pamctl.diagnose import diagnose as find_missing_effects
-    from pamctl.diagnose.record import require_held_out
+    from pamctl.diagnose.record import require_different_runs
     from pamctl.diagnose.refuse import read_acceptances
     from pamctl.diagnose.report.diagnosis_page import write_diagnosis
 
     accepted = read_acceptances(asked.accept)
-    require_held_out(asked.logs, asked.holdout)
+    require_different_runs(asked.logs, asked.holdout)
     stated = asked.read_noise()
     records = read_records([*asked.logs, *asked.holdout], asked.map_path)
     train, held = records[: len(asked.logs)], records[len(asked.logs) :]

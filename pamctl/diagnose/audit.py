@@ -126,9 +126,10 @@ class Audit:
 
 def audit_run(record: Record, plant: PlantSettings) -> Audit:
     """Audit one record, measured or simulated; raises `BadData`."""
-    (record,), _ = leave_out_unused([record], plant)
+    given = [record]
+    (record,), _ = leave_out_unused(given, plant)
     (record,), _ = mend_records([record])
-    check_measured_runs([record], plant)
+    check_measured_runs([record], plant, given=given)
     try:
         weigher, start = prepare_weigher([record], (), plant)
     except ValueError as error:

@@ -283,25 +283,34 @@ def parse_noise(texts: Iterable[str]) -> dict[str, float]:
     return stated
 
 
-class HoldoutError(Exception):
-    """A log is to be fitted and to judge the fit. The message names it."""
+class SameRunError(Exception):
+    """A run is given twice. The message names it."""
 
     exit_code = ExitCode.USAGE
 
 
-def require_held_out(train: Sequence[Path], holdout: Sequence[Path]) -> None:
-    """Raise HoldoutError if a log of `holdout` is fitted too, under whatever name.
+def require_different_runs(train: Sequence[Path], holdout: Sequence[Path]) -> None:
+    """Raise SameRunError if a run is given twice, under whatever name.
 
     Raise `LogError` if a file cannot be read.
     """
-    fitted = {_hash_content(path): path for path in train} if holdout else {}
-    for path in holdout:
-        same = fitted.get(_hash_content(path))
-        if same is not None:
-            raise HoldoutError(
+    known: dict[bytes, Path] = {}
+    paths = [*train, *holdout]
+    for number, path in enumerate(paths if len(paths) > 1 else ()):
+        content = _hash_content(path)
+        same = known.get(content)
+        if same is None:
+            known[content] = path
+            continue
+        if number >= len(train) and same in train:
+            raise SameRunError(
                 f"--holdout {path} holds the same run as {same}: a log that is fitted cannot "
                 "judge the fit; give another run, or no --holdout"
             )
+        raise SameRunError(
+            f"{path} holds the same run as {same}: a run that counts twice makes every interval "
+            "narrower than it is; give it once"
+        )
 
 
 def _hash_content(path: Path) -> bytes:

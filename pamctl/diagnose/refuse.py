@@ -26,6 +26,7 @@ from pamctl.plant.model import PlantSettings
 Flags = NDArray[np.bool_]
 
 RULES: Mapping[str, str] = {
+    "actuator": "the plant file describes something else than what was measured",
     "short": "a record lasts less than 2 s; a direct mechanism's also has less than 2000 samples",
     "gap": "gaps in the time leave no stretch that is long enough",
     "coarse": "a signal passes half of its span between two samples",
@@ -76,6 +77,52 @@ def leave_out_unused(
     return kept, [*faults.values()]
 
 
+DRIVERS: Mapping[str, tuple[str, ...]] = {
+    "muscle": ("valve_v", "pressure_pa"),
+    "cylinder": ("valve_v", "pressure_pa"),
+    "chamber": ("valve_v",),
+    "direct": ("force_n",),
+}
+"""One of these drives an actuator's model; an axis with a piston is driven by the pressure too."""
+
+
+def doubt_actuator(record: Record, plant: PlantSettings) -> Iterator[Problem]:
+    """Yield why a record, with all its channels, is not one of what the plant file describes."""
+    kind = f"`actuator: {plant.actuator}`"
+    drivers = DRIVERS[plant.actuator]
+    if plant.actuator == "direct" and "piston" in plant.acting:
+        drivers = (*drivers, "pressure_pa")
+    if not set(drivers) & set(record.channels):
+        needed = " or ".join(drivers)
+        piston = ", or pressure_pa with `effects: {piston: {area_m2: ...}}` in the plant file"
+        yield Problem(
+            record.name,
+            "actuator",
+            f"the plant file has {kind}, which {needed} must drive; "
+            f"there are {', '.join(record.channels)}",
+            fix=f"give {needed}{piston if needed == 'force_n' else ''}, or {_ANOTHER_PLANT}",
+        )
+    if plant.actuator == "chamber" and (span_m := _find_motion_m(record)):
+        yield Problem(
+            record.name,
+            "actuator",
+            f"position_m moves by {1e3 * span_m:.3g} mm, and the plant file has {kind}, which does "
+            "not move",
+            fix=f"{_ANOTHER_PLANT}, as a muscle or a cylinder",
+        )
+
+
+_ANOTHER_PLANT = "make the plant file of what was measured (`pamctl plant new --actuator`)"
+
+
+def _find_motion_m(record: Record) -> float:
+    """Return how far the position moves; 0 where it is not there, or shows no more than noise."""
+    if record.position_m is None or not np.isfinite(record.position_m).all():
+        return 0.0
+    low, high = find_usual_ends(record.position_m)
+    return high - low if high - low > _span_of_noise(record.position_m) else 0.0
+
+
 def doubt_record(record: Record, plant: PlantSettings) -> Iterator[Problem]:
     """Yield what is doubtful about the times and units of a record."""
     yield from _doubt_length(record, plant)
@@ -114,8 +161,11 @@ def _doubt_length(record: Record, plant: PlantSettings) -> Iterator[Problem]:
 def _doubt_rate(record: Record, plant: PlantSettings) -> Iterator[Problem]:
     """Doubt a rate at which a state of the plant jumps: how it came there was not seen.
 
-    Single outliers do not count. A measured input, such as a force, may jump.
+    Single outliers do not count. A measured input, such as a force, may jump. Where nothing moves,
+    what jumps is noise.
     """
+    if _is_at_rest(record, plant):
+        return
     states = {"position_m"} if plant.actuator == "direct" else {"position_m", "pressure_pa"}
     inside = record.step_s <= record.longest_step_s
     for channel in record.channels:
@@ -274,6 +324,18 @@ def _longest_run(flags: Flags) -> int:
     return int((edges[1::2] - edges[::2]).max()) if len(edges) else 0
 
 
+def _is_at_rest(record: Record, plant: PlantSettings) -> bool:
+    """Tell whether the command holds one value, or else, without it, nothing varies."""
+    used = list_used_channels(record, plant)
+    asked = ("valve_v",) if "valve_v" in used else used
+    return all(_find_span(record, c) < _least_span(record, plant, c) for c in asked)
+
+
+def _find_span(record: Record, channel: str) -> float:
+    low, high = find_usual_ends(record[channel])
+    return high - low
+
+
 def doubt_excitation(records: Sequence[Record], plant: PlantSettings) -> Iterator[Problem]:
     """Find a channel that hardly varies in any record: it tells nothing."""
     for channel in CHANNELS:
@@ -281,7 +343,7 @@ def doubt_excitation(records: Sequence[Record], plant: PlantSettings) -> Iterato
         if plant.actuator == "direct" and channel == "pressure_pa":
             continue
         asked = [r for r in records if channel in list_used_channels(r, plant)]
-        spans = [(float(np.subtract(*find_usual_ends(r[channel])[::-1])), r) for r in asked]
+        spans = [(_find_span(r, channel), r) for r in asked]
         if spans and all(span < _least_span(r, plant, channel) for span, r in spans):
             yield Problem(
                 "",
@@ -296,8 +358,7 @@ def _least_span(record: Record, plant: PlantSettings, channel: str) -> float:
     """Return the variation that a channel needs: more than its noise; of a muscle, a part of it."""
     if channel == "valve_v":  # no sensor: the step of a square command is no resolution
         return LEAST_COMMAND_V
-    noise = max(estimate_white_noise(record[channel]), find_sensor_step(record[channel]))
-    least: float = max(STILL_TIMES_NOISE * noise, 1e-12)
+    least = _span_of_noise(record[channel])
     if plant.actuator == "direct":
         return least
     shares = {
@@ -305,6 +366,12 @@ def _least_span(record: Record, plant: PlantSettings, channel: str) -> float:
         "position_m": 2e-3 * plant.parameters.rest_length_m,
     }
     return max(least, shares.get(channel, 0.0))
+
+
+def _span_of_noise(values: Array) -> float:
+    """Return the variation that noise and rounding may make."""
+    noise = max(estimate_white_noise(values), find_sensor_step(values))
+    return max(STILL_TIMES_NOISE * noise, 1e-12)
 
 
 def find_usual_ends(values: Array) -> tuple[float, float]:
@@ -460,12 +527,16 @@ def read_acceptances(texts: Iterable[str]) -> dict[str, str]:
 
 
 def check_measured_runs(
-    records: Sequence[Record], plant: PlantSettings, accepted: Mapping[str, str] | None = None
+    records: Sequence[Record],
+    plant: PlantSettings,
+    accepted: Mapping[str, str] | None = None,
+    given: Sequence[Record] = (),
 ) -> tuple[AcceptedDoubt, ...]:
     """Raise `BadData` with every reason found, a line each; return the doubts that are accepted.
 
-    What hardly varies is asked where units and times are right, and what is clipped or shifted
-    where all that is.
+    Whether the plant file is one of what was measured is asked first, of the records as they were
+    `given`, with all their channels. What hardly varies is asked where units and times are right,
+    and what is clipped or shifted where all that is.
     """
     if not records:
         raise BadData("no records; give at least one log")
@@ -474,7 +545,9 @@ def check_measured_runs(
     if faults:
         raise BadData("\n".join(dict.fromkeys(fault.sentence for fault in faults)))
     known = accepted or {}
-    doubts = [doubt for record in records for doubt in doubt_record(record, plant)]
+    doubts = [doubt for record in given or records for doubt in doubt_actuator(record, plant)]
+    if all(doubt.key in known for doubt in doubts):
+        doubts += [doubt for record in records for doubt in doubt_record(record, plant)]
     if all(doubt.key in known for doubt in doubts):
         doubts += doubt_excitation(records, plant)
     if all(doubt.key in known for doubt in doubts):

@@ -60,18 +60,18 @@ def diagnose(
                 f"its import map says, but the plant's atmosphere is {plants_pa:.6g} Pa: make "
                 "atmospheric_pressure_pa the same in both"
             )
+    given = [*train, *holdout]
     train, holdout, faults = _mend_records(train, holdout, plant, stated)
     records = [*train, *holdout]
     try:
-        accepted = check_measured_runs(records, plant, accept)
+        accepted = check_measured_runs(records, plant, accept, given)
         stated = pool_stated_noise(records)
         cores = jobs or os.cpu_count() or 1
         found = weigh_evidence(
             train, holdout, plant, without=[*without], noise=stated, jobs=cores, tell=progress
         )
     except (BadData, CannotBeWeighed) as error:
-        given = tuple(records)
-        return Diagnosis(Verdict.BAD_DATA, plant, plant, str(error), train=given)
+        return Diagnosis(Verdict.BAD_DATA, plant, plant, str(error), train=tuple(records))
     verdict = decide_verdict(found)
     diagnosis = Diagnosis(
         verdict,

@@ -235,3 +235,11 @@ def test_a_log_that_is_fitted_cannot_be_the_held_out_one(same: str, tmp_path: Pa
     assert done.returncode == 2, done.stderr
     assert f"--holdout {other} holds the same run as {LOG}" in done.stderr
     assert not out.exists()
+
+
+def test_a_run_that_is_given_twice_does_not_count_twice(tmp_path: Path) -> None:
+    other = shutil.copy(LOG, tmp_path / "other.mcap")
+    for logs in ([LOG, LOG], [LOG, str(other)]):
+        done = run_pamctl("diagnose", *logs, "--out", str(tmp_path / "out"), cwd=tmp_path)
+        assert done.returncode == 2, done.stderr
+        assert f"{logs[1]} holds the same run as {LOG}: a run that counts twice" in done.stderr

@@ -18,6 +18,7 @@ from pamctl.diagnose.refuse import (
     UnknownRule,
     check_measured_runs,
     check_time_shifts,
+    doubt_actuator,
     doubt_excitation,
     doubt_record,
     read_acceptances,
@@ -34,6 +35,7 @@ DIRECT = PlantSettings.model_validate(
         "parameters": {"mass_kg": 1.0, "damping_n_s_per_m": 10.0, "stiffness_n_per_m": 100.0},
     }
 )
+CHAMBER = PlantSettings.model_validate({"actuator": "chamber", "chamber_volume_m3": 1e-3})
 
 
 def spoilt(**changes: object) -> str:
@@ -126,6 +128,37 @@ def test_a_mechanism_without_a_muscle_is_not_measured_by_the_muscle() -> None:
     assert [d.key for d in doubt_record(gauge, DIRECT)] == ["pressure_unit"]
     flat = replace(axis, force_n=np.random.default_rng(1).normal(size=len(axis)))
     assert [d.key for d in doubt_excitation([flat], DIRECT)] == ["still"]
+
+
+def test_a_record_of_something_else_than_the_plant_file_says_is_refused_at_once() -> None:
+    muscle = sines(500.0, valve_v=2.0, position_m=0.01)
+    air = np.linspace(1.2e5, 3e5, len(muscle))
+    muscle = replace(muscle, pressure_pa=air)
+    told = [diagnose([muscle], [muscle], plant).reason for plant in (CHAMBER, DIRECT)]
+    assert "sines: position_m moves by 20 mm" in told[0]
+    assert "pamctl plant new --actuator" in told[0]
+    assert "`actuator: direct`, which force_n must drive; there are valve_v, pressure" in told[1]
+    axis = sines(500.0, force_n=10.0, position_m=0.01)
+    assert "valve_v or pressure_pa must drive" in diagnose([axis], [axis], PAPER).reason
+    piston = DIRECT.model_validate(
+        {**DIRECT.model_dump(), "effects": {"piston": {"area_m2": 1e-4}}}
+    )
+    clamped = replace(muscle, position_m=1e-6 * np.random.default_rng(1).normal(size=len(muscle)))
+    for record, plant in ((muscle, PAPER), (muscle, piston), (clamped, CHAMBER), (axis, DIRECT)):
+        assert [*doubt_actuator(record, plant)] == []
+
+
+@pytest.mark.parametrize("plant", [PAPER, DIRECT])
+def test_noise_alone_is_a_record_in_which_nothing_moves_and_not_one_that_is_coarse(plant) -> None:
+    noise = np.random.default_rng(3).normal(size=(4, 1100))
+    columns = {"valve_v": np.zeros(1100), "pressure_pa": 2e5 + 200.0 * noise[0]}
+    if plant is DIRECT:
+        columns = {"force_n": noise[2]}
+    still = Record("still", np.arange(1100) * 0.002, position_m=1e-5 * noise[1], **columns)
+    assert [*doubt_record(still, plant)] == []
+    told = diagnose([still], [still], plant).reason
+    assert "coarse" not in told
+    assert told.count("--accept still=REASON") == len(still.channels)
 
 
 def test_a_muscle_twice_as_large_is_judged_by_its_own_length() -> None:

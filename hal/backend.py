@@ -20,11 +20,9 @@ from pathlib import Path
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 from hal.calibration import CalibrationSettings, Configured, Output
-from hal.entry_points import find_entry_points
+from hal.entry_points import RIGS, find_rig_points
 from hal.problem import Level, Problem
 from hal.rig import Edge, Rig, RigError
-
-GROUP = "pamctl.rigs"
 
 S = TypeVar("S", bound=Configured)
 
@@ -167,27 +165,10 @@ class InstalledBackends(NamedTuple):
     """Why an entry point could not be used, by its name."""
 
 
-_SHIPPED = (
-    EntryPoint("sim", "hal.sim:SIM", GROUP),
-    EntryPoint("nidaq", "hal.nidaq.nidaq_backend:NIDAQ", GROUP),
-    EntryPoint("comedi", "hal.comedi.comedi_backend:COMEDI", GROUP),
-)
-"""Their entry points again: an editable install that was made before them knows none."""
-
-
 _OTHER_KEYS = frozenset(
     {"backend", "safe_volts", "calibration", "limits", "homing", "loop", "faults"}
 )
 """Keys of a rig file that are not a backend's own."""
-
-
-@cache
-def _find_points() -> dict[str, EntryPoint]:
-    points = {point.name: point for point in _SHIPPED}
-    for point in sorted(find_entry_points(GROUP), key=lambda point: point.name):
-        # A shipped name stays with the shipped record.
-        points.setdefault(point.name, point)
-    return points
 
 
 @cache
@@ -196,7 +177,7 @@ def find_backends() -> InstalledBackends:
 
     A package that fails to load takes no other backend with it.
     """
-    points = _find_points()
+    points = find_rig_points()
     loaded = {name: _try_record(name) for name in points}
     return InstalledBackends(
         found={name: one for name, one in loaded.items() if isinstance(one, Backend)},
@@ -212,7 +193,7 @@ def find_backends() -> InstalledBackends:
 @cache
 def _try_record(name: str) -> Backend[Any] | str:
     """Return the record of an entry point, or why it cannot be used."""
-    point = _find_points()[name]
+    point = find_rig_points()[name]
     try:
         return _load_record(point)
     # Whatever the package does wrong: the other backends must go on working.
@@ -236,7 +217,7 @@ def get_backend(name: str) -> Backend[Any]:
 
     No other backend is loaded: a guardian needs its own alone.
     """
-    record = _try_record(name) if name in _find_points() else ""
+    record = _try_record(name) if name in find_rig_points() else ""
     if isinstance(record, Backend):
         return record
     raise RigError(f"there is no backend '{name}'", fix=hint_at_missing(name))
@@ -248,7 +229,7 @@ def hint_at_missing(name: str) -> str:
     if name in installed.failed:
         package = installed.packages.get(name, "its package")
         return f"{package} does not load: {installed.failed[name]}"
-    return f"if a package provides '{name}', install it (its entry point is in the group {GROUP})"
+    return f"if a package provides '{name}', install it (its entry point is in the group {RIGS})"
 
 
 def report_check(

@@ -33,7 +33,6 @@ from pamctl.cli.settings_from_options import find_argument_file
 from pamctl.exit_codes import ExitCode, end_on_signals, name_interrupt
 from pamctl.new_file import require_empty_folder
 from pamctl.plain_text import hint_at_nearest
-from pamctl.settings.resolve import resolve
 
 if TYPE_CHECKING:
     from pamctl.diagnose import Record
@@ -277,6 +276,7 @@ def _make_record(what: str, plant: str | None) -> Record:
         return record_of(what)
     find_argument_file("experiment", what)  # its error names what the user typed
     from pamctl.diagnose import Record
+    from pamctl.settings.resolve import resolve
     from pamctl.simulate.closed_loop import simulate_run
 
     run = simulate_run(resolve(experiment=what, plant=plant))

@@ -30,7 +30,6 @@ from pamctl.cli.settings_from_options import (
 )
 from pamctl.errors import ConfigError
 from pamctl.exit_codes import ExitCode
-from pamctl.settings.resolve import RunSettings
 
 if TYPE_CHECKING:  # no other verb waits for these
     from collections.abc import Sequence
@@ -38,6 +37,7 @@ if TYPE_CHECKING:  # no other verb waits for these
     from pamctl.commissioning.bench import Bench
     from pamctl.commissioning.guided import CalibrationOutcome, CalibrationTask, Operator
     from pamctl.processes.interrupts import SignalInterrupt
+    from pamctl.settings.resolve import RunSettings
 
 
 class RunOptions(SettingsOptions, AnnotationOptions):

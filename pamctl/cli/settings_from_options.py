@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import typer
 
-from hal.backend import find_backends, hint_at_missing
+from hal.entry_points import find_rig_points
 from pamctl.cli.options import CONTROLLER, CONTROLLER_FROM, NO_CHANGES, PLANT, Options, flag, option
 from pamctl.errors import ConfigError, Problem
 from pamctl.log.run_meta import CHANGES, describe_changes
@@ -19,13 +19,9 @@ from pamctl.settings.config_files import (
     read_section,
     read_tables,
 )
-from pamctl.settings.envelope import find_excesses
-from pamctl.settings.resolve import (
-    SECTIONS,
-    RunSettings,
-    resolve,
-    settings_to_data,
-)
+
+if TYPE_CHECKING:  # the help waits for no model
+    from pamctl.settings.resolve import RunSettings
 
 
 class ResolvedOptions(NamedTuple):
@@ -47,7 +43,7 @@ class RigOptions(Options):
     """The rig that a verb works on."""
 
     backend: str | None = option(
-        f"--backend {'|'.join(find_backends().found)}", "Backend to drive",
+        f"--backend {'|'.join(find_rig_points())}", "Backend to drive",
         shown="that of --rig, sim",
     )  # fmt: skip
     rig: str | None = option(
@@ -112,6 +108,9 @@ def resolve_options(
 
     So it does where the experiment leaves the envelope of rig and model.
     """
+    from pamctl.settings.envelope import find_excesses
+    from pamctl.settings.resolve import SECTIONS, resolve, settings_to_data
+
     named_rig = _choose_rig(backend, rig)
     settings = resolve(rig=named_rig, overrides=overrides or (), prepare=read_tables, **options)
     _check_backend(settings, backend, rig)
@@ -129,6 +128,8 @@ def resolve_options(
 
 def read_file_gains(settings: RunSettings, controller: str) -> dict[str, Any]:
     """Return the gains of the file a controller is named after, or those in use if none was."""
+    from pamctl.settings.resolve import settings_to_data
+
     if controller == settings.controller.law not in list_shipped("controller"):
         return settings_to_data(settings.controller)  # gains of a law file, without a file
     return read_section("controller", find_config_file("controller", controller))
@@ -136,6 +137,8 @@ def read_file_gains(settings: RunSettings, controller: str) -> dict[str, Any]:
 
 def _choose_rig(backend: str | None, rig: str | None) -> str | None:
     """Return the rig file that `--backend` and `--rig` mean together."""
+    from hal.backend import find_backends, hint_at_missing
+
     backends = find_backends().found
     if backend is not None and backend not in backends:
         message = f"unknown; there are {', '.join(backends)}; {hint_at_missing(backend)}"

@@ -33,7 +33,6 @@ from pamctl.exit_codes import ExitCode
 from pamctl.log.run_meta import file_safe_name
 from pamctl.new_file import require_folder, write_files
 from pamctl.settings.config_files import DEFAULT_NAMES
-from pamctl.settings.resolve import settings_to_data
 
 if TYPE_CHECKING:
     from pamctl.sweep.run_sweep import SweepEnd, SweepPlan
@@ -101,7 +100,7 @@ class TuneOptions(Options):
 @verb
 def tune(asked: TuneOptions) -> None:
     """Search gains by simulation, or score given ones; Ctrl-C keeps the best so far."""
-    from pamctl.settings.resolve import use_law_file
+    from pamctl.settings.resolve import settings_to_data, use_law_file
     from pamctl.tune.tune_gains import TuningTask, check_gains, report_gains, search_gains
 
     require_one_place(asked.cluster, asked.jobs)

@@ -33,7 +33,7 @@ def list_heavy_imports(*arguments: str) -> set[str]:
     return HEAVY & set(done.stderr.rpartition("imported:")[2].split())
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["nosuch"]])
+@pytest.mark.parametrize("arguments", [["--help"], ["nosuch"], ["diagnose", "--help"]])
 def test_help_and_advice_import_no_verb(arguments: list[str]) -> None:
     assert list_heavy_imports(*arguments) <= {"rich"}
 

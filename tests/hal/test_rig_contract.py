@@ -14,9 +14,10 @@ from typing import Any
 import pytest
 from standin.standin import PERMIT, here, here_behind_comedi
 
-from hal.backend import _SHIPPED, GROUP, BuiltRig, RigRequest
+from hal.backend import BuiltRig, RigRequest
 from hal.calibration import CalibrationSettings, Configured
 from hal.comedi.comedi_backend import COMEDI, ComediSettings
+from hal.entry_points import _SHIPPED_RIGS, RIGS
 from hal.faulty import FaultSettings, FaultyRig
 from hal.nidaq.card_settings import NidaqSettings
 from hal.nidaq.nidaq_backend import NIDAQ
@@ -162,8 +163,8 @@ def test_a_hardware_timed_card_is_paced_by_the_computer_where_the_caller_wants_i
 
 def test_the_shipped_entry_points_are_those_that_a_stale_install_falls_back_on() -> None:
     pyproject = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
-    declared = pyproject["project"]["entry-points"][GROUP]
-    assert declared == {point.name: point.value for point in _SHIPPED}
+    declared = pyproject["project"]["entry-points"][RIGS]
+    assert declared == {point.name: point.value for point in _SHIPPED_RIGS}
 
 
 # --- the cases find what is wrong ----------------------------------------------------------

@@ -313,6 +313,10 @@ class GainsPart(Drawn):
         sketch.change_gains(self.set, self.ramp_s)
 
 
+Part = Annotated[Drawn, AnyModel("kind", lambda: PARTS, lambda kind: find_model(kind))]
+Parts = Annotated[tuple[Part, ...], Field(min_length=1, max_length=1000)]
+
+
 class RepeatPart(Drawn):
     """Parts that are run several times."""
 
@@ -324,10 +328,6 @@ class RepeatPart(Drawn):
     def draw(self, sketch: Sketch) -> None:
         """Draw the parts so many times."""
         sketch.repeat(self.times, lambda: _draw_parts(sketch, self.parts))
-
-
-Part = Annotated[Drawn, AnyModel("kind", lambda: PARTS, lambda kind: find_model(kind))]
-Parts = Annotated[tuple[Part, ...], Field(min_length=1, max_length=1000)]
 
 
 class SequenceSettings(Drawn):

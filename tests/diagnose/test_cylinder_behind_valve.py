@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 from support.cylinder import Array, Cylinder, excite
+from support.made_records import ask_only, list_asked
 
-from pamctl.diagnose import Record, diagnose
+from pamctl.diagnose import Diagnosis, Record, diagnose
 from pamctl.diagnose.evidence.fit import WeighedModel
 from pamctl.diagnose.evidence.measuring_chain import STOP
 from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.weigh import list_pool, prepare_weigher
 from pamctl.diagnose.report.finding_words import list_faults
+from pamctl.plant.model import PlantSettings
 
 T_S = np.arange(0.0, 5.0, 2e-3)
 GUESSED = Cylinder(
@@ -23,6 +26,7 @@ GUESSED = Cylinder(
 """The plant file: numbers 10 to 25 % wrong."""
 
 
+@cache
 def record(cylinder: Cylinder, seed: int) -> Record:
     """Return the readings of a noisy pressure sensor and of an encoder with steps of 10 um."""
     chance = np.random.default_rng(seed)
@@ -33,10 +37,18 @@ def record(cylinder: Cylinder, seed: int) -> Record:
     return Record(f"run {seed}", T_S, valve_v=commands, pressure_pa=read_pa, position_m=read_m)
 
 
+def diagnose_asking(
+    train: list[Record], held_out: list[Record], plant: PlantSettings, *asked: str
+) -> Diagnosis:
+    without = ask_only(*asked, of=list_asked(train, plant))
+    return diagnose(train, held_out, plant, without=without)
+
+
 @pytest.mark.long
 def test_dead_band_and_leak_are_named_from_valve_pressure_and_position_together() -> None:
     rig = Cylinder(stroke_m=0.2, dead_band_v=0.3, leak_m2=2e-8)
-    found = diagnose([record(rig, 1)], [record(rig, 2)], GUESSED.plant())
+    asked = "deadband", "leak", "curve", "opening~", "flow~", "supply", "friction", "creep"
+    found = diagnose_asking([record(rig, 1)], [record(rig, 2)], GUESSED.plant(), *asked)
     assert {f.name for f in found.findings} == {"valve_deadband", "chamber_leak"}
     numbers = {n.name: n for f in found.findings for n in f.numbers}
     for name, true in (
@@ -76,9 +88,10 @@ def test_a_model_that_was_led_astray_is_fitted_anew_from_the_numbers_of_the_plan
 def test_a_piston_that_was_homed_off_its_end_is_no_scale_of_the_encoder() -> None:
     """Friction holds it 10 mm off its end, and the far end is then seen 10 mm nearer."""
     rig = Cylinder(coulomb_n=15.0, preload_n=0.0, gain_m2_per_v=6e-7)
-    runs = [record(rig, seed) for seed in (1, 2)]
-    homed = [replace(run, position_m=np.asarray(run.position_m) - 0.01) for run in runs]
-    found = diagnose(homed, [], rig.plant())
+    run = record(rig, 1)
+    homed = [replace(run, position_m=np.asarray(run.position_m) - 0.01)]
+    asked = "coulomb_friction", "stop", "encoder_scale", "encoder~curve", "position_late"
+    found = diagnose_asking(homed, [], rig.plant(), *asked)
     assert {f.name for f in found.findings[:2]} == {"coulomb_friction", "end_stop"}
     (fault,) = list_faults(found) or [None]
     named = {f.name for f in found.findings if f.level == "name"}

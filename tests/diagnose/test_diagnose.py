@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import cache
 
 import pytest
-from support.made_records import all_but, measured, names_of, pair
+from support.made_records import all_but, ask_only, measured, names_of, pair
 
 from pamctl.diagnose import Diagnosis, Verdict, diagnose, sentence
 from pamctl.diagnose.audit import audit_run
@@ -86,20 +86,24 @@ def test_the_plant_file_holds_the_effect_and_can_be_read(tmp_path) -> None:
 
 def test_a_next_diagnosis_from_the_extended_plant_finds_nothing_more() -> None:
     hidden = {"valve_deadband__fill_width_v": 0.25, "valve_deadband__exhaust_width_v": 0.2}
-    again = diagnose(*pair(**hidden), of_a_dead_band().plant)
+    asked = ask_only("valve", "opening~", "filling~", "exhausting~", "leak")
+    again = diagnose(*pair(**hidden), of_a_dead_band().plant, without=asked)
     assert again.verdict in (Verdict.NO_DISCREPANCY, Verdict.MISCALIBRATED)
 
 
 @pytest.mark.long
 def test_a_sensor_offset_is_not_named_a_bladder_threshold() -> None:
-    found = diagnosed(pressure_sensor_offset__offset_pa=4000.0)
+    asked = ask_only("pressure_sensor", "bladder", "load", "pull~", "opening~")
+    hidden = pair(pressure_sensor_offset__offset_pa=4000.0)
+    found = diagnose(*hidden, PAPER, without=asked)
     assert names_of(found) == ["pressure_sensor_offset"]
     assert found.verdict is Verdict.NAMED
 
 
 def test_pressure_and_position_are_enough_to_diagnose_the_mechanics() -> None:
     train, held = pair(cubic_stiffness__n_per_m3=2e6)
-    found = diagnose(*[[replace(r, valve_v=None) for r in part] for part in (train, held)], PAPER)
+    parts = ([replace(r, valve_v=None) for r in part] for part in (train, held))
+    found = diagnose(*parts, PAPER, without=ask_only("stiffness", "creep", "force~", "braid"))
     assert names_of(found) == ["cubic_stiffness"]
     assert set(build_diagnosis_document(found)["gap"]) == {"position_m"}
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import pytest
 from hidden.examination.cases import Case
 from hidden.examination.examine import records_of, rig_of, start_plant
-from support.made_records import ask_only, names_of, numbers_of, to_records
+from support.made_records import ask_only, names_of, numbers_of, pair, to_records
 
 from pamctl.diagnose import Diagnosis, Verdict, diagnose
 from pamctl.diagnose.report.finding_words import list_ambiguous, list_faults
+from pamctl.plant.model import PlantSettings
 
 
 def _diagnose(case: Case, *asked: str) -> Diagnosis:
@@ -17,7 +18,7 @@ def _diagnose(case: Case, *asked: str) -> Diagnosis:
 
 
 def test_a_dead_volume_is_told_from_a_line_and_a_scale() -> None:
-    case = Case("single/dead_volume/3", "single", {"dead_volume": 3}, program="short", repeat=1)
+    case = Case("single/dead_volume/3", "single", {"dead_volume": 3}, program="brief", repeat=1)
     found = _diagnose(case, "dead_volume", "line_restriction", "encoder_scale", "volume~")
     assert names_of(found) == ["dead_volume"]
     (volume,) = (n for n in found.numbers if n.name == "dead_volume.volume_m3")
@@ -42,7 +43,7 @@ def test_a_small_scale_of_the_encoder_is_told_from_springs_and_not_from_a_length
 
 
 def test_the_width_of_a_play_is_found_with_the_pressure_of_the_muscle_behind_it() -> None:
-    case = Case("play", "single", {"encoder_backlash": 10}, program="short")
+    case = Case("play", "single", {"encoder_backlash": 10}, program="brief")
     found = _diagnose(case, "encoder", "coulomb_friction", "hysteresis", "presliding")
     assert found.verdict is Verdict.NAMED
     width_m = numbers_of(found)["encoder_backlash.width_m"]
@@ -60,7 +61,7 @@ def test_steep_stribeck_friction_is_named_with_its_numbers() -> None:
 
 def test_a_quick_valve_behind_a_dead_band_is_no_delay() -> None:
     case = Case("pair/deadband+spool", "pair", {"valve_deadband": 5.0, "valve_spool": 3.0},
-                program="short", repeat=96)  # fmt: skip
+                program="brief", repeat=96)  # fmt: skip
     found = _diagnose(case, "valve", "command", "opening~", "filling~", "exhausting~", "line")
     assert set(names_of(found)) == {"valve_deadband", "valve_spool"}
     true_s = 1.0 / rig_of(case).truth.spool_rad_per_s
@@ -68,9 +69,22 @@ def test_a_quick_valve_behind_a_dead_band_is_no_delay() -> None:
 
 
 def test_a_load_that_was_not_weighed_is_a_mass_and_no_late_column() -> None:
-    case = Case("unknown/moving_mass", "unknown", {"moving_mass": 10}, program="short")
+    case = Case("unknown/moving_mass", "unknown", {"moving_mass": 10}, program="brief")
     found = _diagnose(case, "mass", "late", "clock", "delay", "lag", "friction", "force~", "creep")
     assert found.verdict is Verdict.MISCALIBRATED
     (fault,) = list_faults(found)
     assert (fault.kind, fault.number) == ("plant_constant", "mass_kg")
     assert fault.value == pytest.approx(rig_of(case).truth.mass_kg, rel=0.02)
+
+
+def test_a_drooping_supply_is_named_beside_a_hysteretic_spring() -> None:
+    hidden = {
+        "supply_droop__resistance_pa_s_per_kg": 2e7,
+        "spring_hysteresis__force_n": 2.5,
+        "spring_hysteresis__way_m": 1.5e-3,
+    }
+    asked = ask_only("supply", "chamber_leak", "flow~", "force~")
+    found = diagnose(*pair(**hidden), PlantSettings(), without=asked)
+    assert names_of(found) == ["supply_droop"]
+    droop = numbers_of(found)["supply_droop.resistance_pa_s_per_kg"]
+    assert droop == pytest.approx(2e7, rel=0.05)

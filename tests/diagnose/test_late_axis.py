@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from diagnose.test_cogging import positioned
-from support.made_records import numbers_of
+from support.made_records import ask_only, list_asked, numbers_of
 
 from pamctl.diagnose import Record, diagnose
 from pamctl.plant.model import PlantSettings
@@ -29,8 +29,9 @@ def log_late(record: Record) -> Record:
 def test_a_late_position_is_found_where_each_window_begins_with_the_measured_state() -> None:
     parameters = {"mass_kg": 3.0, "damping_n_s_per_m": 22.0, "stiffness_n_per_m": 0.0}
     plant = PlantSettings.model_validate({"actuator": "direct", "parameters": parameters})
-    smooth = [positioned(seed, cogging_n=0.0) for seed in (1, 2)]
-    found = diagnose([log_late(r) for r in smooth], [], plant, without=["spring_hysteresis"])
+    late = [log_late(positioned(seed, cogging_n=0.0)) for seed in (1, 2)]
+    asked = "coulomb_friction", "presliding", "late", "mass", "creep"
+    found = diagnose(late, [], plant, without=ask_only(*asked, of=list_asked(late, plant)))
     numbers = numbers_of(found)
     assert {"coulomb_friction", "position_late"} <= {f.name for f in found.findings}
     assert numbers["~late.position_m"] == pytest.approx(LATE * 1e-3, abs=2e-4)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from math import exp
 
 import numpy as np
@@ -72,7 +71,6 @@ def random_tones(seed: int) -> list[tuple[float, float]]:
     return [*zip(random.uniform(6e-3, 20e-3, 5), random.uniform(0.2, 2.2, 5), strict=True)]
 
 
-@cache
 def diagnose_belt() -> Diagnosis:
     records = [drive_belt(seed) for seed in (1, 2, 3, 4)]
     guess = PlantSettings.model_validate(
@@ -91,8 +89,8 @@ def diagnose_belt() -> Diagnosis:
 def test_play_is_named_where_the_mass_is_judged_in_windows() -> None:
     found = diagnose_belt()
     assert names_of(found)[0] == "encoder_backlash"
-    assert found.verdict in (Verdict.NAMED, Verdict.PARTIAL)
+    assert found.verdict is Verdict.NAMED
     values = numbers_of(found)
     assert values["encoder_backlash.width_m"] == pytest.approx(WIDTH_M, rel=0.05)
-    assert values["mass_kg"] == pytest.approx(MASS_KG, rel=0.03)
+    assert values["mass_kg"] == pytest.approx(MASS_KG, rel=0.01)
     assert values["damping_n_s_per_m"] == pytest.approx(DAMPING, rel=0.03)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hidden.excitations import brief
+from hidden.excitations import Runs, brief, fill_and_hold, square
 from hidden.rig import HiddenRig, hidden_rig
 from scipy.ndimage import gaussian_filter1d
 from support.made_records import ask_only, names_of, numbers_of
@@ -31,10 +31,11 @@ def diagnose_spoiled(
     spoil: Callable[[Record], Record] = lambda r: r,
     null_v: float = 0.0,
     without: Collection[str] | None = None,
+    program: tuple[Runs, Runs] | None = None,
 ) -> Diagnosis:
     """Run the brief program, spoil its records, and diagnose them; ask `SETUP` if not told."""
     parts: list[list[Record]] = []
-    for part in brief(3):
+    for part in program or brief(3):
         parts.append([])
         for place, e in enumerate(part):
             assert e.volts is not None
@@ -134,7 +135,9 @@ def test_commands_that_were_logged_more_rarely_than_given_are_said() -> None:
     def decimate(record: Record) -> Record:
         return replace(record, valve_v=record["valve_v"][np.arange(len(record)) // 5 * 5])
 
-    found = diagnose_spoiled(hidden_rig(seed=8), decimate)
+    # Each step of the command is fitted, and of sines each sample would be one.
+    program = [fill_and_hold(3, 0.4, 3), square(1.0, 1.5)], [fill_and_hold(2, 0.4, 4)]
+    found = diagnose_spoiled(hidden_rig(seed=8), decimate, program=program)
     (fault,) = list_faults(found)
     assert (fault.kind, fault.number) == ("decimated_command", "valve_v")
     assert fault.value == pytest.approx(5e-3)

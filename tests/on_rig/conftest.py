@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
+from support.made_records import ask_only
 
+from pamctl.diagnose import diagnose
+from pamctl.diagnose.deciding_program import choose_deciding_program
 from pamctl.on_rig.decide_on_rig import Investigation, decide_on_rig
 from pamctl.on_rig.rig_plan import Budget, make_rig_plan
 from pamctl.plant.model import PlantSettings
@@ -46,7 +50,13 @@ def rig(logs: Path) -> Iterator[SimulatedRig]:
 def done(rig: SimulatedRig, squares: Path) -> Investigation:
     plan = make_rig_plan(rig.settings(), PlantSettings(), str(squares), Budget(3, 2.0))
     investigation = Investigation(plan)
-    decide_on_rig(rig, investigation)
+    asked = ask_only("command_delay", "valve_slew", "valve_spool", "lag", "late")
+    with pytest.MonkeyPatch.context() as patch:
+        few = partial(diagnose, without=asked)
+        patch.setattr("pamctl.on_rig.decide_on_rig.diagnose", few)
+        choose = "pamctl.diagnose.workflow.choose_deciding_program"
+        patch.setattr(choose, partial(choose_deciding_program, programs=25))
+        decide_on_rig(rig, investigation)
     return investigation
 
 

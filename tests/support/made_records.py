@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import cache
 from typing import Any
 
@@ -76,16 +76,25 @@ def all_but(*names: str) -> set[str]:
     return {*CATALOGUE} - {*names}
 
 
+def list_asked(records: Sequence[Record], plant: PlantSettings) -> frozenset[str]:
+    """Return the name of all that is asked of these records."""
+    weigher, _ = prepare_weigher(records, (), plant)
+    return frozenset(h.name for h in list_pool(weigher.train, weigher.base, plant))
+
+
 @cache
-def list_asked() -> frozenset[str]:
+def list_asked_of_muscle() -> frozenset[str]:
     """Return the name of all that is asked of a muscle."""
-    weigher, _ = prepare_weigher([measured("fit")], (), PlantSettings())
-    return frozenset(h.name for h in list_pool(weigher.train, weigher.base, PlantSettings()))
+    return list_asked([measured("fit")], PlantSettings())
 
 
-def ask_only(*names: str) -> set[str]:
-    """Return all that a test leaves out to save time; `(time)` asks every law of the time."""
-    return {n for n in list_asked() if not any(part in n for part in names)}
+def ask_only(*names: str, of: frozenset[str] | None = None) -> set[str]:
+    """Return all that a test leaves out to save time; `(time)` asks every law of the time.
+
+    `of` is all that is asked; of a muscle, if it is not told.
+    """
+    asked = list_asked_of_muscle() if of is None else of
+    return {n for n in asked if not any(part in n for part in names)}
 
 
 def names_of(found: Diagnosis) -> list[str]:

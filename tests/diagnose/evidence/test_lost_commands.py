@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from hidden.changes import half_rate
 from hidden.examination.cases import Case
-from hidden.examination.examine import records_of, start_plant
+from hidden.examination.examine import rig_of, start_plant
+from hidden.excitations import fill_and_hold, multisine, square
 from hidden.score_list import Handed
 from support.made_records import ask_only, names_of, to_records
 
@@ -25,13 +26,22 @@ from pamctl.diagnose.evidence.weigh import prepare_weigher
 def make_case(effect: str = "") -> Case:
     """Return a rig with an effect at three times its smallest size, or a healthy one."""
     if not effect:
-        return Case("null/parameters", "null", program="short", repeat=95)
-    return Case(f"single/{effect}/3", "single", {effect: 3.0}, program="short", repeat=95)
+        return Case("null/parameters", "null", repeat=95)
+    return Case(f"single/{effect}/3", "single", {effect: 3.0}, repeat=95)
 
 
 @cache
 def record_all(effect: str = "") -> Handed:
-    return records_of(make_case(effect))
+    """Record steps at any tick, and sines; each step costs a simulation in each round of a fit."""
+    rig, seed = rig_of(make_case(effect)), make_case(effect).seed
+    train = (
+        square(1.0, 1.5, seed=seed),
+        fill_and_hold(3, 0.4, seed),
+        multisine(1.2, 0.3, 60.0, 2.5, seed, bias_v=0.05),
+    )
+    held_out = fill_and_hold(2, 0.4, seed + 1000), multisine(1.5, 0.3, 50.0, 2.0, seed + 1000)
+    parts = ([rig.run(each).record for each in part] for part in (train, held_out))
+    return next(parts), next(parts)
 
 
 def record_half(effect: str = "") -> Handed:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.chromium import look, printed
-from support.made_records import measured, pair
+from support.made_records import ask_only, measured, pair
 from typer.testing import CliRunner
 
 from pamctl.cli.app import app
@@ -39,7 +39,8 @@ DEAD_BAND = {"valve_deadband__fill_width_v": 0.25, "valve_deadband__exhaust_widt
 @pytest.fixture(scope="module")
 def named() -> Diagnosis:
     """A real diagnosis: the start model lacks the rig's dead band."""
-    found = diagnose(*pair(**DEAD_BAND), PlantSettings())
+    asked = ask_only("valve_deadband", "valve_curve", "exhausting~curve", "chamber_leak")
+    found = diagnose(*pair(**DEAD_BAND), PlantSettings(), without=asked)
     assert found.verdict is Verdict.NAMED
     return found
 
@@ -260,7 +261,7 @@ def test_bad_data_have_a_page_with_the_reason_and_the_columns_as_given():
 
 def test_a_log_without_a_command_has_a_page_of_the_mechanics_alone():
     alone = replace(measured("fit", 1), valve_v=None)
-    found = diagnose([alone], [], PlantSettings())
+    found = diagnose([alone], [], PlantSettings(), without=ask_only("coulomb_friction"))
     html = write_html(build_diagnosis_page(found, [alone]))
     assert html.count('class="levels"') == 1
     assert "Valve command" not in html

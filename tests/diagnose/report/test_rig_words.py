@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.made_records import names_of
+from support.made_records import ask_only, list_asked, names_of
 
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, report_diagnosis
 from pamctl.diagnose.plant_numbers import FittedNumber
@@ -74,7 +74,7 @@ def records() -> list[Record]:
 
 @pytest.fixture(scope="module")
 def found(records: list[Record]) -> Diagnosis:
-    others = {*CATALOGUE} - {"coulomb_friction", "cubic_stiffness"}
+    others = ask_only("coulomb_friction", "cubic_stiffness", "late", of=list_asked(records, AXIS))
     return diagnose(records[:1], records[1:], AXIS, without=others)
 
 
@@ -120,7 +120,7 @@ def test_signal_and_residual_share_a_picture(found: Diagnosis, records: list[Rec
 
 def test_an_accepted_doubt_is_in_the_document_and_on_the_page(records: list[Record]) -> None:
     gauge = [replace(r, pressure_pa=np.full(len(r), 1e4) + 10.0 * np.sin(r.t_s)) for r in records]
-    others = {*CATALOGUE} - {"cubic_stiffness"}
+    others = ask_only("cubic_stiffness", of=list_asked(gauge, AXIS))
     reason = "a vacuum chamber"
     kept = diagnose(gauge[:1], gauge[1:], AXIS, without=others, accept={"pressure_unit": reason})
     (entry,) = build_diagnosis_document(kept)["accepted"]
@@ -147,8 +147,9 @@ def test_a_chamber_of_constant_volume_is_diagnosed_without_a_position() -> None:
     leak = {"chamber_leak": {"area_m2": 5e-8}}
     truth = PlantSettings.model_validate({**base, "effects": leak})
     records = [chamber_record(seed, truth) for seed in (1, 2)]
-    others = {*CATALOGUE} - {"chamber_leak", "valve_deadband"}
-    found = diagnose(records[:1], records[1:], PlantSettings.model_validate(base), without=others)
+    plant = PlantSettings.model_validate(base)
+    others = ask_only("chamber_leak", "valve_deadband", of=list_asked(records, plant))
+    found = diagnose(records[:1], records[1:], plant, without=others)
     assert found.verdict is Verdict.NAMED
     assert names_of(found) == ["chamber_leak"]
     (area,) = (n for n in found.numbers if n.name == "chamber_leak.area_m2")

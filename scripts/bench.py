@@ -4,8 +4,6 @@
     python scripts/bench.py . ../other-checkout --rounds 3 > pair.json
     python scripts/bench.py --only cold          # from an empty home: with all compiling
     python scripts/bench.py --only wake_up,wake_up_under_hogs,drift
-    python scripts/bench.py --only plant,laws --rounds 15
-    python scripts/bench.py --only deaths --rounds 10 --minutes 30
     python scripts/bench.py --only emergency_stop --rounds 5
 
 Without `--only`: what the verbs cost. JSON on stdout, a table on stderr: the median over the rounds
@@ -22,12 +20,8 @@ that starves a loop, is named under `failed`.
   belongs to the hypervisor: `stalls_ms` is the time lost in wake-ups later than 0.2 ms,
   `queued_ms` the time that this kernel let the process wait for a CPU. A stall that was not queued
   happened below the kernel.
-- `plant`, `laws`: speed of the simulation, its distance from the converged solution, and the cost
-  of each law in the real-time loop.
-- `deaths`: a signal ends one process of a run, see `fault_rounds.py`; the time to the safe voltage.
-  The stand-in starts four threads of its own, as a driver library may; a third bench has none. Its
-  registers are memory: `read` and `io` of `live_card` are the times of the nidaqmx package and of
-  our code around it, not those of a card.
+- `live_card`: the stand-in's registers are memory: `read` and `io` are the times of the nidaqmx
+  package and of our code around it, not those of a card.
 - `emergency_stop`: from before a client connects until the output is at the safe voltage.
 """
 
@@ -68,8 +62,6 @@ PERIOD_NS, DRIFT_TICKS = 1_000_000, 20_000
 STALL_US = 200.0
 
 Figures = dict[str, float]
-Cases = dict[str, Figures]
-"""Figures by case."""
 
 
 class CallFailed(Exception):
@@ -457,7 +449,7 @@ def under_hogs(measure: Callable[[Checkout], Figures]) -> Callable[[Checkout], F
     return measure_under_hogs
 
 
-def in_worker(worker: str) -> Callable[[Checkout], Any]:
+def in_worker(worker: str) -> Callable[[Checkout], Figures]:
     """Return the measure of a worker."""
     return lambda checkout: checkout.work(worker)
 
@@ -473,60 +465,14 @@ WAKE_UPS: dict[str, Callable[[Checkout], Figures]] = {
 }
 
 
-def time_simulation(what: str) -> Cases:
-    """Time the plant or the laws; imported late, as few workers need it."""
-    import simulation_speed
-
-    found: Cases = getattr(simulation_speed, f"time_{what}")()
-    return found
-
-
 WORKERS: dict[str, Callable[[int], Any]] = {
     "grid": lambda ticks: wait_on_grid(ticks, spin=False),
     "grid-spin": lambda ticks: wait_on_grid(ticks, spin=True),
     "grid-spin-phase0": lambda ticks: wait_on_grid(ticks, spin=True, phase_ns=0),
     "plain-sleep": sleep_plainly,
     "drift": lambda _: follow_grid(DRIFT_TICKS),
-    "plant": lambda _: time_simulation("plant"),
-    "laws": lambda _: time_simulation("laws"),
 }
 """What runs in a fresh process, from the number of ticks."""
-
-
-# --- deaths --------------------------------------------------------------------------------------
-
-DEATHS = {
-    ("loop", "killed"): 20.0,
-    ("loop", "frozen"): 100.0,
-    ("guardian", "killed"): 100.0,
-    ("guardian", "frozen"): 100.0,
-    ("recorder", "killed"): 100.0,
-    ("front", "killed"): 100.0,
-}
-"""Process and signal, and the limit for the time to the safe voltage in ms."""
-BENCHES = {"sim": (0, "4"), "nidaq": (1, "4"), "nidaq without foreign threads": (1, "0")}
-"""Which of the benches of `fault_rounds.py`, and the number of the stand-in's threads."""
-
-
-def death(bench: str, process: str, how: str) -> Callable[[Checkout], Figures]:
-    """Return the measure from a signal to the safe voltage, and of ticks lost."""
-
-    def measure(checkout: Checkout) -> Figures:
-        from fault_rounds import Amiss, benches, round_of
-
-        index, threads = BENCHES[bench]
-        with tempfile.TemporaryDirectory() as folder, benches(Path(folder)) as rigs:
-            path = os.pathsep.join(
-                (str(checkout.root), rigs[index].environment.get("PYTHONPATH", ""))
-            )
-            more = {"PYTHONPATH": path.rstrip(os.pathsep), "STANDIN_THREADS": threads}
-            rig = rigs[index]._replace(environment={**rigs[index].environment, **more})
-            try:
-                return round_of(rig, [(process, how)], Path(folder) / "run.mcap")
-            except (Amiss, subprocess.TimeoutExpired) as reason:
-                raise CallFailed(str(reason)) from reason
-
-    return measure
 
 
 # --- the daemon ----------------------------------------------------------------------------------
@@ -646,9 +592,9 @@ def stop_at_once(daemon: Daemon) -> float:
 
 
 class Measure(NamedTuple):
-    """Cases that are called in turn; a call gives the figures of its case, or those of several."""
+    """Cases that are called in turn; a call gives the figures of its case."""
 
-    calls: dict[str, Callable[[Checkout], Any]]
+    calls: dict[str, Callable[[Checkout], Figures]]
     base: str = ""
     """The case whose figures of the same round the others are divided by."""
 
@@ -677,15 +623,6 @@ MEASURES: dict[str, Measure] = {name: Measure({"": measure}) for name, measure i
         {name: under_hogs(measure) for name, measure in WAKE_UPS.items()}, "cyclictest"
     ),
     "drift": Measure({"": in_worker("drift")}),
-    "plant": Measure({"": in_worker("plant")}, "compiled, 2 steps"),
-    "laws": Measure({"": in_worker("laws")}, "pid"),
-    "deaths": Measure(
-        {
-            f"{bench}, {process} {how}": death(bench, process, how)
-            for bench in BENCHES
-            for process, how in DEATHS
-        }
-    ),
     "emergency_stop": Measure({"": measure_emergency_stops}),
 }
 
@@ -710,21 +647,7 @@ TARGETS = [
         for clock in ("grid", "run")
         for share, limit in zip(("p50", "p99"), limits, strict=True)
     ),
-    Target("plant", "compiled, 2 steps", "square_error_um", "median", 1.0),
-    Target("plant", "compiled, 2 steps", "small_error_um", "median", 1.0),
-    Target("plant", "compiled, 2 steps", "times_real_time", "median", 1000.0, at_least=True),
-    Target("plant", "plain, 2 steps", "times_real_time", "median", 100.0, at_least=True),
-    *(
-        Target("laws", law, "closed_loop_times_real_time", "median", 500.0, at_least=True)
-        for law in ("qsmc", "smc", "pid")
-    ),
-    Target("laws", "qsmc", "step_us", "ratio", 1.5),
-    Target("laws", "qsmc", "tick_p50_us", "median", 6.0),
-    *(
-        Target("deaths", f"{bench}, {process} {how}", "safe_after_ms", "most", limit_ms)
-        for bench in BENCHES
-        for (process, how), limit_ms in DEATHS.items()
-    ),
+    Target("fast", "", "times_real_time", "median", 500.0, at_least=True),
 ]
 
 
@@ -763,24 +686,23 @@ def measure_in_turn(
     found: dict[str, dict[str, Rounds]] = {}
     for index in range(given.rounds):
         first = index % max(1, len(calls))  # no case always follows the same neighbour
-        for called in [*calls, *calls][first : first + len(calls)]:
+        for case in [*calls, *calls][first : first + len(calls)]:
             for which, checkout in list(checkouts.items())[:: 1 if index % 2 else -1]:
                 if time.monotonic() > until_s:
                     return found
                 additions_s, reason = time_additions(), ""
+                figures: Figures | None = None
                 try:
-                    got = calls[called](checkout)
+                    figures = calls[case](checkout)
                 except CallFailed as failure:
-                    got, reason = None, str(failure)
-                is_one = got is None or not isinstance(next(iter(got.values())), dict)
-                for case, figures in ({called: got} if is_one else got).items():
-                    rounds = found.setdefault(case, {}).setdefault(which, Rounds([], [], []))
-                    rounds.figures.extend([None] * (index - len(rounds.figures)) + [figures])
-                    rounds.additions_s.append(additions_s)
-                    rounds.failed.extend([reason] if reason else [])
-                    label = " ".join(filter(None, (name, case, which)))
-                    said = reason or tell(figures or {})
-                    print(f"{label} round {index + 1}: {said}", file=sys.stderr, flush=True)
+                    reason = str(failure)
+                rounds = found.setdefault(case, {}).setdefault(which, Rounds([], [], []))
+                rounds.figures.append(figures)
+                rounds.additions_s.append(additions_s)
+                rounds.failed.extend([reason] if reason else [])
+                label = " ".join(filter(None, (name, case, which)))
+                said = reason or tell(figures or {})
+                print(f"{label} round {index + 1}: {said}", file=sys.stderr, flush=True)
     return found
 
 

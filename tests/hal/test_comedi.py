@@ -17,7 +17,7 @@ from support.runs import (
 from hal.comedi import libcomedi
 from hal.comedi.comedi_backend import ComediSettings
 from hal.comedi.comedi_rig import ComediRig
-from hal.rig import RigError, open_rig
+from hal.rig import RigError
 
 SAFE_V = 1.25
 FILL_V = 10.0
@@ -79,19 +79,6 @@ def test_the_encoder_counts_on_the_lines_that_it_is_wired_to(
     counts = rig.read().encoder_counts
     assert (abs(counts) > 2000) == (counted != 0)
     assert counts * counted >= 0
-
-
-def test_lines_above_9_have_numbers_of_their_own(card: Card, make: Make) -> None:
-    """The kernel's header numbers PFI 10 to 15 apart from PFI 0 to 9."""
-    card.stop_time()
-    for line in range(15):
-        card.power_up()
-        card.stop_time()
-        card.registers.encoder_pfi = (line, line + 1)
-        with open_rig(make(encoder_a_pfi=line, encoder_b_pfi=line + 1)) as rig:
-            rig.write(FILL_V)
-            card.set_time_ns(300 * MS)
-            assert rig.read().encoder_counts > 2000
 
 
 def test_once_opened_it_says_which_library_card_and_calibration_it_uses(

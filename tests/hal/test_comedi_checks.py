@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from standin.standin import Card, here_behind_comedi
-from support.card_rigs import use_card
+from support.card_rigs import make_pci_card, use_card
 
 from hal.card import PciCard, find_pci_cards
 from hal.comedi import comedi_backend, libcomedi
@@ -34,21 +34,10 @@ def card() -> Iterator[Card]:
     yield from use_card(here_behind_comedi())
 
 
-def make_slot(directory: Path, slot: str, vendor: str, driver: str) -> None:
-    """Write what the kernel shows of one PCI device; the card's number is a PCI-6221's."""
-    place = directory / "devices" / slot
-    place.mkdir(parents=True)
-    (place / "vendor").write_text(f"{vendor}\n")
-    (place / "device").write_text("0x70af\n")
-    if driver:
-        (directory / "drivers" / driver).mkdir(parents=True, exist_ok=True)
-        (place / "driver").symlink_to(directory / "drivers" / driver)
-
-
 @pytest.fixture
 def examine(card: Card, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Examine:
     """Examine the card in a PC whose driver `ni_pcimio` holds it."""
-    make_slot(tmp_path, "0000:05:00.0", "0x1093", "ni_pcimio")
+    make_pci_card(tmp_path / "devices", "ni_pcimio")
     monkeypatch.setattr(comedi_backend, "PCI_DEVICES", tmp_path / "devices")
 
     def examine_one(*overrides: str) -> dict[str, Problem]:
@@ -74,9 +63,9 @@ def test_a_sound_card_has_nothing_but_ok(examine: Examine, card: Card) -> None:
 
 
 def test_only_ni_s_cards_are_listed_each_with_its_driver(tmp_path: Path) -> None:
-    make_slot(tmp_path, "0000:05:00.0", "0x1093", "")
-    make_slot(tmp_path, "0000:04:00.0", "0x1093", "ni_pcimio")
-    make_slot(tmp_path, "0000:00:02.0", "0x8086", "i915")
+    make_pci_card(tmp_path / "devices", "")
+    make_pci_card(tmp_path / "devices", "ni_pcimio", slot="0000:04:00.0")
+    make_pci_card(tmp_path / "devices", "i915", slot="0000:00:02.0", vendor="0x8086")
     assert find_pci_cards(tmp_path / "devices") == [
         PciCard("0000:04:00.0", "0x70af", "ni_pcimio"),
         PciCard("0000:05:00.0", "0x70af", ""),

@@ -8,13 +8,13 @@ import random
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from standin.standin import COMEDI_SONAME, Card, library, require_compiler
 from support.patience import BUSY_PC, PATIENCE_S
+from support.processes.card_runs import await_writes
 from support.runs import AO_STEP_V
 
 from pamctl.log.reader import read
@@ -57,14 +57,6 @@ def start(own: Card, *command: str, **environment: str | None) -> subprocess.Pop
 
 
 RUN = ("run", "--quiet", "--log", "run.mcap")
-
-
-def await_writes(own: Card, process: subprocess.Popen[str], writes: int) -> None:
-    deadline_s = time.monotonic() + PATIENCE_S
-    while own.registers.ao_writes < writes:
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < deadline_s, "the loop does not write"
-        time.sleep(0.02)
 
 
 @pytest.mark.long

@@ -6,24 +6,10 @@ import platform
 from pathlib import Path
 
 import pytest
+from support.card_rigs import make_pci_card
 
 from hal.nidaq.nidaq_backend import examine_kernel
 from hal.problem import Problem
-
-
-def make_card(pci: Path, driver: str, iommu: str = "") -> None:
-    slot = pci / "0000:05:00.0"
-    slot.mkdir(parents=True)
-    (slot / "vendor").write_text("0x1093\n")
-    (slot / "device").write_text("0x70af\n")
-    if driver:
-        (pci / "drivers" / driver).mkdir(parents=True)
-        (slot / "driver").symlink_to(pci / "drivers" / driver)
-    if iommu:
-        group = pci.parent / "groups" / "7"
-        group.mkdir(parents=True)
-        (group / "type").write_text(f"{iommu}\n")
-        (slot / "iommu_group").symlink_to(group)
 
 
 def make_module(dkms: Path, name: str, release: str) -> None:
@@ -36,7 +22,7 @@ def examine(place: Path, *, is_clocked: bool = True) -> dict[str, Problem]:
 
 
 def test_a_card_that_ni_s_driver_holds_is_well(tmp_path: Path) -> None:
-    make_card(tmp_path / "pci", "niraptnonusb", "identity")
+    make_pci_card(tmp_path / "pci", "niraptnonusb", iommu="identity")
     make_module(tmp_path / "dkms", "nikal", platform.release())
     found = examine(tmp_path)
     assert {finding.level for finding in found.values()} == {"ok"}
@@ -44,7 +30,7 @@ def test_a_card_that_ni_s_driver_holds_is_well(tmp_path: Path) -> None:
 
 
 def test_a_card_that_the_kernel_s_own_driver_took_has_two_ways_out(tmp_path: Path) -> None:
-    make_card(tmp_path / "pci", "ni_pcimio")
+    make_pci_card(tmp_path / "pci", "ni_pcimio")
     found = examine(tmp_path)["card.kernel_driver"]
     assert found.level == "fault"
     assert "0000:05:00.0 (0x70af) is held by ni_pcimio" in found.message
@@ -53,7 +39,7 @@ def test_a_card_that_the_kernel_s_own_driver_took_has_two_ways_out(tmp_path: Pat
 
 
 def test_a_card_that_nobody_holds_points_to_the_modules(tmp_path: Path) -> None:
-    make_card(tmp_path / "pci", "")
+    make_pci_card(tmp_path / "pci", "")
     make_module(tmp_path / "dkms", "nikal", "5.15.0-old")
     make_module(tmp_path / "dkms", "nipalk", platform.release())
     found = examine(tmp_path)
@@ -77,7 +63,7 @@ def test_without_a_card_on_the_bus_the_doctor_warns_and_says_no_more(tmp_path: P
 def test_an_iommu_in_the_way_matters_to_a_clocked_card(
     tmp_path: Path, kind: str, is_clocked: bool, level: str
 ) -> None:
-    make_card(tmp_path / "pci", "niraptnonusb", kind)
+    make_pci_card(tmp_path / "pci", "niraptnonusb", iommu=kind)
     found = examine(tmp_path, is_clocked=is_clocked)["card.iommu"]
     assert found.level == level
     if level == "warning":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 from standin.standin import Card, permit
@@ -79,3 +80,27 @@ def make_and_close(card: Card, make: Callable[..., Rig]) -> Iterator[Callable[..
     card.registers.is_gone = 0
     for rig in made:
         rig.close()
+
+
+def make_pci_card(
+    devices: Path,
+    driver: str,
+    *,
+    slot: str = "0000:05:00.0",
+    vendor: str = "0x1093",
+    iommu: str = "",
+) -> None:
+    """Write what the kernel shows of one PCI device; its number is a PCI-6221's."""
+    place = devices / slot
+    place.mkdir(parents=True)
+    (place / "vendor").write_text(f"{vendor}\n")
+    (place / "device").write_text("0x70af\n")
+    if driver:
+        holder = devices.parent / "drivers" / driver
+        holder.mkdir(parents=True, exist_ok=True)
+        (place / "driver").symlink_to(holder)
+    if iommu:
+        group = devices.parent / "groups" / "7"
+        group.mkdir(parents=True)
+        (group / "type").write_text(f"{iommu}\n")
+        (place / "iommu_group").symlink_to(group)

@@ -31,11 +31,10 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / "scripts")]
 
 from hidden.effects import SINGLES  # noqa: E402
 from hidden.examination.cases import Case  # noqa: E402
-from hidden.examination.examine import records_of, rig_of  # noqa: E402
 from hidden.examination.truth_values import NEUTRAL as HIDDEN_NEUTRAL  # noqa: E402
 from hidden.examination.truth_values import TRUE  # noqa: E402
 from hidden.excitations import PROGRAMS  # noqa: E402
-from hidden.hostile.trial import TRUTH_NAMES  # noqa: E402
+from hidden.hostile.lab import TRUTH_NAMES  # noqa: E402
 from hidden.sensors import ADC_STEP_PA, ENCODER_STEP_M  # noqa: E402
 from measured_table import format_table, write_measured  # noqa: E402
 from resumable_study import run_resumable  # noqa: E402
@@ -99,8 +98,7 @@ def run_hidden_rig(task: Task) -> tuple[Runs, dict[str, float]]:
         encoder_homed=task.effect != "external_load",
         repeat=task.seed,
     )
-    rig = rig_of(case)
-    train, held = records_of(case)
+    rig, (train, held) = case.rig, case.records()
     true = {name: getattr(rig.truth, TRUTH_NAMES[name]) for name in OFF}
     for name, number in TRUE.get(task.effect, {}).items():
         if not math.isclose(number(rig), HIDDEN_NEUTRAL.get(name, 0.0), abs_tol=1e-15):

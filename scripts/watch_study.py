@@ -31,8 +31,7 @@ from resumable_study import Outcome, run_resumable
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from hidden.excitations import Excitation, multisine, tracking
-from hidden.hostile.lab import FITTED
-from hidden.hostile.trial import TRUTH_NAMES
+from hidden.hostile.lab import FITTED, TRUTH_NAMES
 from hidden.rig import HiddenRig, hidden_rig
 
 from pamctl.diagnose.record import Record

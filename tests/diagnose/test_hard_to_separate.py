@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 from hidden.examination.cases import Case
-from hidden.examination.examine import records_of, rig_of, start_plant
 from support.made_records import ask_only, names_of, numbers_of, pair, to_records
 
 from pamctl.diagnose import Diagnosis, Verdict, diagnose
@@ -14,7 +13,7 @@ from pamctl.plant.model import PlantSettings
 
 def _diagnose(case: Case, *asked: str) -> Diagnosis:
     """Diagnose a case; `asked` are the effects and laws that may be named."""
-    return diagnose(*to_records(records_of(case)), start_plant(case), without=ask_only(*asked))
+    return diagnose(*to_records(case.records()), case.start_plant(), without=ask_only(*asked))
 
 
 def test_a_dead_volume_is_told_from_a_line_and_a_scale() -> None:
@@ -22,7 +21,7 @@ def test_a_dead_volume_is_told_from_a_line_and_a_scale() -> None:
     found = _diagnose(case, "dead_volume", "line_restriction", "encoder_scale", "volume~")
     assert names_of(found) == ["dead_volume"]
     (volume,) = (n for n in found.numbers if n.name == "dead_volume.volume_m3")
-    assert volume.value == pytest.approx(rig_of(case).truth.dead_m3, rel=0.05)
+    assert volume.value == pytest.approx(case.rig.truth.dead_m3, rel=0.05)
 
 
 def test_a_ratio_of_heat_capacities_is_no_rival_of_the_valve() -> None:
@@ -47,14 +46,14 @@ def test_the_width_of_a_play_is_found_with_the_pressure_of_the_muscle_behind_it(
     found = _diagnose(case, "encoder", "coulomb_friction", "hysteresis", "presliding")
     assert found.verdict is Verdict.NAMED
     width_m = numbers_of(found)["encoder_backlash.width_m"]
-    assert width_m == pytest.approx(rig_of(case).truth.backlash_m, abs=2e-6)
+    assert width_m == pytest.approx(case.rig.truth.backlash_m, abs=2e-6)
 
 
 def test_steep_stribeck_friction_is_named_with_its_numbers() -> None:
     case = Case("single/stribeck/10", "single", {"stribeck": 10}, program="brief")
     found = _diagnose(case, "stribeck", "friction", "damping~")
     assert names_of(found) == ["stribeck"]
-    truth, values = rig_of(case).truth, numbers_of(found)
+    truth, values = case.rig.truth, numbers_of(found)
     assert values["stribeck.rise"] == pytest.approx(truth.stribeck, rel=0.02)
     assert values["stribeck.speed_m_per_s"] == pytest.approx(truth.stribeck_m_per_s, rel=0.05)
 
@@ -64,7 +63,7 @@ def test_a_quick_valve_behind_a_dead_band_is_no_delay() -> None:
                 program="brief", repeat=96)  # fmt: skip
     found = _diagnose(case, "valve", "command", "opening~", "filling~", "exhausting~", "line")
     assert set(names_of(found)) == {"valve_deadband", "valve_spool"}
-    true_s = 1.0 / rig_of(case).truth.spool_rad_per_s
+    true_s = 1.0 / case.rig.truth.spool_rad_per_s
     assert numbers_of(found)["valve_spool.time_constant_s"] == pytest.approx(true_s, rel=0.02)
 
 
@@ -74,7 +73,7 @@ def test_a_load_that_was_not_weighed_is_a_mass_and_no_late_column() -> None:
     assert found.verdict is Verdict.MISCALIBRATED
     (fault,) = list_faults(found)
     assert (fault.kind, fault.number) == ("plant_constant", "mass_kg")
-    assert fault.value == pytest.approx(rig_of(case).truth.mass_kg, rel=0.02)
+    assert fault.value == pytest.approx(case.rig.truth.mass_kg, rel=0.02)
 
 
 def test_a_drooping_supply_is_named_beside_a_hysteretic_spring() -> None:

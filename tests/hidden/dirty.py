@@ -16,10 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hidden.effects import apply
+from hidden.examination.cases import plant_on_paper
 from hidden.excitations import PROGRAMS, Excitation
 from hidden.rig import HiddenRig, Record, hidden_rig, in_floors
 from hidden.rungs import Cause, Rung, Where, carried_rung, named_cause
 from hidden.sensors import ADC_STEP_PA, ENCODER_STEP_M, Sensors, remember
+from pamctl.plant.model import PlantSettings
 
 Array = NDArray[np.float64]
 Shape = Mapping[str, float]
@@ -252,6 +254,10 @@ class DirtyRig:
         rig = self.affected if self.is_hidden else self.clean
         train, held_out = ([run_dirty(rig, r, self.dirts) for r in runs] for runs in self.programs)
         return train, held_out
+
+    def start_plant(self) -> PlantSettings:
+        """Return what the user knows of the rig."""
+        return plant_on_paper(self.actuator)
 
     @property
     def causes(self) -> list[Cause]:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import yaml
 
@@ -19,10 +19,8 @@ from hidden.ball_screw_drive import BallScrewCase, ball_screw_cases
 from hidden.dirty import DirtyRig
 from hidden.effects import CALLED, OUT_OF_CATALOGUE, SINGLES
 from hidden.examination import cases as suite
-from hidden.examination import examine
-from hidden.examination.cases import PAIRS, Case
+from hidden.examination.cases import PAIRS, Case, plant_on_paper
 from hidden.examination.oracle import SURE, oracle_of
-from hidden.hostile import trial
 from hidden.hostile.lab import FITTED
 from hidden.hostile.misread import NULLS, NullCase
 from hidden.hostile.situations import HostileCase, Situation, all_cases, all_situations
@@ -41,6 +39,7 @@ from hidden.rungs import (
     where_of,
 )
 from hidden.uncatalogued import UNCATALOGUED
+from pamctl.plant.model import PlantSettings
 
 Handed = tuple[list[Record], list[Record]]
 Made = tuple[Handed, Mapping[str, Any]]
@@ -134,12 +133,22 @@ def _hidden_case(kind: str, name: str, effects: dict[str, float], seed: int) -> 
     case = Case(f"{kind}/{name}", kind, {**effects}, program=PROGRAM, repeat=seed,
                 encoder_homed="external_load" not in effects)  # fmt: skip
 
-    return ScoredCase(f"{case.id}#{seed}", kind, partial(_from_hidden, case),
+    return ScoredCase(f"{case.id}#{seed}", kind, partial(_make, case),
                       partial(_hidden_causes, effects))  # fmt: skip
 
 
-def _from_hidden(case: Case) -> Made:
-    return examine.records_of(case), examine.start_plant(case).model_dump()
+class _Drawn(Protocol):
+    """A case of any suite."""
+
+    def records(self) -> Handed:
+        """Return the records to fit, and those to judge by."""
+
+    def start_plant(self) -> PlantSettings:
+        """Return the user's plant file."""
+
+
+def _make(case: _Drawn) -> Made:
+    return case.records(), case.start_plant().model_dump()
 
 
 def _hidden_causes(effects: dict[str, float]) -> list[Cause]:
@@ -155,7 +164,7 @@ def _cause_of(effect: str, multiple: float, program: str) -> Cause:
 def _suite_case(case: Case) -> ScoredCase:
     key = f"{case.id}#{case.repeat}@{case.program}"
     refusal = (".",) if case.group == "bad" else ()
-    return ScoredCase(key, case.group, partial(_from_hidden, case), partial(_suite_causes, case),
+    return ScoredCase(key, case.group, partial(_make, case), partial(_suite_causes, case),
                       refusal=refusal, without=case.removed)  # fmt: skip
 
 
@@ -187,12 +196,7 @@ def _removed_cause(name: str, multiple: float, program: str) -> Cause:
 def _on_ball_screw(case: BallScrewCase) -> ScoredCase:
     causes = [named_cause(name) for name in sorted(case.names)]
     causes.append(named_cause("external_load", "none"))
-    return ScoredCase(case.id, "ball_screw", partial(_from_ball_screw, case),
-                      partial(list, causes))  # fmt: skip
-
-
-def _from_ball_screw(case: BallScrewCase) -> Made:
-    return case.records(), case.start_plant().model_dump()
+    return ScoredCase(case.id, "ball_screw", partial(_make, case), partial(list, causes))
 
 
 def _singles(seed: int) -> Iterator[ScoredCase]:
@@ -223,7 +227,7 @@ def _nulls(seed: int) -> Iterator[ScoredCase]:
 
 def _misread(kind: str, seed: int) -> ScoredCase:
     case = NullCase(kind, seed)
-    return ScoredCase(f"misread/{case.key}", "null", partial(_with_paper, case.records),
+    return ScoredCase(f"misread/{case.key}", "null", partial(_make, case),
                       partial(_misreadings, kind))  # fmt: skip
 
 
@@ -234,10 +238,6 @@ def _misreadings(kind: str) -> list[Cause]:
     there |= {("pressure_sensor", "lag")} if lab.filter_hz else set()
     names = frozenset({"clock_rate.t_s"} if lab.time_rate else ())
     return [Cause(kind, frozenset(there), "none", names)] if there or names else []
-
-
-def _with_paper(record: Callable[[], Handed]) -> Made:
-    return record(), examine.start_plant(Case("", "")).model_dump()
 
 
 @dataclass(frozen=True)
@@ -260,12 +260,8 @@ def _hostile(seed: int) -> Iterator[ScoredCase]:
 
 def _hostile_case(situation: Situation, size: str, excitation: str, seed: int) -> ScoredCase:
     case = _DrawnHostile(situation, size, excitation, seed)
-    return ScoredCase(f"hostile/{case.id}#{seed}", situation.group, partial(_from_hostile, case),
+    return ScoredCase(f"hostile/{case.id}#{seed}", situation.group, partial(_make, case),
                       partial(_hostile_causes, case), refusal=case.answer.refusal)  # fmt: skip
-
-
-def _from_hostile(case: HostileCase) -> Made:
-    return trial.records_of(case), trial.start_plant(case).model_dump()
 
 
 def _hostile_causes(case: HostileCase) -> list[Cause]:
@@ -294,11 +290,7 @@ def _dirty(seed: int) -> Iterator[ScoredCase]:
     for rig in (*rigs, DirtyRig(seed, actuator="direct")):
         beside = rig.effect if rig.is_hidden else "none"
         yield ScoredCase(f"dirty/{rig.actuator}/{beside}#{rig.seed}", "dirty",
-                         partial(_from_dirty, rig), partial(getattr, rig, "causes"))  # fmt: skip
-
-
-def _from_dirty(rig: DirtyRig) -> Made:
-    return rig.records(), examine.start_plant(Case("", "", actuator=rig.actuator)).model_dump()
+                         partial(_make, rig), partial(getattr, rig, "causes"))  # fmt: skip
 
 
 TERM_WHERE: dict[str, str] = {
@@ -315,7 +307,7 @@ def _uncatalogued(seed: int) -> Iterator[ScoredCase]:
     for name in _in_turn(truths, seed, 2):
         cause = _unnamed_cause(name)
         yield ScoredCase(f"uncatalogued/{name}#{seed}", "uncatalogued",
-                         partial(_with_paper, partial(_beyond_catalogue, name, seed)),
+                         partial(_beyond_catalogue, name, seed),
                          partial(list, [cause]))  # fmt: skip
 
 
@@ -327,8 +319,9 @@ def _unnamed_cause(name: str) -> Cause:
     return Cause(name, frozenset(where), "place")
 
 
-def _beyond_catalogue(name: str, seed: int) -> Handed:
-    return next(t for t in UNCATALOGUED if t.name == name).record(PROGRAM, seed)
+def _beyond_catalogue(name: str, seed: int) -> Made:
+    truth = next(t for t in UNCATALOGUED if t.name == name)
+    return truth.record(PROGRAM, seed), plant_on_paper().model_dump()
 
 
 def _measured() -> Iterator[ScoredCase]:

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hidden.changes import half_rate
 from hidden.examination.cases import Case
-from hidden.examination.examine import rig_of, start_plant
 from hidden.excitations import fill_and_hold, multisine, square
 from hidden.score_list import Handed
 from support.made_records import ask_only, names_of, to_records
@@ -33,7 +32,7 @@ def make_case(effect: str = "") -> Case:
 @cache
 def record_all(effect: str = "") -> Handed:
     """Record steps at any tick, and sines; each step costs a simulation in each round of a fit."""
-    rig, seed = rig_of(make_case(effect)), make_case(effect).seed
+    rig, seed = make_case(effect).rig, make_case(effect).seed
     train = (
         square(1.0, 1.5, seed=seed),
         fill_and_hold(3, 0.4, seed),
@@ -52,7 +51,7 @@ def record_half(effect: str = "") -> Handed:
 def lay_out(handed: Handed, **changed: Any) -> tuple[Weigher, Any]:
     train, held_out = to_records(handed)
     train = [replace(r, **{k: v(r) for k, v in changed.items()}) for r in train]
-    return prepare_weigher(train, held_out, start_plant(make_case()))
+    return prepare_weigher(train, held_out, make_case().start_plant())
 
 
 def true_shares(instants: CommandInstants, whole: Mapping[str, Record]) -> np.ndarray:
@@ -114,7 +113,7 @@ def test_each_jump_is_put_back_to_where_it_acted() -> None:
 def test_half_of_the_ticks_say_the_same_as_all_of_them() -> None:
     effect = "valve_asymmetry"
     asked = "valve_asymmetry", "valve_spool", "command_delay", "valve_deadband", "exhausting~"
-    plant = start_plant(make_case(effect))
+    plant = make_case(effect).start_plant()
     found = diagnose(*to_records(record_half(effect)), plant, without=ask_only(*asked))
     assert names_of(found) == [effect]
     assert found.verdict is Verdict.NAMED

@@ -1,4 +1,4 @@
-"""The examination as data: which rig, which excitation, which names were taken away."""
+"""The examination: which rig, which excitation, which names were taken away; and its records."""
 
 from __future__ import annotations
 
@@ -7,7 +7,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+import numpy as np
+
 from hidden.effects import CALLED, OUT_OF_CATALOGUE, SINGLES, Size
+from hidden.excitations import PROGRAMS
+from hidden.rig import PULLED, HiddenRig, Record, hidden_rig
+from pamctl.plant.model import MuscleParameters, PlantSettings
 
 Damage = Literal["", "clipped", "millimetres", "gap", "shifted", "stuck", "missed_ticks"]
 
@@ -34,6 +39,63 @@ class Case:
     def seed(self) -> int:
         """Fixed for a case and a repeat, different for each."""
         return zlib.crc32(f"{self.id}#{self.repeat}".encode()) % 1_000_000
+
+    @property
+    def rig(self) -> HiddenRig:
+        """The rig that the case hides its effects in."""
+        rig = hidden_rig(
+            self.effects, seed=self.seed, miscalibrated=self.miscalibrated, actuator=self.actuator
+        )
+        missed = 3 if self.damage == "missed_ticks" else 0
+        sensors = replace(rig.sensors, encoder_homed=self.encoder_homed, missed_ticks=missed)
+        return replace(rig, sensors=sensors)
+
+    def records(self) -> tuple[list[Record], list[Record]]:
+        """Return the (training, held-out) records as the case's user has them."""
+        rig = self.rig
+        if self.program == "own":
+            from hidden.own_run import own_run  # it needs the tests' own helpers
+
+            return [own_run(rig, "diagnosis", seed=1)], [own_run(rig, "diagnosis", seed=2)]
+        train, held_out = (
+            [damage(rig.run(e).record.without(*self.lacks), self.damage) for e in runs]
+            for runs in PROGRAMS[self.program](self.seed)
+        )
+        return train, held_out
+
+    def start_plant(self) -> PlantSettings:
+        """Return the model that the user starts from."""
+        return plant_on_paper(self.actuator)
+
+
+def plant_on_paper(actuator: str = "muscle") -> PlantSettings:
+    """Return what a user knows of a rig: the paper's muscle, or the carriage's drawing."""
+    if actuator == "muscle":
+        return PlantSettings()
+    drawing = MuscleParameters(
+        mass_kg=PULLED.mass_kg, damping_n_s_per_m=PULLED.damping, stiffness_n_per_m=PULLED.stiffness
+    )
+    return PlantSettings(actuator="direct", parameters=drawing)
+
+
+def damage(record: Record, how: Damage) -> Record:
+    """Return the record with the faults of a careless user."""
+    pressure, position = record.pressure_pa, record.position_m
+    if how in ("", "missed_ticks"):
+        return record
+    if pressure is None or position is None:
+        raise ValueError("only a whole record can be damaged")
+    if how == "clipped":
+        return replace(record, pressure_pa=np.minimum(pressure, 290e3))
+    if how == "millimetres":
+        return replace(record, position_m=position * 1e3)
+    if how == "stuck":
+        return replace(record, position_m=np.full_like(position, position[0]))
+    if how == "shifted":
+        return replace(record, pressure_pa=np.roll(pressure, 40))
+    kept = np.ones(len(pressure), dtype=np.bool_)
+    kept[len(kept) // 2 : len(kept) // 2 + 400] = False
+    return replace(record, **{name: c[kept] for name, c in record.columns().items()})
 
 
 def null_cases(each: int = 100, first: int = 0) -> Iterator[Case]:
@@ -156,8 +218,8 @@ def own_cases() -> Iterator[Case]:
 
 def damaged_cases() -> Iterator[Case]:
     """Records that must be refused, and two with holes that must be accepted."""
-    for damage in ("clipped", "millimetres", "shifted", "stuck"):
-        yield Case(f"bad/{damage}", "bad", {"valve_deadband": 5}, damage=damage)
+    for fault in ("clipped", "millimetres", "shifted", "stuck"):
+        yield Case(f"bad/{fault}", "bad", {"valve_deadband": 5}, damage=fault)
     yield Case("odd/gap", "odd", {"valve_deadband": 5}, damage="gap")
     yield Case("odd/missed_ticks", "odd", {"valve_deadband": 5}, damage="missed_ticks")
 

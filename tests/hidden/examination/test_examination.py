@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from typing import Any
 
 import pytest
+from support.made_records import to_records
 
 from hidden.effects import SINGLES
 from hidden.examination.cases import (
@@ -18,16 +20,22 @@ from hidden.examination.cases import (
     quick_cases,
     single_cases,
 )
-from hidden.examination.examine import examine
 from hidden.examination.oracle import HOPELESS, SURE, oracle_of
+from pamctl.diagnose import diagnose
+from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 
 BRIEF = {case.id: case for case in quick_cases()}
 REFUSED = [replace(c, program="brief") for c in damaged_cases() if c.group == "bad"]
 
 
+def examine(case: Case) -> dict[str, Any]:
+    """Return the document of a case."""
+    return build_diagnosis_document(diagnose(*to_records(case.records()), case.start_plant()))
+
+
 @pytest.mark.long
 def test_a_hidden_effect_is_named_and_its_gap_closed() -> None:
-    document = examine(BRIEF["single/valve_deadband/3"])["document"]
+    document = examine(BRIEF["single/valve_deadband/3"])
     assert document["verdict"] == "named"
     assert [effect["name"] for effect in document["effects"]] == ["valve_deadband"]
     assert document["setup"] == [], "a right set-up is not blamed"
@@ -37,7 +45,7 @@ def test_a_hidden_effect_is_named_and_its_gap_closed() -> None:
 
 @pytest.mark.parametrize("case", REFUSED, ids=lambda case: case.id)
 def test_misleading_data_are_refused_with_the_reason(case: Case) -> None:
-    document = examine(case)["document"]
+    document = examine(case)
     assert document["verdict"] == "bad_data"
     assert document["reason"]
     assert document["effects"] == []

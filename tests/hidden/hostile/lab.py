@@ -29,6 +29,22 @@ FITTED = frozenset({
 })  # fmt: skip
 """Numbers that are really off by a few per cent in every rig: to find them is never false."""
 
+TRUTH_NAMES = {
+    "mass_kg": "mass_kg",
+    "damping_n_s_per_m": "damping",
+    "stiffness_n_per_m": "stiffness",
+    "rest_length_m": "rest_length_m",
+    "braid_length_m": "braid_m",
+    "braid_turns": "turns",
+    "kinetic_friction_per_m": "mu_k",
+    "braid_contact_area_m2": "contact_m2",
+    "tank_pressure_pa": "supply_pa",
+    "atmospheric_pressure_pa": "atmosphere_pa",
+    "temperature_k": "wall_k",
+    "valve_gain_m2_per_v": "valve_m2_per_v",
+}
+"""A number's name in the plant file, and in the truth."""
+
 
 @dataclass(frozen=True)
 class SetupCause:

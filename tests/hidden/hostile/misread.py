@@ -14,6 +14,7 @@ from hidden.hostile.file_of_lab import record_of
 from hidden.hostile.lab import Lab
 from hidden.hostile.programs import compose_open, shake_levels
 from hidden.rig import Record, hidden_rig
+from pamctl.plant.model import PlantSettings
 
 HUM = Lab(hum_hz=50.0)
 SPIKES = Lab(spikes=0.002)
@@ -80,3 +81,7 @@ class NullCase:
         rig = hidden_rig({}, seed=zlib.crc32(self.key.encode()) % 1000)
         made = [record_of(rig, NULLS[self.kind], run, k / 2) for k, run in enumerate(self.excite())]
         return made[:2], made[2:]
+
+    def start_plant(self) -> PlantSettings:
+        """Return the paper's plant."""
+        return PlantSettings()

@@ -8,8 +8,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from hidden.effects import CALLED, Size
+from hidden.hostile.file_of_lab import record_of
 from hidden.hostile.lab import Answer, Channel, Kind, Lab, SetupCause
 from hidden.hostile.programs import EXCITATIONS
+from hidden.rig import HiddenRig, Record, hidden_rig
+from pamctl.plant.model import MuscleParameters, PlantSettings
 
 SIZES = ("small", "large")
 
@@ -65,6 +68,29 @@ class HostileCase:
     def effects(self) -> Effects:
         """What is hidden in the rig besides."""
         return self.situation.effects[self._index]
+
+    @property
+    def rig(self) -> HiddenRig:
+        """Its numbers are a few per cent off the paper's, and its effects hidden."""
+        return hidden_rig(self.effects, seed=self.seed)
+
+    def records(self) -> tuple[list[Record], list[Record]]:
+        """Return the (training, held-out) records as the user's files hold them.
+
+        They were recorded in turn, one to fit and one to judge: what changes from record to record
+        changes in both.
+        """
+        rig, (train, held_out) = self.rig, EXCITATIONS[self.excitation](self.seed)
+        order = [run for pair in zip(train, held_out, strict=True) for run in pair]
+        last = max(len(order) - 1, 1)
+        made = {run.name: record_of(rig, self.lab, run, k / last) for k, run in enumerate(order)}
+        return [made[run.name] for run in train], [made[run.name] for run in held_out]
+
+    def start_plant(self) -> PlantSettings:
+        """Return the plant file that the user typed."""
+        numbers = MuscleParameters().model_dump()
+        numbers |= {name: numbers[name] * by for name, by in self.lab.plant_factors.items()}
+        return PlantSettings(parameters=MuscleParameters(**{**numbers, **self.lab.plant}))
 
 
 def _two(**fields: tuple[Any, Any]) -> Pair:

@@ -18,7 +18,6 @@ from hidden.hostile.file_of_lab import record_of, truth_over_time
 from hidden.hostile.lab import Lab
 from hidden.hostile.programs import EXCITATIONS, random_levels
 from hidden.hostile.situations import HostileCase, all_cases, all_situations
-from hidden.hostile.trial import records_of, rig_of, start_plant
 from hidden.hostile.visible import stored_shares
 from hidden.rig import HiddenRig, hidden_rig
 from hidden.sensors import ENCODER_STEP_M, Sensors
@@ -183,7 +182,7 @@ def test_every_situation_has_two_sizes_over_three_excitations() -> None:
 
 def test_the_plant_file_is_wrong_where_the_case_says_so() -> None:
     for case in all_cases():
-        plant = start_plant(case).parameters
+        plant = case.start_plant().parameters
         usual = PlantSettings().parameters
         wrong = {n for n in type(usual).model_fields if getattr(plant, n) != getattr(usual, n)}
         assert wrong == {*case.lab.plant_factors, *case.lab.plant}
@@ -195,9 +194,9 @@ def test_records_come_back_in_parts_and_change_in_the_order_of_recording(
     runs = [replace(tracking(1.0, seed), name=f"run-{seed}") for seed in range(4)]
     monkeypatch.setitem(EXCITATIONS, "closed", lambda seed: (runs[:2], runs[2:]))
     case = next(c for c in all_cases() if c.id == "stiffness_between/large/closed")
-    train, held_out = records_of(case)
+    train, held_out = case.records()
     assert [len(train), len(held_out)] == [2, 2]
-    again = record_of(rig_of(case), case.lab, runs[0], 0.0)
+    again = record_of(case.rig, case.lab, runs[0], 0.0)
     for name, column in train[0].columns().items():
         assert np.array_equal(column, getattr(again, name))
 

@@ -23,9 +23,9 @@ from hidden.equations.truth import Truth
 from hidden.examination.oracle import HOPELESS
 from hidden.excitations import Excitation
 from hidden.hostile.file_of_lab import record_of
+from hidden.hostile.lab import TRUTH_NAMES
 from hidden.hostile.programs import EXCITATIONS
 from hidden.hostile.situations import HostileCase, all_cases
-from hidden.hostile.trial import TRUTH_NAMES, start_plant
 from hidden.rig import HiddenRig, Record, hidden_rig, in_floors
 from hidden.sensors import Sensors
 
@@ -67,7 +67,7 @@ def measure_share(case: HostileCase) -> float:
         record_of(rig, case.lab, _shorten(run), order)
         for run, order in ((train[0], 0.0), (held_out[-1], 1.0))
     ]
-    typed = start_plant(case).parameters
+    typed = case.start_plant().parameters
     model = Truth(**{mine: getattr(typed, name) for name, mine in TRUTH_NAMES.items()})
     seen = in_floors(files)
     best = np.inf

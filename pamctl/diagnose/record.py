@@ -30,6 +30,7 @@ from pamctl.signals import Phase
 
 if TYPE_CHECKING:
     from pamctl.log.importing.column_map import ImportMap
+    from pamctl.log.importing.pipeline import ImportSummary
 
 Array = NDArray[np.float64]
 
@@ -345,24 +346,38 @@ def _is_log(path: Path) -> bool:
 
 def _import_beside(path: Path, imported: Path, column_map: ImportMap | None) -> tuple[str, ...]:
     """Import a measured file; return how each column was read and what is doubtful."""
+    from pamctl.log.importing.measured_table import MapWanted
     from pamctl.log.importing.pipeline import import_log
 
     try:
         done = import_log(path, imported, column_map)
         if not done.written:
-            wrong = "; ".join(f.message for f in done.findings if f.level == Severity.ERROR)
-            raise pamctl.log.LogError(f"not imported: {wrong}")
+            raise _refuse_import(done, has_map=column_map is not None)
     except pamctl.log.LogError as error:
         named = "" if str(path) in str(error) else f"{path}: "
-        raise pamctl.log.LogError(
-            f"{named}{error}\nA map says what a column holds: write it to MAP.yaml and add --map "
-            f"MAP.yaml, or `pamctl log import {quote(str(path))} OUT.mcap --map MAP.yaml` once"
-        ) from error
+        way_on = (
+            "\nA map says what a column holds: write it to MAP.yaml and add --map MAP.yaml, or "
+            f"`pamctl log import {quote(str(path))} OUT.mcap --map MAP.yaml` once"
+        )
+        wants_map = isinstance(error, MapWanted) and column_map is None
+        raise pamctl.log.LogError(f"{named}{error}{way_on if wants_map else ''}") from error
     read_as = ", ".join(f"{c.name} as {c.read_as}" for c in done.columns if c.read_as)
     unused = ", ".join(f"{c.name} ({c.left_out})" for c in done.columns if c.left_out)
     notes = [f"imported: {read_as}", *([f"not used: {unused}"] if unused else [])]
     notes += [f.message for f in done.findings if f.level == Severity.WARNING]
     return tuple(map(escape_name, notes))
+
+
+def _refuse_import(done: ImportSummary, *, has_map: bool) -> pamctl.log.LogError:
+    """Return why nothing was imported; with a map where one would mend it."""
+    from pamctl.log.importing.column_roles import show_map
+    from pamctl.log.importing.measured_table import MapWanted
+
+    wrong = [f for f in done.findings if f.level == Severity.ERROR or f.key == "map"]
+    text = "not imported: " + "; ".join(f.message for f in wrong)
+    if has_map or not any(f.key == "unit" for f in wrong):
+        return pamctl.log.LogError(text)
+    return MapWanted(show_map(f"{text}; with --map FILE, such as:", done.map_text.splitlines()))
 
 
 def _make_record(path: Path, log: Log, notes: tuple[str, ...]) -> Record:

@@ -4,8 +4,11 @@ from pathlib import Path
 
 import pytest
 
+from pamctl.cli.output import read_map
 from pamctl.log import LogError
+from pamctl.log.importing.column_map import ImportMap
 from pamctl.log.importing.column_roles import HeaderMeaning, understand_header
+from pamctl.log.importing.measured_table import MapWanted
 from pamctl.log.importing.pipeline import import_log
 
 UNDERSTOOD = {
@@ -33,6 +36,16 @@ UNDERSTOOD = {
     "zeit": ("t_s", "", None),
     "Ventil [V]": ("valve_v", "V", None),
     "Druck [bar rel]": ("pressure_pa", "bar", True),
+    "Pression chambre absolue (mbar)": ("pressure_pa", "mbar", False),
+    "Pression relative [bar]": ("pressure_pa", "bar", True),
+    "Presión manométrica (bar)": ("pressure_pa", "bar", True),
+    "Pressione muscolo [kPa assoluta]": ("pressure_pa", "kPa", False),
+    "Pressão absoluta (bar)": ("pressure_pa", "bar", False),
+    "ÜBERDRUCK [mbar]": ("pressure_pa", "mbar", True),
+    "Mando válvula (V)": ("valve_v", "V", None),
+    "Desplazamiento (in)": ("position_m", "in", None),
+    "Bogenweg Gelenk [mm]": ("position_m", "mm", None),
+    "Forza [N]": ("force_n", "N", None),
     "Weg / mm": ("position_m", "mm", None),
     "Joint angle [deg]": ("position_m", "", None),
     "Gelenkwinkel [\N{DEGREE SIGN}]": ("position_m", "", None),
@@ -78,6 +91,8 @@ def write_table(path: Path, head: str, rests: bool = False) -> Path:
         ("t_s,p1 [bar],p2 [bar]", "the pressures of several chambers"),
         ("t_s,Chamber A pressure [bar],Chamber B pressure [bar]", "several chambers"),
         ("t_s,x_1 [mm],x_2 [mm]", "the positions of several joints"),
+        ("t_s,cap side pressure (bar abs),rod side pressure (bar abs)", "several chambers"),
+        ("t_s,shoulder valve (V),elbow valve (V)", "the commands of several valves"),
     ],
 )
 def test_two_valves_chambers_or_joints_are_refused_without_a_map(
@@ -105,6 +120,86 @@ def test_raw_and_filtered_or_a_supply_that_rests_stay_a_question(
         import_log(write_table(tmp_path / "two.csv", head, rests), tmp_path / "two.mcap")
 
 
+def write_map(path: Path, **columns: str) -> ImportMap:
+    """Return a map with these columns beside the time."""
+    lines = [f"{key}: {value}" for key, value in {"time": "{column: t_s}", **columns}.items()]
+    path.write_text("\n".join(lines))
+    return read_map(path) or ImportMap.model_validate({})
+
+
+@pytest.mark.parametrize(
+    ("second", "rests", "is_told"),
+    [
+        ("rod side pressure (bar abs)", False, True),
+        ("p2 [bar]", False, True),
+        ("cap side pressure filtered (bar abs)", False, False),
+        ("supply pressure (bar abs)", False, False),
+        ("rod side pressure (bar abs)", True, False),
+        ("rod side temperature", False, False),
+    ],
+)
+def test_a_map_that_leaves_another_chamber_out_is_told_so(
+    tmp_path: Path, second: str, rests: bool, is_told: bool
+) -> None:
+    name = "cap side pressure (bar abs)"
+    table = write_table(tmp_path / "two.csv", f"t_s,{name},{second}", rests)
+    pressure = f"{{column: '{name}', unit: bar, gauge: false}}"
+    import_map = write_map(tmp_path / "map.yaml", pressure=pressure)
+    done = import_log(table, tmp_path / "two.mcap", import_map, accept_units=True)
+    told = [f.message for f in done.findings if "pressures of several chambers" in f.message]
+    assert bool(told) == is_told
+    assert not told or f"'{second}' is not used, and moves apart from '{name}'" in told[0]
+
+
+def test_a_map_that_says_another_unit_than_the_header_is_followed_and_told(tmp_path: Path) -> None:
+    head = "t_s,Presión manométrica (bar),Desplazamiento (in)"
+    import_map = write_map(
+        tmp_path / "map.yaml",
+        pressure="{column: 2, unit: bar, gauge: false}",
+        position="{column: 3, unit: mm}",
+    )
+    table = write_table(tmp_path / "a.csv", head)
+    done = import_log(table, tmp_path / "a.mcap", import_map, accept_units=True)
+    assert [f.message for f in done.findings if f.key == "map"] == [
+        "'Presión manométrica (bar)' says gauge, and the map absolute: the map is followed",
+        "'Desplazamiento (in)' says in, and the map mm: the map is followed",
+    ]
+
+
+def test_a_refusal_shows_a_map_for_every_quantity_with_the_names_of_the_columns(
+    tmp_path: Path,
+) -> None:
+    head = "t_s,Courant vanne,Sonda (bar),Corrente motore [mA],Regla (mm)"
+    rows = [f"{k / 1000},{k % 7},{2 + k % 5},{k % 3},{k % 4}" for k in range(200)]
+    (tmp_path / "a.csv").write_text("\n".join([head, *rows]))
+    with pytest.raises(MapWanted) as refused:
+        import_log(tmp_path / "a.csv", tmp_path / "a.mcap")
+    lines = str(refused.value).splitlines()[1:]
+    keys = [line.strip(" #").split("  #")[0] for line in lines]
+    assert keys == [
+        "time: {column: 't_s', unit: s}",
+        "valve: {column: 'Courant vanne', unit: V}",
+        "pressure: {column: 'Sonda (bar)', unit: bar, gauge: false}",
+        "position: {column: 'Regla (mm)', unit: mm}",
+        "other columns: 'Corrente motore [mA]'; such as",
+        "force: {column: 'Corrente motore [mA]', unit: N, gain: 1.0}",
+    ]
+    keys.remove("other columns: 'Corrente motore [mA]'; such as")
+    (tmp_path / "map.yaml").write_text("\n".join(keys))
+    import_log(tmp_path / "a.csv", tmp_path / "a.mcap", read_map(tmp_path / "map.yaml"))
+
+
+def test_an_import_without_a_drive_shows_the_map_that_would_name_it(tmp_path: Path) -> None:
+    table = write_table(tmp_path / "a.csv", "t_s,Corrente motore [mA],Posizione [mm]")
+    done = import_log(table, tmp_path / "a.mcap")
+    assert done.written
+    assert "# force: {column: 'Corrente motore [mA]', unit: N, gain: 1.0}" in done.map_text
+    (tmp_path / "map.yaml").write_text(done.map_text.replace("# force", "force"))
+    import_map = read_map(tmp_path / "map.yaml")
+    named = import_log(table, tmp_path / "b.mcap", import_map)
+    assert (named.columns[1].read_as, named.map_text) == ("force_n, N", "")
+
+
 def test_an_angle_is_a_position_once_the_radius_is_said(tmp_path: Path) -> None:
     table = write_table(tmp_path / "joint.csv", "t_s,Joint angle [deg],Pressure [kPa abs]")
     with pytest.raises(LogError) as refused:
@@ -129,5 +224,6 @@ def test_a_mechanism_with_force_and_position_misses_nothing(tmp_path: Path) -> N
 def test_a_column_that_nothing_names_is_listed_and_not_called_a_pressure(tmp_path: Path) -> None:
     with pytest.raises(LogError) as refused:
         import_log(write_table(tmp_path / "a.csv", "t_s,S1,Temperature [degC]"), tmp_path / "a")
-    line = next(text for text in str(refused.value).splitlines() if "other columns" in text)
-    assert "'S1', 'Temperature [degC]'; such as pressure: {column: NAME" in line
+    lines = str(refused.value).splitlines()
+    assert "  # other columns: 'S1', 'Temperature [degC]'; such as" in lines
+    assert not [line for line in lines if line.startswith("  pressure")]

@@ -463,14 +463,29 @@ def test_a_valve_that_switches_gets_no_advice_which_way_round_it_is(tmp_path, le
     assert "offset" not in done.report["map_text"]
 
 
-def test_an_atmosphere_that_is_not_the_shipped_plants_is_told(tmp_path):
+def test_an_atmosphere_that_is_not_the_usual_one_is_told(tmp_path):
     text = (
         "time: {column: 1}\npressure: {column: 3, unit: bar, gauge: true}\n"
         "position: {column: 4, unit: mm}\natmospheric_pressure_pa: 95000\n"
     )
     done = Outcome(write(tmp_path, table()), "--map", str(write(tmp_path, text, "map.yaml")))
-    assert "atmospheric_pressure_pa: 95000" in done.said["warning", "atmosphere"]
+    assert "atmospheric_pressure_pa: 95000" in done.said["note", "atmosphere"]
     np.testing.assert_allclose(done.signals.pressure_pa, BAR * 1e5 + 95000.0)
+
+
+@pytest.mark.parametrize("gauge", ["true", "false"])
+@pytest.mark.parametrize("vented_bar", [0.0, 1.013, 1.4])
+def test_a_pressure_whose_rest_is_twice_the_atmosphere_is_told_to_be_absolute(
+    tmp_path, vented_bar, gauge
+):
+    bar = np.round(np.maximum(3.0 * np.sin(4.0 * T_S), 0.0) + vented_bar, 3)
+    text = f"time: {{column: 1}}\npressure: {{column: 3, unit: bar, gauge: {gauge}}}\n"
+    path = write(tmp_path, table((*HEAD[:2], "P", HEAD[3]), (T_S, VALVE_V, bar, MM)))
+    done = Outcome(path, "--map", str(write(tmp_path, text, "map.yaml")))
+    told = done.said.get(("warning", "gauge"), "")
+    assert ("say `gauge: false`" in told) == (vented_bar == 1.013 and gauge == "true")
+    refused = done.said.get(("error", "unit"), "")
+    assert ("say `gauge: true` in the map" in refused) == (vented_bar == 0.0 and gauge == "false")
 
 
 def test_a_plain_name_goes_before_words_that_mean_the_same(tmp_path):

@@ -296,6 +296,8 @@ def test_a_table_that_is_none_is_refused_with_its_line(tmp_path, text, told):
         ("position: {column: x, unit: mm, offest: 1}", 78, "map.yaml:2:"),
         ("position: {column: x, unit: mm, offest: 1}", 78, "did you mean 'offset'"),
         ("position: {column: x, unit: deg}", 78, "the radius of the pulley or lever in m times"),
+        ("valve: {column: valve_v, unit: mA}", 78, "`unit: V, gain: 0.625, offset: -7.5` for 4 to"),
+        ("force: {column: valve_v, unit: A}", 78, "where G x column + O is in N"),
         ("position: {column: positon_m, unit: m}", 65, "did you mean position_m?"),
         ("valve: {column: valve_v}", 65, "there is neither pressure nor position"),
     ],

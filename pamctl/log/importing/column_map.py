@@ -114,6 +114,32 @@ class _MeasuredMap(Configured):
         ),
     ] = 0.0
 
+    @field_validator("unit", mode="before", check_fields=False)
+    @classmethod
+    def _refuse_other_kind(cls, unit: object) -> object:
+        """Say how a column of another kind, such as a current or an angle, becomes this one."""
+        known, text = UNITS[cls.quantity], str(unit)
+        if not isinstance(unit, str) or text.lower() in map(str.lower, known):
+            return unit
+        if cls.quantity == "position_m" and (radians := RADIANS.get(text.lower())):
+            raise ValueError(
+                f"{unit} is an angle, and a position is an arc: write `unit: m, gain: G`, where G "
+                f"is the radius of the pulley or lever in m times {radians:g}"
+            )
+        si = next(iter(known))
+        example = ""
+        if cls.quantity == "valve_v" and text == "mA":
+            example = ", such as `unit: V, gain: 0.625, offset: -7.5` for 4 to 20 mA"
+        raise ValueError(
+            f"{unit} is none of {', '.join(known)}: is it a slip, or of another kind? Then write "
+            f"`unit: {si}, gain: G, offset: O`, where G x column + O is in {si}{example}"
+        )
+
+
+RADIANS = {"deg": 0.0174533, "degree": 0.0174533, "degrees": 0.0174533,
+           "\N{DEGREE SIGN}": 0.0174533, "rad": 1.0, "radian": 1.0, "radians": 1.0}  # fmt: skip
+"""Radians in a unit of an angle: times the lever's length they make a position."""
+
 
 class ValveMap(_MeasuredMap):
     """The valve command as really applied, -5..5 V, positive fills."""
@@ -148,18 +174,6 @@ class PositionMap(_MeasuredMap):
     quantity: ClassVar[str] = "position_m"
     unit: Literal["m", "mm", "cm", "um", "in"]
     noise: SensorNoise = None
-
-    @field_validator("unit", mode="before")
-    @classmethod
-    def _refuse_angle(cls, unit: object) -> object:
-        """Say how an angle becomes a position: its unit alone does not."""
-        radians = {"deg": 0.0174533, "rad": 1.0}.get(str(unit).lower())
-        if radians is None:
-            return unit
-        raise ValueError(
-            f"{unit} is an angle, and a position is an arc: write `unit: m, gain: G`, where G is "
-            f"the radius of the pulley or lever in m times {radians:g}"
-        )
 
 
 class ForceMap(_MeasuredMap):

@@ -9,7 +9,8 @@ refusal holds a map that can be used as it stands.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+import unicodedata
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -18,6 +19,7 @@ import numpy as np
 
 from pamctl.log.importing.column_map import (
     KEYS,
+    RADIANS,
     TIME,
     UNITS,
     ColumnMap,
@@ -32,6 +34,7 @@ from pamctl.log.importing.column_map import (
 from pamctl.log.importing.measured_table import (
     Floats,
     ImportRefused,
+    MapWanted,
     MeasuredTable,
     TableColumn,
 )
@@ -54,26 +57,45 @@ class HeaderMeaning(NamedTuple):
 
 
 _NAMES: Mapping[str, frozenset[str]] = {
-    TIME: frozenset({"time", "t", "timestamp", "zeit", "messzeit", "uhrzeit", "temps", "tiempo"}),
-    "valve_v": frozenset(
-        {"valve", "command", "cmd", "control", "u", "ao", "ventil", "stell", "stellgroesse"}
-    ),
-    "pressure_pa": frozenset({"pressure", "p", "pm", "druck", "ueberdruck", "pression", "presion"}),
-    "position_m": frozenset(
-        {"position", "pos", "displacement", "disp", "contraction", "stroke", "x", "weg", "hub",
-         "lage", "encoder", "enc", "kontraktion", "auslenkung", "deplacement", "angle", "winkel"}
-    ),
-    "force_n": frozenset({"force", "f", "fm", "kraft", "thrust"}),
+    TIME: frozenset({
+        "time", "t", "timestamp", "zeit", "messzeit", "uhrzeit", "temps", "tiempo", "tempo",
+    }),
+    "valve_v": frozenset({
+        "valve", "command", "cmd", "control", "u", "ao", "ventil", "stell", "stellgroesse",
+        "valvula", "valvola", "vanne", "mando", "comando", "commande",
+    }),
+    "pressure_pa": frozenset({
+        "pressure", "p", "pm", "druck", "ueberdruck", "pression", "presion", "pressione", "pressao",
+    }),
+    "position_m": frozenset({
+        "position", "pos", "displacement", "disp", "contraction", "stroke", "x", "weg", "hub",
+        "lage", "encoder", "enc", "kontraktion", "auslenkung", "deplacement", "angle", "winkel",
+        "posicion", "posizione", "posicao", "desplazamiento", "spostamento", "deslocamento",
+    }),
+    "force_n": frozenset({"force", "f", "fm", "kraft", "thrust", "fuerza", "forza", "forca"}),
 }  # fmt: skip
 """Words for a quantity, in the languages of many labs."""
-_BESIDE = frozenset({
+_SENSES: Mapping[bool, frozenset[str]] = {
+    True: frozenset({
+        "gauge", "gage", "rel", "relative", "relativ", "relativa", "uberdruck", "ueberdruck",
+        "manometric", "manometrica", "manometrique",
+    }),
+    False: frozenset({
+        "abs", "absolute", "absolut", "absolutdruck", "absolu", "absolue", "absoluta", "assoluta",
+    }),
+}  # fmt: skip
+"""Words for a gauge pressure, and for an absolute one."""
+_SENSES_OF_A_UNIT = {True: _SENSES[True] | {"g", "ue"}, False: _SENSES[False] | {"a"}}
+"""Beside a unit: `bar g`, `bar \xfc`, `kPa a`."""
+_BESIDE = _SENSES[True] | _SENSES[False] | frozenset({
     "muscle", "muskel", "pam", "actuator", "aktor", "measured", "meas", "gemessen", "actual", "act",
     "ist", "sensor", "channel", "ch", "ai", "signal", "value", "wert", "applied", "feedback",
-    "elapsed", "of", "day", "clock", "relative", "rel", "absolute", "abs", "absolut", "gauge",
-    "internal", "inner",
+    "elapsed", "of", "day", "clock", "internal", "inner",
     "voltage", "spannung", "since", "start", "cell", "load", "axial", "linear", "number", "no",
     "chamber", "vessel", "cylinder", "piston", "rod", "carriage", "slide", "axis", "drive", "motor",
     "joint", "gelenk",
+    "bogen", "chambre", "camara", "camera", "muscolo", "musculo", "cilindro", "verin", "pistone",
+    "asse", "axe", "eje", "del", "della",
     "kammer", "behaelter", "zylinder", "kolben", "stange", "schlitten", "achse", "antrieb", "mess",
     "proportional", "prop", "laser", "lvdt", "transducer", "aufnehmer", "zelle", "last",
 })  # fmt: skip
@@ -84,14 +106,15 @@ _OTHER = frozenset({
     "source", "versorgung", "ambient", "atmospheric", "atmosphere", "model", "modelled",
     "simulated", "simulation", "sim", "estimate", "estimated", "est", "predicted", "mean", "max",
     "min", "std", "limit", "velocity", "speed", "rate", "initial", "dead", "delay", "step",
+    "consigne", "consigna", "riferimento", "referencia", "alimentation", "alimentacion",
+    "alimentazione", "vitesse", "velocidad", "velocita", "errore", "erreur",
 })  # fmt: skip
 """Words for another thing than the measured quantity."""
 _OF_A_COMMAND = frozenset({"set", "setpoint", "sp", "soll", "demand", "desired", "reference"})
 """They do not rule out the valve's command."""
 _BRACKETED = re.compile(r"(.*?)\s*[\[(](.+?)[\])]+\s*", re.DOTALL)
-_SENSE_WORDS = (
-    r"(\S+\s+(?:g|gauge|rel|relative|a|abs|absolute|[u\xfc]e?berdruck|absolut(?:druck)?))"
-)
+_ANY_SENSE = "|".join(sorted(_SENSES_OF_A_UNIT[True] | _SENSES_OF_A_UNIT[False]))
+_SENSE_WORDS = rf"(\S+\s+(?:{_ANY_SENSE}))"
 _FORMS = [
     _BRACKETED,
     *(
@@ -100,9 +123,6 @@ _FORMS = [
         for label in (r"(.*?)", r"(.*)")
     ),
 ]
-_ANGLES = {"deg": 0.0174533, "degree": 0.0174533, "degrees": 0.0174533,
-           "\N{DEGREE SIGN}": 0.0174533, "rad": 1.0, "radian": 1.0, "radians": 1.0}  # fmt: skip
-"""Radians in a unit of an angle: times the lever's length they make a position."""
 _SPELLINGS = {
     "sec": "s", "secs": "s", "second": "s", "seconds": "s", "sekunden": "s", "msec": "ms",
     "milliseconds": "ms", "microseconds": "us", "minutes": "min", "volt": "V", "volts": "V",
@@ -112,25 +132,29 @@ _SPELLINGS = {
 }  # fmt: skip
 _CLOCK_FORM = re.compile(r"[\[(][dhmsyf:.,/ -]+[\])]", re.I)
 """As in `Time [hh:mm:ss]`: no unit, but the form of the cells."""
-_LETTERS = str.maketrans(
-    {"\xe4": "ae", "\xf6": "oe", "\xfc": "ue", "\xdf": "ss", "\xe9": "e", "\xf3": "o"}
-)
-_SENSE = re.compile(
-    r"(\S+?|mm hg|in hg)[\s_(]*"
-    r"(?:(g|gauge|gage|rel\.?|relative?|\xfc|[u\xfc]e?berdruck)"
-    r"|(a|abs\.?|absolute?|absolut(?:druck)?))\)?"
-)
+_UMLAUTS = str.maketrans({
+    "\xe4": "ae", "\xf6": "oe", "\xfc": "ue", "\xdf": "ss",
+    "\xc4": "AE", "\xd6": "OE", "\xdc": "UE",
+})  # fmt: skip
+_SENSE = re.compile(rf"(\S+?|mm hg|in hg)[\s_(]*({_ANY_SENSE})\.?\)?")
+
+
+def _drop_accents(text: str) -> str:
+    """Return a text without accents; an umlaut becomes two letters."""
+    parts = unicodedata.normalize("NFD", unicodedata.normalize("NFC", text).translate(_UMLAUTS))
+    return "".join(letter for letter in parts if not unicodedata.combining(letter))
 
 
 @cache
 def read_unit(text: str) -> SaidQuantity | None:
     """Return the quantity and unit that a text such as `[kPa abs]` names; None for another text."""
-    plain = text.strip().strip("[]()").strip().lower()
+    plain = _drop_accents(text).strip().strip("[]()").strip().lower()
     for sign, word in (("\N{MICRO SIGN}", "u"), ("\N{GREEK SMALL LETTER MU}", "u"),
                        ("\N{SUPERSCRIPT TWO}", "2"), ("^2", "2")):  # fmt: skip
         plain = plain.replace(sign, word)
     sense = _SENSE.fullmatch(plain)
-    for spelt, gauge in ((plain, None), (sense and sense[1], sense and sense[2] is not None)):
+    is_gauge = sense and sense[2] in _SENSES_OF_A_UNIT[True]
+    for spelt, gauge in ((plain, None), (sense and sense[1], is_gauge)):
         unit = _SPELLINGS.get(spelt or "", spelt or "").lower()
         for quantity, units in UNITS.items():
             found = next((name for name in units if name.lower() == unit), None)
@@ -175,15 +199,14 @@ def understand_header(name: str, unit: str = "") -> HeaderMeaning | None:
 
 
 def _say_why_unread(column: TableColumn) -> str:
-    label, _, _ = _split_unit(column.called or column.name, column.unit)
-    if others := _split_words(label) & _OTHER:
+    if others := _names_another(column):
         return f"{min(others)!r} in its name is not what a sensor of the rig measures"
     return "its name says no quantity with its unit that pamctl reads"
 
 
 def _split_words(label: str) -> set[str]:
     """Return the words of a name; numbers count for nothing."""
-    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", label).lower().translate(_LETTERS)
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", _drop_accents(label)).lower()
     return {part for word in re.findall(r"[^\W\d_]+", spaced) for part in _split_compound(word)}
 
 
@@ -200,6 +223,7 @@ def _split_compound(word: str) -> tuple[str, ...]:
 def _split_unit(name: str, unit: str) -> tuple[str, str, SaidQuantity | None]:
     if unit:
         return _CLOCK_FORM.sub("", name), unit, read_unit(unit)
+    name = _drop_accents(name)
     for form in _FORMS:
         match = form.fullmatch(name.strip())
         if match is not None and (found := read_unit(match[2])) is not None:
@@ -211,9 +235,7 @@ def _split_unit(name: str, unit: str) -> tuple[str, str, SaidQuantity | None]:
 def _tell_gauge(found: SaidQuantity | None, words: set[str]) -> bool | None:
     if found is not None and found.is_gauge is not None:
         return found.is_gauge
-    if words & {"gauge", "relative", "rel", "ueberdruck"}:
-        return True
-    return False if words & {"absolute", "abs", "absolut"} else None
+    return next((is_gauge for is_gauge, its in _SENSES.items() if its & words), None)
 
 
 NEVER_ABSOLUTE_PA = 80e3
@@ -230,7 +252,8 @@ class ChosenColumns(NamedTuple):
     """The column of each quantity."""
     left_out: Mapping[int, str]
     """Why, by a column's number."""
-    warnings: Sequence[str] = ()
+    warnings: Sequence[tuple[str, str]] = ()
+    """Kind and text."""
 
 
 class _Candidate(NamedTuple):
@@ -255,7 +278,46 @@ def choose_by_map(table: MeasuredTable, import_map: ImportMap) -> ChosenColumns:
         for number, column in enumerate(table.columns, 1)
         if id(column) not in used
     }
-    return ChosenColumns(import_map, columns, left_out)
+    warnings = [*_find_contradictions(import_map, columns), *_find_unused_parts(table, columns)]
+    return ChosenColumns(import_map, columns, left_out, warnings)
+
+
+def _find_contradictions(
+    import_map: ImportMap, columns: Mapping[str, TableColumn]
+) -> Iterator[tuple[str, str]]:
+    """Yield where a header says another unit, or another sense of a pressure, than the map."""
+    senses = {True: "gauge", False: "absolute", None: ""}
+    for quantity, part in import_map.parts().items():
+        meaning = understand_column(columns[quantity])
+        if meaning is None or meaning.quantity != quantity or getattr(part, "gain", 1.0) != 1.0:
+            continue
+        gauge = getattr(part, "gauge", None)
+        for said, mapped in (
+            (meaning.unit, part.unit),
+            (senses[meaning.is_gauge], senses[gauge]),
+        ):
+            if said and said != mapped:
+                name = quote(columns[quantity].name)
+                yield "map", f"{name} says {said}, and the map {mapped}: the map is followed"
+
+
+def _find_unused_parts(
+    table: MeasuredTable, columns: Mapping[str, TableColumn]
+) -> Iterator[tuple[str, str]]:
+    """Yield which columns are left out that show another valve, chamber or joint."""
+    used = {id(column) for column in columns.values()}
+    for column in table.columns:
+        meaning = None if id(column) in used else understand_column(column) or _guess(column)
+        of_rig = columns.get(meaning.quantity) if meaning is not None else None
+        if meaning is None or of_rig is None or meaning.quantity not in _SEVERAL:
+            continue
+        if _are_of_two_parts(of_rig, column):
+            yield (
+                "columns",
+                f"{quote(column.name)} is not used, and moves apart from {quote(of_rig.name)}: are "
+                f"they {_SEVERAL[meaning.quantity]}? pamctl describes one valve, one chamber and "
+                "one joint, and takes what another one does for a fault of this one",
+            )
 
 
 def choose_by_header(table: MeasuredTable) -> ChosenColumns:
@@ -279,7 +341,7 @@ def choose_by_header(table: MeasuredTable) -> ChosenColumns:
     keys: dict[str, dict[str, Any]] = {}
     columns: dict[str, TableColumn] = {}
     doubts: list[str] = []
-    warnings: list[str] = []
+    warnings: list[tuple[str, str]] = []
     for quantity, found in candidates.items():
         clear = [one for one in found if one.is_clear]
         clear = [one for one in clear if one.meaning.is_plain] or clear
@@ -303,7 +365,9 @@ def choose_by_header(table: MeasuredTable) -> ChosenColumns:
         doubts.append("no column is a pressure or a position by its name")
     if doubts or TIME not in columns:
         settled = {q: key for q in columns if (key := keys[KEYS[q]]).get("gauge", 0) is not None}
-        raise ImportRefused(_refuse(table, doubts, settled, candidates))
+        raise MapWanted(_refuse(table, doubts, settled, candidates))
+    if not any(parse_column_name(column.name) for column in columns.values()):
+        warnings += _find_unused_parts(table, columns)
     return ChosenColumns(ImportMap.model_validate(keys), columns, left_out, warnings)
 
 
@@ -322,19 +386,21 @@ _SEVERAL = {
 
 
 def _require_one_of_each(candidates: Mapping[str, Sequence[_Candidate]]) -> None:
-    """Raise ImportRefused where columns that differ by a number or a letter only all move.
+    """Raise ImportRefused where columns of one quantity are of several parts.
 
-    A raw and a filtered one, a set point, two sensors of one part, and a supply that rests are
-    another question.
+    They differ by a number or a letter, or their names say as much of the quantity.
     """
     for quantity, what in _SEVERAL.items():
         alike: dict[str, list[TableColumn]] = {}
         for one in candidates[quantity]:
-            name = one.column.name
-            if _INDEX.search(name) and not one.column.is_text and _does_move(one.column.values):
-                alike.setdefault(_INDEX.sub("#", name).lower(), []).append(one.column)
-        for columns in alike.values():
-            if any(_move_apart(a.values, b.values) for a, b in combinations(columns, 2)):
+            if _INDEX.search(one.column.name):
+                kind = _INDEX.sub("#", one.column.name).lower()
+                alike.setdefault(kind, []).append(one.column)
+        clear = [one.column for one in candidates[quantity] if one.is_clear]
+        for columns in (*alike.values(), clear or [one.column for one in candidates[quantity]]):
+            if any(parse_column_name(column.name) for column in columns):
+                continue
+            if any(_are_of_two_parts(a, b) for a, b in combinations(columns, 2)):
                 listed = " and ".join(quote(column.name) for column in columns)
                 raise ImportRefused(
                     f"{listed} look like {what}, and pamctl describes one valve, one chamber and "
@@ -344,12 +410,34 @@ def _require_one_of_each(candidates: Mapping[str, Sequence[_Candidate]]) -> None
                 )
 
 
+_OF_ONE_PART = frozenset({
+    "raw", "filtered", "filt", "filter", "smooth", "smoothed", "lowpass", "avg", "average", "roh",
+    "gefiltert",
+})  # fmt: skip
+"""Words by which the names of two signals of one part differ."""
+
+
+def _are_of_two_parts(one: TableColumn, other: TableColumn) -> bool:
+    """Tell whether columns of one quantity are of two valves, chambers or joints: they move apart.
+
+    A raw and a filtered one, a set point, two sensors of one part, and a supply that rests are
+    another question.
+    """
+    if one.is_text or other.is_text or not (_does_move(one.values) and _does_move(other.values)):
+        return False
+    apart = _split_words(one.called or one.name) ^ _split_words(other.called or other.name)
+    of_one = _OF_ONE_PART | _OTHER | _OF_A_COMMAND
+    return not apart & of_one and _move_apart(one.values, other.values)
+
+
 def _does_move(values: Floats) -> bool:
     good = values[np.isfinite(values)]
     return bool(len(good) and np.ptp(good) > _MOVES * np.abs(good).max())
 
 
 def _move_apart(one: Floats, other: Floats) -> bool:
+    if len(one) != len(other):
+        return False
     both = np.isfinite(one) & np.isfinite(other)
     return bool(both.sum() > 1 and np.corrcoef(one[both], other[both])[0, 1] < _TOGETHER)
 
@@ -360,7 +448,10 @@ def _is_same_time(one: _Candidate, other: _Candidate) -> bool:
 
 
 def _read_as(
-    table: MeasuredTable, one: _Candidate, doubts: list[str], warnings: list[str]
+    table: MeasuredTable,
+    one: _Candidate,
+    doubts: list[str],
+    warnings: list[tuple[str, str]],
 ) -> dict[str, Any]:
     """Return the keys of a column; `gauge` is None, with a doubt, where the file does not tell."""
     column, meaning = one.column, one.meaning
@@ -376,7 +467,9 @@ def _read_as(
                 sense = f"absolute, as it falls to {lowest_pa:.4g} Pa, the atmosphere's"
             if sense:
                 keys["gauge"] = sense.startswith("gauge")
-                warnings.append(f"{column.name} is taken as {sense}; if that is wrong, use --map")
+                warnings.append(
+                    ("gauge", f"{column.name} is taken as {sense}; if that is wrong, use --map")
+                )
             else:
                 doubts.append(f"{quote(column.name)} may be gauge or absolute")
     return keys
@@ -396,7 +489,7 @@ def _ask(one: _Candidate) -> str:
         return f"{name} may be {quantity}, or something else"
     if not said:
         return f"{name} states no unit for {quantity}"
-    if quantity == "position_m" and (radians := _ANGLES.get(said.lower())):
+    if quantity == "position_m" and (radians := RADIANS.get(said.lower())):
         return (
             f"{name} is an angle: as a position it counts along the arc on which the muscle or rod "
             f"pulls, so the map's gain is the radius of the pulley or lever in m times {radians:g}"
@@ -410,7 +503,28 @@ def _ask(one: _Candidate) -> str:
 
 # The map that a refusal shows.
 
-_EXAMPLE = "pressure: {column: NAME, unit: kPa, gauge: true}"
+_EXAMPLES: Mapping[str, Mapping[str, Any]] = {
+    "valve_v": {"unit": "V", "gain": 1.0, "offset": 0.0},
+    "pressure_pa": {"unit": "kPa", "gauge": True},
+    "position_m": {"unit": "mm"},
+    "force_n": {"unit": "N", "gain": 1.0},
+}
+
+
+def _guess(column: TableColumn) -> HeaderMeaning | None:
+    """Return what a column may be whose name leaves it open: by its unit, or by one of its words.
+
+    None where neither tells, or where a word says that it is another thing.
+    """
+    label, said, found = _split_unit(column.called or column.name, column.unit)
+    words = _split_words(label)
+    named = [quantity for quantity, its in _NAMES.items() if its & words]
+    if column.is_text or words & _OTHER or len(named) > 1:
+        return None
+    if found is not None and found.quantity == (named or [found.quantity])[0]:
+        gauge = _tell_gauge(found, words)
+        return HeaderMeaning(found.quantity, found.unit, gauge, is_sure=False, said_unit=said)
+    return HeaderMeaning(named[0], "", None, is_sure=False, said_unit=said) if named else None
 
 
 def _refuse(
@@ -444,11 +558,51 @@ def _refuse(
     doubts += table.notes
     known = [id(one.column) for found in candidates.values() for one in found]
     rest = [c for c in table.columns if id(c) not in known and not c.is_text]
-    others = [c.name for c in rest if not lines[0].startswith(f"time: {{column: {quote(c.name)},")]
-    if others:
-        lines.append(f"# other columns: {', '.join(map(quote, others[:20]))}; such as {_EXAMPLE}")
+    rest = [c for c in rest if not lines[0].startswith(f"time: {{column: {quote(c.name)},")]
+    lines += _propose_others(table, rest, {q for q, found in candidates.items() if found})
     lines += [write_key(key, value) for key, value in table.mend.items()]
     return show_map("; ".join(doubts) + "; say which with --map FILE, such as:", lines)
+
+
+def propose_missing(table: MeasuredTable, chosen: ChosenColumns) -> list[str]:
+    """Return lines of a map, as comments, for columns that may be what is not read yet."""
+    used = {id(column) for column in chosen.columns.values()}
+    rest = [
+        column
+        for column in table.columns
+        if id(column) not in used and not column.is_text and not _names_another(column)
+    ]
+    return [*_propose_others(table, rest, {*chosen.columns})]
+
+
+def _names_another(column: TableColumn) -> set[str]:
+    """Return the words by which a name says that it is another thing."""
+    label, _, _ = _split_unit(column.called or column.name, column.unit)
+    return _split_words(label) & _OTHER
+
+
+def _propose_others(
+    table: MeasuredTable, rest: Sequence[TableColumn], known: set[str]
+) -> Iterator[str]:
+    """Yield lines, as comments, for the columns that may be what the map does not have yet."""
+    guessed: set[str] = set()
+    others = []
+    for number, column in enumerate(rest):
+        meaning = _guess(column)
+        if meaning is None or meaning.quantity in known | {TIME}:
+            others.append(column)
+            continue
+        line = _propose(table, _Candidate(number, column, meaning), is_first=True)
+        quantity = meaning.quantity
+        yield line if line.startswith("#") else f"# {line}  # if it is {quantity}"
+        guessed.add(quantity)
+    if others:
+        open_ones = [quantity for quantity in _EXAMPLES if quantity not in known | guessed]
+        listed = ", ".join(quote(column.name) for column in others[:20])
+        yield f"# other columns: {listed}" + ("; such as" if open_ones else "")
+        for quantity in open_ones:
+            keys = {"column": table.name_of(others[0]), **_EXAMPLES[quantity]}
+            yield f"# {write_key(KEYS[quantity], keys)}"
 
 
 def show_map(doubt: str, lines: Sequence[str]) -> str:

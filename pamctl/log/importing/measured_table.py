@@ -21,6 +21,10 @@ class ImportRefused(LogError):
     """A measured file cannot be imported. The message says what, where, and what to do."""
 
 
+class MapWanted(ImportRefused):
+    """What a column holds is not clear, and a map can say it. The message shows one."""
+
+
 MOST_NUMBERS = 250_000_000
 """2 GB as floats."""
 TIME_S = "time_s"

@@ -32,11 +32,18 @@ from pamctl.log.importing.column_roles import (
     choose_by_header,
     choose_by_map,
     describe_reading,
+    propose_missing,
     show_map,
     understand_column,
 )
 from pamctl.log.importing.file_formats import read_table
-from pamctl.log.importing.measured_table import Floats, ImportRefused, Ints, MeasuredTable
+from pamctl.log.importing.measured_table import (
+    Floats,
+    ImportRefused,
+    Ints,
+    MapWanted,
+    MeasuredTable,
+)
 from pamctl.log.importing.plausibility import judge_clock, judge_record, judge_units
 from pamctl.log.record_problems import GAP_PERIODS, nominal_period_s
 from pamctl.log.run_meta import RunMeta
@@ -73,7 +80,7 @@ class ImportSummary:
     """How its columns are read."""
     findings: tuple[Problem, ...]
     map_text: str
-    """The map as a text, with what would mend it, where nothing was written."""
+    """The map as a text, with what would mend it, where nothing was written or much is left out."""
 
 
 def import_log(
@@ -98,10 +105,11 @@ def import_log(
         findings.warning("file", note)
     for remark in table.remarks:
         findings.note("last-line", remark)
+    has_map = import_map is not None
     chosen = choose_by_map(table, import_map) if import_map else choose_by_header(table)
     import_map = chosen.map
-    for warning in chosen.warnings:
-        findings.warning("gauge", warning)
+    for kind, text in chosen.warnings:
+        findings.warning(kind, text)
     _refuse_doubts(table, chosen)
     _note_atmosphere(import_map, findings)
     kept = _select_lines(table, import_map)
@@ -118,7 +126,7 @@ def import_log(
     better = import_map
     if not findings.any(Severity.ERROR):
         judge_clock(t_s, findings, time_name)
-        better = judge_units(import_map, quantities, findings)
+        better = judge_units(import_map, quantities, findings, has_map=has_map)
         _judge_whole(quantities, findings)
     if accept_units:
         findings.soften("unit")
@@ -147,8 +155,25 @@ def import_log(
         columns=columns,
         map=import_map,
         findings=tuple(findings.summarise()),
-        map_text=write_map(better.as_keys(), {}) if stopped else "",
+        map_text=_write_better_map(table, chosen, better, findings, has_map=has_map),
     )
+
+
+def _write_better_map(
+    table: MeasuredTable,
+    chosen: ChosenColumns,
+    better: ImportMap,
+    findings: LogFindings,
+    *,
+    has_map: bool,
+) -> str:
+    """Return the map that may mend an error, or may read what no header names; else nothing."""
+    misses = not has_map and any(finding.key == "columns" for finding in findings.all)
+    lines = propose_missing(table, chosen) if misses else []
+    keys = write_map(better.as_keys(), {})
+    if findings.any(Severity.ERROR):
+        return keys
+    return "\n".join([keys, *lines]) if lines else ""
 
 
 def _refuse_doubts(table: MeasuredTable, chosen: ChosenColumns) -> None:
@@ -162,7 +187,7 @@ def _refuse_doubts(table: MeasuredTable, chosen: ChosenColumns) -> None:
         for key, value in mend.items():
             keys[key] = [*keys.get(key, []), *value] if key == "missing" else value
     lines = write_map(keys, {"decimal": "or ','", "date_order": "or m/d/y"}).splitlines()
-    raise ImportRefused(show_map(f"{text}; with --map FILE, such as:", lines))
+    raise MapWanted(show_map(f"{text}; with --map FILE, such as:", lines))
 
 
 def _select_lines(table: MeasuredTable, import_map: ImportMap) -> slice:
@@ -212,14 +237,13 @@ def _judge_own_time(table: MeasuredTable, kept: slice, rows: Ints, findings: Log
 
 
 def _note_atmosphere(import_map: ImportMap, findings: LogFindings) -> None:
-    """Say that the map's atmosphere is not that of a rig or a plant that states none."""
+    """Say from which atmosphere the log now counts, where it is not the usual one."""
     air_pa, pressure = import_map.atmospheric_pressure_pa, import_map.pressure
     if pressure and pressure.gauge and air_pa != ATMOSPHERIC_PRESSURE_PA:
-        findings.warning(
+        findings.note(
             "atmosphere",
-            f"pressure_pa counts from {air_pa:.6g} Pa, as the map says; the shipped "
-            f"plant has {ATMOSPHERIC_PRESSURE_PA:.6g} Pa: give the plant file "
-            f"atmospheric_pressure_pa: {air_pa:.6g}",
+            f"pressure_pa counts from {air_pa:.6g} Pa, as the map says; a plant file for this log "
+            f"has atmospheric_pressure_pa: {air_pa:.6g}",
         )
 
 

@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from pamctl.json_text import to_json
 from pamctl.log.check import LogFindings
 from pamctl.log.importing.column_map import KEYS, UNITS, ColumnMap, ImportMap, ValveMap
-from pamctl.log.importing.column_roles import NEVER_ABSOLUTE_PA
+from pamctl.log.importing.column_roles import NEVER_ABSOLUTE_PA, OF_THE_AIR_PA
 from pamctl.log.importing.measured_table import Floats, Ints
 from pamctl.log.record_problems import RecordColumn, find_record_problems, nominal_period_s
 
@@ -73,19 +74,60 @@ def judge_clock(t_s: Floats, findings: LogFindings, time_name: str) -> None:
 
 
 def judge_units(
-    import_map: ImportMap, quantities: Mapping[str, Floats], findings: LogFindings
+    import_map: ImportMap,
+    quantities: Mapping[str, Floats],
+    findings: LogFindings,
+    *,
+    has_map: bool = False,
 ) -> ImportMap:
-    """Report values that no rig has; return the map as it might be better."""
+    """Report values that no rig has; return the map as it might be better.
+
+    `has_map`: the user gave a map, and the way on is one of its keys, not a name.
+    """
     for quantity, column in quantities.items():
         values = column[np.isfinite(column)]
         part = import_map.parts()[quantity]
-        for text, change in _doubt(part, values) if len(values) else ():
+        for text, name, change in _doubt(part, values) if len(values) else ():
             span = f"{values.min():.6g} to {values.max():.6g}"
+            if name:
+                keys = ", ".join(
+                    f"{key}: {to_json(value).decode()}" for key, value in change.items()
+                )
+                keys = keys.replace('"', "")
+                rename = "" if has_map else f", or call it {name}"
+                text += f" Then say `{keys}` in the map{rename}"
             findings.error("unit", f"{quantity} is {span}: {text}")
             better = part.model_copy(update=change)
             import_map = import_map.model_copy(update={KEYS[quantity]: better})
     judge_sign(quantities, findings)
+    judge_zero(import_map, quantities, findings)
     return import_map
+
+
+RESTS = 0.01
+"""Share of the record that a level must last to be the one of a vented muscle."""
+
+
+def judge_zero(
+    import_map: ImportMap, quantities: Mapping[str, Floats], findings: LogFindings
+) -> None:
+    """Warn where a gauge pressure rests at the atmosphere's: it was absolute already.
+
+    The opposite is an error: no absolute pressure falls to zero.
+    """
+    part, values = import_map.pressure, quantities.get("pressure_pa")
+    if part is None or not part.gauge or values is None or not np.isfinite(values).any():
+        return
+    measured = values[np.isfinite(values)] - import_map.atmospheric_pressure_pa
+    low, high = np.quantile(measured, (0.001, 0.999))
+    rests = float(np.mean(measured < low + 0.03 * (high - low)))
+    if OF_THE_AIR_PA[0] <= low <= OF_THE_AIR_PA[1] < high and rests >= RESTS:
+        findings.warning(
+            "gauge",
+            f"pressure_pa rests at {low + import_map.atmospheric_pressure_pa:.4g} Pa, twice the "
+            f"atmosphere's: the column itself falls to {low:.4g} Pa, as an absolute pressure does "
+            "where all is vented; then say `gauge: false` in the map",
+        )
 
 
 def judge_sign(quantities: Mapping[str, Floats], findings: LogFindings) -> None:
@@ -106,8 +148,8 @@ def judge_sign(quantities: Mapping[str, Floats], findings: LogFindings) -> None:
         )
 
 
-_Doubt = tuple[str, dict[str, Any]]
-"""What is doubtful, and the keys of the column that would mend it."""
+_Doubt = tuple[str, str, dict[str, Any]]
+"""What is doubtful; the column's name, and its keys in a map, that would mend it."""
 
 
 def _doubt(part: ColumnMap, values: Floats) -> Iterator[_Doubt]:
@@ -117,7 +159,7 @@ def _doubt(part: ColumnMap, values: Floats) -> Iterator[_Doubt]:
         yield from _doubt_valve(part, values, low, high)
     elif part.quantity == "position_m" and max(-low, high) > 0.5:
         unit = "mm" if max(-low, high) < 1e3 else "um"
-        yield f"is this {unit}? Then call it position_{unit}", {"unit": unit}
+        yield f"is this {unit}?", f"position_{unit}", {"unit": unit}
     elif part.quantity == "pressure_pa":
         yield from _doubt_pressure(low, high)
 
@@ -125,14 +167,15 @@ def _doubt(part: ColumnMap, values: Floats) -> Iterator[_Doubt]:
 def _doubt_pressure(low: float, high: float) -> Iterator[_Doubt]:
     if low >= NEVER_ABSOLUTE_PA:
         if high > 2e6:
-            yield "above 20 bar; is the unit right?", {}
+            yield "above 20 bar; is the unit right?", "", {}
     elif low > 0.0 and high < 20.0:
-        yield "is this bar? Then call it pressure_bar, or pressure_gauge_bar", {"unit": "bar"}
+        yield "is this bar?", "pressure_bar, or pressure_gauge_bar", {"unit": "bar"}
     elif high < 2e3:
-        yield "is this kPa? Then call it pressure_kpa, or pressure_gauge_kpa", {"unit": "kPa"}
+        yield "is this kPa?", "pressure_kpa, or pressure_gauge_kpa", {"unit": "kPa"}
     else:
         yield (
-            "below the atmosphere's; is this gauge pressure? Then call it pressure_gauge_...",
+            "below the atmosphere's; is this gauge pressure?",
+            "pressure_gauge_...",
             {"gauge": True},
         )
 
@@ -143,16 +186,18 @@ def _doubt_valve(part: ValveMap, values: Floats, low: float, high: float) -> Ite
             "a valve that switches? The file does not say which level fills. In the map, gain and "
             "offset must turn the level that fills into 5 V, the one that exhausts into -5 V, and "
             "one that closes into 0 V",
+            "",
             {},
         )
     elif low >= -0.05 and (high > 5.05 or 4.0 < np.median(values) < 6.0):
         yield (
             "are these the driver's 0..10 V, where 5 V closes and more fills? The command is "
             "-5..5 V; map it with offset: -5.0",
+            "",
             {"offset": part.offset - 5.0 / UNITS["valve_v"][part.unit]},
         )
     elif max(-low, high) > 5.05:
-        yield "the command is within -5..5 V; gain and offset in the map turn it into that", {}
+        yield "the command is within -5..5 V; gain and offset in the map turn it into that", "", {}
 
 
 def is_switched(volts: Floats) -> bool:

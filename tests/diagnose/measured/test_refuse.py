@@ -24,7 +24,8 @@ from pamctl.diagnose.refuse import (
     read_acceptances,
 )
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
-from pamctl.log.importing.column_map import ImportMap, PressureMap, TimeMap
+from pamctl.log import LogError
+from pamctl.log.importing.column_map import ImportMap, PositionMap, PressureMap, TimeMap
 from pamctl.log.importing.pipeline import import_log
 from pamctl.plant.model import PlantSettings
 
@@ -238,6 +239,34 @@ def test_a_doubt_is_overruled_with_a_reason_that_is_kept() -> None:
 def test_the_manual_lists_every_rule() -> None:
     page = (Path(pamctl.__file__).parent / "manual/how_to/diagnose-a-log.md").read_text()
     assert [name for name in RULES if f"`{name}`" not in page] == []
+
+
+@pytest.mark.parametrize(
+    ("text", "column_map", "told", "wants_map"),
+    [
+        ("", None, "is empty", False),
+        ("t_s,position_m\n0,0.01\n0.1,0.02\n0.05,0.01\n", None, "goes backwards", False),
+        (
+            "t_s,position_m\n0,10\n0.1,20\n",
+            None,
+            "position: {column: 'position_m', unit: mm}",
+            True,
+        ),
+        ("t_s,position_m\n0,10\n0.1,20\n", "m", "Then say `unit: mm` in the map", False),
+        ("t_s,Hub 3 counts\n0,10\n0.1,20\n", None, "--map FILE, such as:", True),
+    ],
+)
+def test_a_map_is_spoken_of_only_where_it_is_the_way_on(
+    tmp_path, text, column_map, told, wants_map
+):
+    (tmp_path / "a.csv").write_text(text)
+    position = PositionMap(column="position_m", unit="m")
+    given = ImportMap(time=TimeMap(column="t_s"), position=position) if column_map else None
+    with pytest.raises(LogError) as refused:
+        record_of(tmp_path / "a.csv", given)
+    assert told in str(refused.value)
+    assert ("A map says what a column holds" in str(refused.value)) == wants_map
+    assert ("call it" in str(refused.value)) == (wants_map and "position_m" in text)
 
 
 @pytest.mark.parametrize(("atmosphere_pa", "is_told"), [(95e3, True), (101.3e3, False)])

@@ -14,7 +14,7 @@ import typer
 from hal.backend import find_backends
 from pamctl.cli.failure import Failed
 from pamctl.cli.options import MAP, Options, argument, flag, option, verb
-from pamctl.cli.output import print_result, print_run_settings, read_records
+from pamctl.cli.output import print_result, print_run_settings, read_records, tell
 from pamctl.cli.settings_from_options import SettingsOptions, find_argument_file
 from pamctl.errors import ConfigError, Problem
 from pamctl.exit_codes import ExitCode
@@ -140,6 +140,7 @@ def make_plant(asked: NewPlantOptions) -> None:
     texts = _split_given(asked.given, actuator)
     values, guesses = _collect_numbers(actuator, texts, records)
     plant = build_plant(actuator, values)
+    _tell_unfit(records, plant)
     names = _list_fitted(plant)
     fitted = ", ".join(names) or "nothing"
     texts = {name: f"given as {text}" for name, text in texts.items()}
@@ -162,6 +163,15 @@ def make_plant(asked: NewPlantOptions) -> None:
         f"next: {shlex.join(map(str, words))}",
     ]
     print_result(document, "\n".join(lines), as_json=asked.as_json)
+
+
+def _tell_unfit(records: list[Record], plant: PlantSettings) -> None:
+    """Say at once why `diagnose` would refuse these records with this plant file."""
+    if records:
+        from pamctl.diagnose.refuse import doubt_actuator
+
+        for problem in (p for record in records for p in doubt_actuator(record, plant)):
+            tell(f"warning: {problem.sentence}")
 
 
 class ExportPlantOptions(Options):

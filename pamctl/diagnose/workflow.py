@@ -53,13 +53,14 @@ def diagnose(
     """
     stated = {**(plant.noise.stated if plant.noise else {}), **(noise or {})}
     plants_pa = plant.parameters.atmospheric_pressure_pa
-    for record in (*train, *holdout):
-        if record.atmosphere_pa is not None and abs(record.atmosphere_pa - plants_pa) > 1.0:
-            progress(
-                f"{record.name}: its gauge pressure counts from {record.atmosphere_pa:.6g} Pa, as "
-                f"its import map says, but the plant's atmosphere is {plants_pa:.6g} Pa: make "
-                "atmospheric_pressure_pa the same in both"
-            )
+    of_maps = {r.atmosphere_pa for r in (*train, *holdout) if r.atmosphere_pa is not None}
+    for air_pa in sorted(air_pa for air_pa in of_maps if abs(air_pa - plants_pa) > 1.0):
+        names = [r.name for r in (*train, *holdout) if r.atmosphere_pa == air_pa]
+        progress(
+            f"{', '.join(names)}: gauge pressure counts from {air_pa:.6g} Pa, as the import map "
+            f"says, but the plant's atmosphere is {plants_pa:.6g} Pa: make "
+            "atmospheric_pressure_pa the same in both"
+        )
     given = [*train, *holdout]
     train, holdout, faults = _mend_records(train, holdout, plant, stated)
     records = [*train, *holdout]

@@ -49,7 +49,7 @@ JUMP = 9.0
 MOST_SPIKES = 0.02
 """Share of the samples; more are no single spikes, but the signal."""
 AROUND = 8
-"""Samples before and after a spike that show how busy the signal is."""
+"""Samples before and after a spike that show how busy the signal is, or what a gap moves."""
 ANSWER = 4
 """Samples after a jump of the command in which a rig may answer it by a jump."""
 REGULAR = 0.95
@@ -61,9 +61,14 @@ MOST_COMPARED = 200
 MOST_SORTED = 100_000
 """Samples of a long column whose levels are looked at."""
 GAP_PERIODS = 1.5
-"""A longer step of the time has missed rows."""
+"""A longer step of the time has missed rows, unless its neighbours make up for it."""
 JUMP_SHARE = 0.2
 """Share of its span by which a command jumps."""
+
+
+LEAST_MOVED = 0.2
+"""Share of a period by which all stamps after a gap are later than all before it: jitter takes the
+rest of the period that is missed."""
 
 
 class RecordColumn(NamedTuple):
@@ -219,7 +224,7 @@ def _judge_time(t_s: Floats, name: str) -> Iterator[RecordProblem]:
     if len(back) or same.any():
         return
     period_s = float(np.median(step))
-    gap = step > GAP_PERIODS * period_s
+    gap = find_gaps(t_s)
     if gap.any():
         count = int(np.count_nonzero(gap))
         text = f"has {count} gap{'s' * (count > 1)} of up to {float(step.max()):.6g} s, before"
@@ -230,6 +235,23 @@ def _judge_time(t_s: Floats, name: str) -> Iterator[RecordProblem]:
     if off.max() > JITTER:
         text = f"steps differ from {period_s:.6g} s by up to {float(off.max()):.0%}"
         yield make_problem(t_s, "jitter", name, text, [(0, len(t_s))])
+
+
+def find_gaps(t_s: Floats) -> Flags:
+    """Return which time steps have missed rows, shape (n - 1,); `t_s`, shape (n,), rises.
+
+    A step that is long but made up for by its neighbours is jitter: it moves one stamp, where a
+    missed row moves all that follow.
+    """
+    step, period_s = np.diff(t_s), nominal_period_s(t_s)
+    long = np.flatnonzero(step > GAP_PERIODS * period_s)
+    late_s = t_s - period_s * np.arange(len(t_s))
+    before = np.maximum(long[:, None] - np.arange(AROUND), 0)
+    after = np.minimum(long[:, None] + 1 + np.arange(AROUND), len(t_s) - 1)
+    moved_s = late_s[after].min(axis=1) - late_s[before].max(axis=1)
+    gaps = np.zeros(len(step), np.bool_)
+    gaps[long[moved_s > LEAST_MOVED * period_s]] = True
+    return gaps
 
 
 def find_sensor_step(values: Floats) -> float:

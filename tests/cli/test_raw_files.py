@@ -47,13 +47,36 @@ def test_headers_that_say_nothing_are_a_question_with_a_way_on(table: Path) -> N
         assert "add --map MAP.yaml" in done.stderr
 
 
-def test_a_muscle_and_a_cylinder_have_the_same_columns_so_one_is_asked_for(tmp_path: Path) -> None:
-    table, out = tmp_path / "rig.csv", tmp_path / "rig.yaml"
+def write_muscle(table: Path) -> Path:
+    """Write a table with the columns of a muscle, or a cylinder."""
     t_s = np.arange(600) / 100.0
     fill = np.sin(t_s)
     rows = zip(t_s, fill, 200.0 + 50.0 * fill, 20.0 + 9.0 * fill, strict=True)
     lines = [",".join(f"{cell:.4f}" for cell in row) for row in rows]
     table.write_text("\n".join(["t_s,valve_V,pressure_kPa,position_mm", *lines]) + "\n")
+    return table
+
+
+def test_a_plant_file_says_at_once_that_it_is_not_one_of_the_log_it_is_made_from(
+    tmp_path: Path,
+) -> None:
+    made = ["plant", "new", "--from", write_muscle(tmp_path / "rig.csv"), "--actuator", "chamber"]
+    said = run_pamctl(*made, "--value", "chamber_volume_m3=1 l", "--out", tmp_path / "rig.yaml")
+    assert said.returncode == 0, said.stderr
+    assert "warning: rig: position_m moves by 18 mm" in said.stderr
+
+
+def test_what_is_the_same_of_several_files_is_said_once_with_their_names(tmp_path: Path) -> None:
+    files = [write_muscle(tmp_path / f"{name}.csv") for name in "abc"]
+    made = ["plant", "new", "--actuator", "muscle", "--from", files[0]]
+    made += [word for file in files[1:] for word in ("--from", file)]
+    said = run_pamctl(*made, "--out", tmp_path / "rig.yaml").stderr
+    assert said.count("imported: t_s as t_s") == 1
+    assert "a, b, c: imported: t_s as t_s" in said
+
+
+def test_a_muscle_and_a_cylinder_have_the_same_columns_so_one_is_asked_for(tmp_path: Path) -> None:
+    table, out = write_muscle(tmp_path / "rig.csv"), tmp_path / "rig.yaml"
     asked = run_pamctl("plant", "new", "--from", table, "--out", out)
     assert asked.returncode == 2
     assert "--actuator muscle or --actuator cylinder" in asked.stderr

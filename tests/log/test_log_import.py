@@ -348,6 +348,19 @@ def test_what_a_user_should_know_is_a_warning_and_goes_into_the_log(tmp_path, co
     assert CliRunner().invoke(app, ["log", "check", str(done.path)]).exit_code == 0
 
 
+@pytest.mark.parametrize("missed", [0, 1, 2])
+def test_jitter_of_the_time_is_no_missed_row_and_a_missed_row_is_found_beside_it(tmp_path, missed):
+    jitter_s = 3e-4 * np.random.default_rng(4).uniform(-1.0, 1.0, len(T_S))
+    columns = changed(t_s=np.where(np.arange(len(T_S)) < 50, T_S, T_S + missed * 1e-3) + jitter_s)
+    assert np.diff(columns["t_s"]).max() > 1.5e-3
+    done = Outcome(write_csv(tmp_path / "a.csv", columns))
+    assert ("warning", "jitter") in done.said
+    assert (("warning", "gap") in done.said) == bool(missed)
+    log = pamctl.log.read(done.path)
+    assert np.array_equal(np.flatnonzero(log["missed"]), [50] if missed else [])
+    assert log["missed"].sum() == missed
+
+
 # Resampling.
 
 

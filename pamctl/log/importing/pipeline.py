@@ -45,7 +45,7 @@ from pamctl.log.importing.measured_table import (
     MeasuredTable,
 )
 from pamctl.log.importing.plausibility import judge_clock, judge_record, judge_units
-from pamctl.log.record_problems import GAP_PERIODS, nominal_period_s
+from pamctl.log.record_problems import GAP_PERIODS, find_gaps, nominal_period_s
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import IMPORTED, TICK_TOPIC, imported_fields
 from pamctl.log.wire import TickLayout, make_message_records
@@ -317,7 +317,7 @@ def resample_columns(
     grid = t_s[0] + np.arange(count) / rate_hz
     before = np.clip(np.searchsorted(t_s, grid, side="right") - 1, 0, len(t_s) - 2)
     step = np.diff(t_s)
-    in_gap = step[before] > GAP_PERIODS * max(nominal_period_s(t_s), 1.0 / rate_hz)
+    in_gap = find_gaps(t_s)[before] & (step[before] > GAP_PERIODS / rate_hz)
     on_edge = (grid == t_s[before]) | (grid >= t_s[before + 1])
     kept = grid[~in_gap | on_edge]
     return kept, {
@@ -419,7 +419,8 @@ def write_imported(
 def _build_table(t_s: Floats, quantities: Mapping[str, Floats], layout: TickLayout) -> NDArray[Any]:
     """Return the columns of the log as one structured array."""
     period_s = nominal_period_s(t_s)
-    steps = np.maximum(1, np.rint(np.diff(t_s) / period_s)).astype(np.int64)
+    rows = np.maximum(2, np.rint(np.diff(t_s) / period_s))
+    steps = np.where(find_gaps(t_s), rows, 1).astype(np.int64)
     columns = {
         "tick": np.concatenate(([0], np.cumsum(steps))),
         "t_s": t_s,

@@ -11,6 +11,8 @@ from collections.abc import Callable
 from types import FrameType
 from typing import Any
 
+from hal.child import start_light
+
 
 def main() -> None:
     """Run the command line; Ctrl-C is an exit code, never a traceback."""
@@ -19,8 +21,7 @@ def main() -> None:
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115
     out = _never_raise_in_print()
-    # Pydantic would look for plugins in every installed package; pamctl has none.
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+    start_light()
     try:
         from pamctl.report.progress_line import STARTING, WorkProgress
 

@@ -8,12 +8,30 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Hashable, Iterable
-from functools import cache
-from typing import Annotated, Any, Union
+from functools import cache, wraps
+from threading import RLock
+from typing import Annotated, Any, ParamSpec, TypeVar, Union
 
 from pydantic import BaseModel, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, TypeAdapter
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import PydanticKnownError, SchemaValidator, core_schema
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+_building = RLock()
+
+
+def build_once(build: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Keep what a function builds; threads that ask for the same at once get the same."""
+    built: Any = cache(build)
+
+    @wraps(build)
+    def find(*args: _P.args, **options: _P.kwargs) -> _R:
+        with _building:
+            found: _R = built(*args, **options)
+            return found
+
+    return find
 
 
 class AnyModel:
@@ -80,7 +98,7 @@ class ChosenModel(AnyModel):
         return validator.validate_python(value)
 
 
-@cache
+@build_once
 def _make_validator(model: type[BaseModel], key: str, name: str) -> SchemaValidator:
     """Return a union of one model: its errors begin with the name, as in any union."""
     model.model_rebuild()

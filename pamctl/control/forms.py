@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import random
 import re
-from functools import cache
 from inspect import cleandoc
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, cast
@@ -18,6 +17,7 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar, cast
 from pydantic import ConfigDict, Field, create_model, model_validator
 
 from hal.calibration import Configured
+from pamctl.chosen_model import build_once
 from pamctl.control.sketch import Sketch
 from pamctl.control.waves import (
     MOST_TONES,
@@ -113,7 +113,7 @@ def _in_both_units(form: type[_Form]) -> type[_Form]:
 _OF_VALVE = "valve_"
 
 
-@cache
+@build_once
 def find_form(kind: str) -> type[Form]:
     """Return the model of a kind, made at its first use; a run has one of them or none."""
     form = FORMS[kind]

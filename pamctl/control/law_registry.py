@@ -13,7 +13,6 @@ import re
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cache
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import MappingProxyType, ModuleType
@@ -21,7 +20,7 @@ from typing import Annotated, Any, NamedTuple
 
 from hal.entry_points import find_entry_points
 from pamctl import __version__
-from pamctl.chosen_model import ChosenModel
+from pamctl.chosen_model import ChosenModel, build_once
 from pamctl.control.law import Law, LawSettings, LawTerms, Term, answer
 
 GROUP = "pamctl.laws"
@@ -74,7 +73,7 @@ class _Registry:
         answer.register(law.gains, law.kernel)
 
 
-@cache
+@build_once
 def _load_registry() -> _Registry:
     registry = _Registry()
     points = [p for p in find_entry_points(GROUP) if p not in _SHIPPED]

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, TypeAdapter, create_model, model_validator
@@ -17,7 +16,7 @@ from hal.backend import Backend, find_backends, get_backend
 from hal.calibration import CalibrationSettings, Configured
 from hal.faulty import FaultSettings
 from hal.rig import RigError
-from pamctl.chosen_model import ChosenModel
+from pamctl.chosen_model import ChosenModel, build_once
 from pamctl.control.homing import HomingSettings
 from pamctl.realtime.clock import LoopSettings
 from pamctl.safety import LimitSettings
@@ -107,7 +106,7 @@ class RigFile(Configured):
         return self
 
 
-@cache
+@build_once
 def _find_model(backend: str) -> type[RigFile] | None:
     """Return the model of a backend's rig files; a section with all defaults is optional."""
     try:

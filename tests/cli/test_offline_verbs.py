@@ -142,14 +142,6 @@ def test_info_of_a_damaged_log_exits_with_3_and_names_the_fix(log, options):
     assert "qsmc" in cut.stdout, "what is whole is told nevertheless"
 
 
-def test_the_command_line_starts_without_imports_that_only_some_verbs_need():
-    heavy = "numpy scipy matplotlib pyarrow nidaqmx asyncio"
-    count = f"print(set('{heavy}'.split()) & set(sys.modules))"
-    script = f"import sys; from pamctl.cli.app import app; {count}"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
-    assert done.stdout.strip() == "set()", done.stderr
-
-
 ELSEWHERE = """
 import mmap, os, select, signal, socket, sys
 import subprocess, asyncio, multiprocessing.pool  # the standard library knows where it is

@@ -365,20 +365,28 @@ def test_importing_pamctl_loads_nothing_and_the_room_stays_a_room() -> None:
     assert done.returncode == 0, done.stderr
 
 
-TWO_AT_ONCE = """
+SEVERAL_AT_ONCE = """
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
+from pamctl.settings.resolve import resolve
 from pamctl import simulate
-sys.setswitchinterval(1e-5)
-with ThreadPoolExecutor(2) as threads:
+all_begin = Barrier(4)
+def begin(experiment):
+    all_begin.wait()
+    return resolve(experiment=experiment)
+sys.setswitchinterval(1e-4)
+with ThreadPoolExecutor(4) as threads:
+    made = [*threads.map(begin, ("sine", "chirp", "sequence", "tracking-1"))]
+    assert len({type(settings.rig) for settings in made}) == 1
     for rig in threads.map(lambda seed: simulate(seed=seed), (1, 2)):
         rig.close()
 """
 
 
-def test_two_threads_may_begin_the_first_simulations_of_a_process(tmp_path: Path) -> None:
+def test_threads_may_begin_the_first_simulations_of_a_process(tmp_path: Path) -> None:
     """The first use loads the laws and builds the models of the settings."""
     subprocess.run(
-        [sys.executable, "-c", TWO_AT_ONCE],
+        [sys.executable, "-c", SEVERAL_AT_ONCE],
         cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True, timeout=PATIENCE_S,
     )  # fmt: skip

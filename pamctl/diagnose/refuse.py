@@ -99,8 +99,9 @@ def doubt_actuator(record: Record, plant: PlantSettings) -> Iterator[Problem]:
             record.name,
             "actuator",
             f"the plant file has {kind}, which {needed} must drive; "
-            f"there are {', '.join(record.channels)}",
-            fix=f"give {needed}{piston if needed == 'force_n' else ''}, or {_ANOTHER_PLANT}",
+            f"the record holds {', '.join(record.channels)}",
+            fix=f"give {needed}{piston if needed == 'force_n' else ''}, by a map where no header "
+            f"names it, or {_ANOTHER_PLANT}",
         )
     if plant.actuator == "chamber" and (span_m := _find_motion_m(record)):
         yield Problem(

@@ -166,6 +166,15 @@ def test_a_map_that_says_another_unit_than_the_header_is_followed_and_told(tmp_p
     ]
 
 
+def test_a_unit_that_cannot_be_is_the_one_that_the_header_says(tmp_path: Path) -> None:
+    table = write_table(tmp_path / "a.csv", "t_s,Pressure [kPa abs],Desplazamiento (in)")
+    import_map = write_map(tmp_path / "map.yaml", position="{column: 3, unit: m}")
+    refused = import_log(table, tmp_path / "a.mcap", import_map)
+    (told,) = [f.message for f in refused.findings if f.key == "unit"]
+    assert "is this in, as the column's name says? Then say `unit: in` in the map" in told
+    assert "unit: in" in refused.map_text
+
+
 def test_a_refusal_shows_a_map_for_every_quantity_with_the_names_of_the_columns(
     tmp_path: Path,
 ) -> None:

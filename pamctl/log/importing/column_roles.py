@@ -301,6 +301,12 @@ def _find_contradictions(
                 yield "map", f"{name} says {said}, and the map {mapped}: the map is followed"
 
 
+def list_stated_units(chosen: ChosenColumns) -> dict[str, str]:
+    """Return the units that the names of the columns state, by quantity."""
+    found = {q: understand_column(column) for q, column in chosen.columns.items()}
+    return {q: m.unit for q, m in found.items() if m and m.quantity == q and m.unit}
+
+
 def _find_unused_parts(
     table: MeasuredTable, columns: Mapping[str, TableColumn]
 ) -> Iterator[tuple[str, str]]:

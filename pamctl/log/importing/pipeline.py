@@ -32,6 +32,7 @@ from pamctl.log.importing.column_roles import (
     choose_by_header,
     choose_by_map,
     describe_reading,
+    list_stated_units,
     propose_missing,
     show_map,
     understand_column,
@@ -126,7 +127,8 @@ def import_log(
     better = import_map
     if not findings.any(Severity.ERROR):
         judge_clock(t_s, findings, time_name)
-        better = judge_units(import_map, quantities, findings, has_map=has_map)
+        headers = list_stated_units(chosen) if has_map else None
+        better = judge_units(import_map, quantities, findings, headers)
         _judge_whole(quantities, findings)
     if accept_units:
         findings.soften("unit")

@@ -77,24 +77,27 @@ def judge_units(
     import_map: ImportMap,
     quantities: Mapping[str, Floats],
     findings: LogFindings,
-    *,
-    has_map: bool = False,
+    headers: Mapping[str, str] | None,
 ) -> ImportMap:
     """Report values that no rig has; return the map as it might be better.
 
-    `has_map`: the user gave a map, and the way on is one of its keys, not a name.
+    `headers` are the units that the columns' names state, by quantity, beside a map of the user's;
+    None without one: then another name is a way on too.
     """
     for quantity, column in quantities.items():
         values = column[np.isfinite(column)]
         part = import_map.parts()[quantity]
         for text, name, change in _doubt(part, values) if len(values) else ():
             span = f"{values.min():.6g} to {values.max():.6g}"
+            said = (headers or {}).get(quantity, part.unit)
+            if "unit" in change and said != part.unit:
+                text, change = f"is this {said}, as the column's name says?", {"unit": said}
             if name:
                 keys = ", ".join(
                     f"{key}: {to_json(value).decode()}" for key, value in change.items()
                 )
                 keys = keys.replace('"', "")
-                rename = "" if has_map else f", or call it {name}"
+                rename = f", or call it {name}" if headers is None else ""
                 text += f" Then say `{keys}` in the map{rename}"
             findings.error("unit", f"{quantity} is {span}: {text}")
             better = part.model_copy(update=change)

@@ -151,6 +151,14 @@ def test_a_map_that_leaves_another_chamber_out_is_told_so(
     assert not told or f"'{second}' is not used, and moves apart from '{name}'" in told[0]
 
 
+def test_a_chamber_that_no_clear_name_asks_for_is_told_without_a_map_too(tmp_path: Path) -> None:
+    table = write_table(
+        tmp_path / "a.csv", "t_s,Pressure [bar gauge],Rod side pressure [bar gauge]"
+    )
+    done = import_log(table, tmp_path / "a.mcap", accept_units=True)
+    assert [f for f in done.findings if "pressures of several chambers" in f.message]
+
+
 def test_a_map_that_says_another_unit_than_the_header_is_followed_and_told(tmp_path: Path) -> None:
     head = "t_s,Presión manométrica (bar),Desplazamiento (in)"
     import_map = write_map(

@@ -14,6 +14,7 @@ from pamctl.log.record_problems import (
     RecordColumn,
     RecordProblem,
     find_frozen,
+    find_gaps,
     find_record_problems,
     find_sensor_step,
 )
@@ -128,6 +129,9 @@ def test_a_pause_and_scattered_stamps_are_told_and_not_fatal():
     assert "600.001 s" in gap.text
     scattered = T_S + np.random.default_rng(1).uniform(0.0, 3e-4, len(T_S))
     assert [problem.kind for problem in find(scattered)] == ["jitter"]
+    jitter_s = 3.5e-4 * np.random.default_rng(2).uniform(-1.0, 1.0, len(T_S))
+    assert not find_gaps(T_S + jitter_s).any()
+    assert np.flatnonzero(find_gaps(np.where(T_S < 2.0, T_S, T_S + 1e-3) + jitter_s)) == [1999]
 
 
 @pytest.mark.parametrize("rows", [0, 1])

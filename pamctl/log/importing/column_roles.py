@@ -372,8 +372,8 @@ def choose_by_header(table: MeasuredTable) -> ChosenColumns:
     if doubts or TIME not in columns:
         settled = {q: key for q in columns if (key := keys[KEYS[q]]).get("gauge", 0) is not None}
         raise MapWanted(_refuse(table, doubts, settled, candidates))
-    if not any(parse_column_name(column.name) for column in columns.values()):
-        warnings += _find_unused_parts(table, columns)
+    asked = {q: column for q, column in columns.items() if not parse_column_name(column.name)}
+    warnings += _find_unused_parts(table, asked)
     return ChosenColumns(ImportMap.model_validate(keys), columns, left_out, warnings)
 
 

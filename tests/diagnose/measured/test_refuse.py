@@ -253,6 +253,7 @@ def test_the_manual_lists_every_rule() -> None:
             True,
         ),
         ("t_s,position_m\n0,10\n0.1,20\n", "m", "Then say `unit: mm` in the map", False),
+        ("t_s,position_m\n0,0.1\n0.1,ERR\n", "m", "missing: [", False),
         ("t_s,Hub 3 counts\n0,10\n0.1,20\n", None, "--map FILE, such as:", True),
     ],
 )

@@ -47,7 +47,7 @@ def diagnose_asking(
 @pytest.mark.long
 def test_dead_band_and_leak_are_named_from_valve_pressure_and_position_together() -> None:
     rig = Cylinder(stroke_m=0.2, dead_band_v=0.3, leak_m2=2e-8)
-    asked = "deadband", "leak", "curve", "opening~", "flow~", "supply", "friction", "creep"
+    asked = "deadband", "leak", "valve_curve", "opening~", "flow~", "supply", "friction"
     found = diagnose_asking([record(rig, 1)], [record(rig, 2)], GUESSED.plant(), *asked)
     assert {f.name for f in found.findings} == {"valve_deadband", "chamber_leak"}
     numbers = {n.name: n for f in found.findings for n in f.numbers}

@@ -61,7 +61,7 @@ def test_steep_stribeck_friction_is_named_with_its_numbers() -> None:
 def test_a_quick_valve_behind_a_dead_band_is_no_delay() -> None:
     case = Case("pair/deadband+spool", "pair", {"valve_deadband": 5.0, "valve_spool": 3.0},
                 program="brief", repeat=96)  # fmt: skip
-    found = _diagnose(case, "valve", "command", "opening~", "filling~", "exhausting~", "line")
+    found = _diagnose(case, "deadband", "spool", "slew", "valve_curve", "command", "opening~")
     assert set(names_of(found)) == {"valve_deadband", "valve_spool"}
     true_s = 1.0 / case.rig.truth.spool_rad_per_s
     assert numbers_of(found)["valve_spool.time_constant_s"] == pytest.approx(true_s, rel=0.02)

@@ -56,13 +56,16 @@ def test_a_valve_that_is_closed_off_zero_is_named() -> None:
     assert abs(numbers_of(found)["null_offset.offset_v"]) == pytest.approx(0.05, abs=1e-3)
 
 
-def test_a_late_pressure_column_is_told_from_the_physics() -> None:
-    found = diagnose_spoiled(hidden_rig(seed=5), lambda r: shift_rows(r, "pressure_pa", 2))
+@pytest.mark.parametrize(
+    ("column", "called"), [("pressure_pa", "pressure"), ("valve_v", "command")]
+)
+def test_a_late_column_is_told_from_the_physics(column: str, called: str) -> None:
+    found = diagnose_spoiled(hidden_rig(seed=5), lambda r: shift_rows(r, column, 2))
     (fault,) = list_faults(found)
-    assert (fault.kind, fault.number) == ("skew", "pressure_pa")
+    assert (fault.kind, fault.number) == ("skew", column)
     assert fault.value == pytest.approx(2e-3, abs=1e-4)
-    assert "the pressure is logged 2.00 ms too late" in sentence(found)
-    assert "pressure_pa 2.00 ms earlier" in fault.how_to_mend
+    assert f"the {called} is logged 2.00 ms too late" in sentence(found)
+    assert f"{column} 2.00 ms earlier" in fault.how_to_mend
 
 
 def test_a_column_that_was_smoothed_both_ways_is_said_with_its_width() -> None:

@@ -11,7 +11,6 @@ import numpy as np
 from pamctl.control.experiment import ProgramSettings, plan_experiment
 from pamctl.diagnose import Diagnosis, Record
 from pamctl.diagnose.evidence.weigh import list_pool, prepare_weigher
-from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.drive import drive_coupled
 from pamctl.plant.model import PlantSettings
 from pamctl.plant.parameters import parameters_of
@@ -69,11 +68,6 @@ def measured(program: str, seed: int = 0, **hidden: float) -> Record:
 def pair(**hidden: float) -> tuple[list[Record], list[Record]]:
     """Return the records for the fit and those to judge by."""
     return [measured("fit", 1, **hidden)], [measured("judge", 2, **hidden)]
-
-
-def all_but(*names: str) -> set[str]:
-    """Return the rest of the catalogue, which a test leaves out to save time."""
-    return {*CATALOGUE} - {*names}
 
 
 def list_asked(records: Sequence[Record], plant: PlantSettings) -> frozenset[str]:

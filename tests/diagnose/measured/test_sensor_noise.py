@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support.made_records import all_but, measured
+from support.made_records import ask_only, measured
 
 from pamctl.diagnose import diagnose
 from pamctl.diagnose.record import estimate_white_noise, parse_noise, pool_stated_noise, record_of
@@ -65,13 +66,16 @@ def test_stated_noise_comes_from_the_option_the_plant_file_or_the_import_map(
     assert pool_stated_noise([record])["position_m"] == pytest.approx(4e-6, rel=1e-3)
 
 
-def test_the_document_says_where_noise_comes_from() -> None:
+@pytest.mark.parametrize("by", ["the option", "the record"])
+def test_the_document_says_where_noise_comes_from(by: str) -> None:
+    stated = {"pressure_pa": 900.0}
+    own = stated if by == "the record" else {}
     found = diagnose(
-        [measured("fit", 1)],
-        [measured("judge", 2)],
+        [replace(measured("fit", 1), stated_noise=own)],
+        [replace(measured("judge", 2), stated_noise=own)],
         PlantSettings(noise=NoiseSettings(position_m=3e-6)),
-        without=all_but("valve_leak"),
-        noise={"pressure_pa": 900.0},
+        without=ask_only("valve_leak"),
+        noise=None if own else stated,
     )
     noise = build_diagnosis_document(found)["noise"]
     assert (noise["pressure_pa"]["source"], noise["position_m"]["source"]) == ("stated", "stated")

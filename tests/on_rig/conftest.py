@@ -10,7 +10,6 @@ import pytest
 from support.made_records import ask_only
 
 from pamctl.diagnose import diagnose
-from pamctl.diagnose.deciding_program import choose_deciding_program
 from pamctl.on_rig.decide_on_rig import Investigation, decide_on_rig
 from pamctl.on_rig.rig_plan import Budget, make_rig_plan
 from pamctl.plant.model import PlantSettings
@@ -54,8 +53,6 @@ def done(rig: SimulatedRig, squares: Path) -> Investigation:
     with pytest.MonkeyPatch.context() as patch:
         few = partial(diagnose, without=asked)
         patch.setattr("pamctl.on_rig.decide_on_rig.diagnose", few)
-        choose = "pamctl.diagnose.workflow.choose_deciding_program"
-        patch.setattr(choose, partial(choose_deciding_program, programs=25))
         decide_on_rig(rig, investigation)
     return investigation
 

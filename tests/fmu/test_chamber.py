@@ -52,14 +52,14 @@ def run_unit(path: Path, commands_v: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Make two records of a leaking chamber, a constant and a moving position beside them."""
+    """Make records of a leaking chamber, a constant or a moving position beside them."""
     folder = tmp_path_factory.mktemp("chamber")
     (folder / "guess.yaml").write_text(PLANT)
     (folder / "leaking.yaml").write_text(
         f"{PLANT}effects: {{chamber_leak: {{area_m2: {LEAK_M2}}}}}"
     )
     invoke(f"plant export {folder}/leaking.yaml {folder}/leaking.fmu")
-    for name, moves in (("still", 0.0), ("moving", 0.01)):
+    for name, moves in (("still", 0.0), ("resting", 0.0), ("moving", 0.01)):
         random = np.random.default_rng(len(name))
         held_v = np.repeat(random.choice([-5, 5, 2, -2, 0.5, -0.5, 0, 0], 20), 200)
         commands_v = np.concatenate([np.full(400, -5.0), held_v])
@@ -94,7 +94,7 @@ def test_a_diagnosis_beside_a_position_finds_the_leak_and_the_gain_of_the_chambe
     others = {*CATALOGUE} - {"chamber_leak", "valve_deadband"}
     leave_out = " ".join(f"--without {name}" for name in sorted(others))
     document = invoke(
-        f"diagnose {folder}/still.mcap --holdout {folder}/moving.mcap "
+        f"diagnose {folder}/still.mcap --holdout {folder}/resting.mcap "
         f"--plant {folder}/guess.yaml --out {folder}/found {leave_out}"
     )
     (effect,) = document["effects"]

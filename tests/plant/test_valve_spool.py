@@ -73,3 +73,12 @@ def test_a_spool_much_faster_than_the_step_arrives_within_it(
     # The slower pole is w (zeta - sqrt(zeta^2 - 1)), and 0.2 w at the least.
     assert opening_v == pytest.approx(command_v, abs=10 * math.exp(-0.2 * 1e-3 / time_constant_s))
     assert rate == pytest.approx(0.0, abs=1e-2)
+
+
+def test_a_spool_of_first_order_covers_63_percent_in_its_time_constant_in_any_steps() -> None:
+    spool = ValveSpool(18e-3, order=1.0)
+    opening_v, rate = 1.0, 0.0
+    for _ in range(18):
+        opening_v, rate = spool_step(spool, opening_v, rate, 4.0, 1e-3)
+    assert opening_v == pytest.approx(4.0 - 3.0 / math.e)
+    assert rate == pytest.approx(3.0 / math.e / 18e-3)

@@ -114,7 +114,7 @@ class Weigher:
         self.like_held = None
         if held_out is not None:
             self.like_held = Likelihood(held_out.find_kept(level), least2)
-        self.floor2 = least2
+        self.floor2, self.start_error2 = least2, train.find_start_error2()
         self.simulations = 0
         """How often all records were simulated."""
         self.pushes: dict[str, Array] = {}
@@ -324,11 +324,19 @@ class Weigher:
         return np.asarray((self.like.counts * scales2).sum(axis=1) / self.like.counts.sum(axis=1))
 
     def find_noise2(self, m: WeighedModel) -> Array:
-        """Return the squared noise of each sensor: the finest level, never below its step."""
+        """Return the squared noise of each channel: its finest level, never below its step.
+
+        Where a simulation begins anew in each window, by the error of its first speed more.
+        """
         fine = m.d[..., : self.like.block // 2] ** 2
         kept = self.like.keep[..., : self.like.block // 2]
         middle = np.array([np.median(f[k]) for f, k in zip(fine, kept, strict=True)])
-        return np.maximum(middle / 0.455, self.like.least2)
+        return np.maximum(middle / 0.455, self.like.least2) + self.start_error2
+
+    def is_much_left(self, m: WeighedModel) -> bool:
+        """Tell whether a model leaves clearly more than the noise of some channel."""
+        left2 = self.find_robust2(m) / self.find_noise2(m)
+        return bool(left2.max() >= LEFT_TIMES**2)
 
     def find_seen(self, a: WeighedModel, b: WeighedModel) -> Array:
         """Return the share of each channel's robust mean square that b takes off a."""

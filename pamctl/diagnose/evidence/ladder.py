@@ -24,6 +24,7 @@ from pamctl.diagnose.evidence.fit import KEPT_PROMISE, Array, WeighedModel, Weig
 from pamctl.diagnose.evidence.measuring_chain import HOME
 from pamctl.diagnose.evidence.name_search import NameSearch, list_at_range
 from pamctl.diagnose.evidence.pool import CHAIN, Hypothesis
+from pamctl.diagnose.evidence.run_pieces import APART_M, LATE_M
 from pamctl.diagnose.evidence.scores import EvidenceScore
 from pamctl.diagnose.plant_numbers import FittedNumber, unit_of
 
@@ -133,7 +134,8 @@ def _find_level(
     own = without.left_out - m.left_out
     low, _, high = bound_gain(own)
     gained = float(own.sum()), (float(low), float(high)), float(own.sum()) / whole
-    numbers, at_range = _list_numbers(m, name, intervals), list_at_range(m, name)
+    numbers = _list_numbers(m, name, intervals, weigher.train.period_s)
+    at_range = list_at_range(m, name)
     channel = int(weigher.find_imprint(without, m).argmax())
     is_small = not is_first and own.sum() < NAME_SHARE * whole
     if is_small or not judges:  # nobody asks for its rivals
@@ -225,12 +227,19 @@ def _is_beaten(
     )
 
 
-def _list_numbers(m: WeighedModel, name: str, intervals: Intervals) -> tuple[FittedNumber, ...]:
-    return tuple(
-        fit_number(u.name, m.values[u.name], intervals[u.name])
-        for u in m.picked[name].free
-        if not u.name.startswith(HOME)
-    )
+def _list_numbers(
+    m: WeighedModel, name: str, intervals: Intervals, period_s: float
+) -> tuple[FittedNumber, ...]:
+    """Return the fitted numbers of a name; a lateness is known to a sample, where rows are so."""
+    numbers = []
+    for u in m.picked[name].free:
+        value, interval = m.values[u.name], intervals[u.name]
+        if u.name == LATE_M and APART_M in m.values:
+            value += m.values[APART_M]
+            interval = value - period_s, value + period_s
+        if not u.name.startswith(HOME):
+            numbers.append(fit_number(u.name, value, interval))
+    return tuple(numbers)
 
 
 def fit_number(name: str, value: float, interval: tuple[float, float]) -> FittedNumber:

@@ -82,6 +82,7 @@ def find_starts(position_m: Array, period_s: float, grid: SampleGrid) -> dict[st
 
     Of local polynomials the widest is taken whose speed differs from that of each narrower one by
     no more than the noise of the latter (Lepski's rule): a fixed width is late in a quick motion.
+    `speed_error` is the speed's standard deviation, m/s.
     """
     from scipy.signal import savgol_coeffs, savgol_filter
 
@@ -103,7 +104,8 @@ def find_starts(position_m: Array, period_s: float, grid: SampleGrid) -> dict[st
         narrower.append((speed, noise_m * float(np.sqrt(np.sum(row**2)))))
     best = widths[len(narrower) - 1]
     smooth = savgol_filter(even_m, best, min(START_ORDER, best - 1))
-    found = {"smooth": smooth, "speed": narrower[-1][0]}
+    speed, error = narrower[-1]
+    found = {"smooth": smooth, "speed": speed, "speed_error": np.full(len(speed), error)}
     return {name: np.interp(grid.samples_s, even_s, row) for name, row in found.items()}
 
 

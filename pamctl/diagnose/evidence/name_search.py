@@ -12,7 +12,6 @@ from pamctl.diagnose.evidence.constants import (
     FIRST_SHARE,
     FIT_STEPS,
     KEPT,
-    LEFT_TIMES,
     MOST_NAMES,
     NAME_NATS,
     NAME_SHARE,
@@ -97,6 +96,7 @@ class NameSearch:
                 break
             taken = self.choose_form(m, taken)
             m = self.exchange(base, self.settle_anew(self.weigher.settle(taken, 4)))
+            m = self.choose_forms_again(m)
         self.found = self.prune(m)
         return self.found
 
@@ -119,8 +119,7 @@ class NameSearch:
         forms, and in their simplest ones. It is asked only where much is left.
         """
         weigher = self.weigher
-        left2 = weigher.find_robust2(m) / weigher.find_noise2(m)
-        if left2.max() < LEFT_TIMES**2:
+        if not weigher.is_much_left(m):
             return m
         forms = [m.picked]
         simple = {n: min(self.pool[n].variants, key=lambda v: len(v.free)) for n in m.names}
@@ -161,10 +160,7 @@ class NameSearch:
         """
         weigher, floor2 = self.weigher, self.weigher.floor2
         ends = [h for h in self.pool.values() if h.kind == STOP and h.name not in m.names]
-        if not ends:
-            return []
-        left2 = weigher.find_robust2(m) / weigher.find_noise2(m)
-        if left2.max() < LEFT_TIMES**2:
+        if not ends or not weigher.is_much_left(m):
             return []
         before, moved = float(m.cost.by_block.sum()), list[tuple[float, WeighedModel]]()
         for its in ends:
@@ -268,6 +264,22 @@ class NameSearch:
                 if is_inside and other.total + len(other.x) < e.total + len(e.x):
                     e = other
         return e
+
+    def choose_forms_again(self, m: WeighedModel) -> WeighedModel:
+        """Choose the forms of all names but the last again, where much is left.
+
+        What was not in the model yet, such as a delay, made another form look better.
+        """
+        for name in m.names[:-1] if self.weigher.is_much_left(m) else ():
+            if len({v.form for v in self.pool[name].variants}) > 1:
+                without = self.drop(m, name)
+                e = replace(m, names=(*without.names, name))
+                other = self.choose_form(without, e)
+                if other is not e:
+                    self.tell(f"{name} has another form beside the others")
+                    other.names = m.names
+                    m = self.weigher.settle(other, 4)
+        return m
 
     def _prefer_name(self, m: WeighedModel, fits: list[WeighedModel]) -> None:
         """Put a name before a freer term of its place that does little better."""

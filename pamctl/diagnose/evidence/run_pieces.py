@@ -77,8 +77,8 @@ ADDED_M = f"{CHAIN}added.position_m"
 """The same of a piston's position."""
 LATE_M, CLOCK_M = f"{CHAIN}late.position_m", f"{CHAIN}clock.position_m"
 """When a position is read: a window begins with the state of another instant."""
-HOLD_M = f"{CHAIN}hold.position_m"
-"""A force that a drive holds from sample to sample makes the position late by half a sample."""
+APART_M = f"{CHAIN}apart.position_m"
+"""Force and position of one row are read up to a sample apart, or the force is held between."""
 FAR = 1e4
 """What a simulation shows where the plant leaves the range of its model."""
 
@@ -175,6 +175,16 @@ class Runs:
         self._lay_out()
         self._last: tuple[Any, Array] | None = None
         self._whole = self
+
+    def find_start_error2(self) -> Array:
+        """Return the mean square error of each channel by the speeds with which windows begin.
+
+        A speed that is wrong by e leaves e t after a time t, of a mass that nothing slows.
+        """
+        if not self.windowed:
+            return np.zeros(len(self.channels))
+        errors = np.concatenate([s.rates["speed_error"] for s in self.stretches])
+        return np.full(1, float(np.mean(errors**2)) * (self._window * self.period_s) ** 2 / 3.0)
 
     @property
     def whole(self) -> Runs:
@@ -332,9 +342,9 @@ class Runs:
         air_pa = chain.get(f"{CHAIN}atmosphere")
         if air_pa is not None:
             plain["atmospheric_pressure_pa"] = air_pa
-        early = ("valve_v", "t_s", ADDED_PA, ADDED_M)
+        early: tuple[str, ...] = ("valve_v", "t_s", ADDED_PA, ADDED_M)
         if self.windowed:
-            early += (LATE_M, CLOCK_M, HOLD_M)
+            early += (LATE_M, CLOCK_M, APART_M)
         command = {k: v for k, v in chain.items() if k.endswith(early)}
         key = (step_s, *sorted((plain | command).items()))
         last = self._whole._last
@@ -402,7 +412,7 @@ class Runs:
         inputs, rates, n = stretch.inputs, stretch.rates, len(grid.samples_s)
         if chain:
             rate = 1.0 + chain.get(CLOCK_M, 0.0)
-            late_s = chain.get(LATE_M, 0.0) + chain.get(HOLD_M, 0.0)
+            late_s = chain.get(LATE_M, 0.0) + chain.get(APART_M, 0.0)
             shown_s = (grid.samples_s + late_s) / rate
             rates = {k: np.interp(shown_s, grid.samples_s, c) for k, c in rates.items()}
         pressure = inputs.get("pressure_pa")
@@ -423,7 +433,7 @@ class Runs:
         """Do to the readings what the measuring chain does."""
         out = rows.reshape(len(rows), -1)
         for row, channel in zip(out, self.channels, strict=True):
-            late_s = sum(chain.get(f"{CHAIN}{n}.{channel}", 0.0) for n in ("late", "hold"))
+            late_s = sum(chain.get(f"{CHAIN}{n}.{channel}", 0.0) for n in ("late", "apart"))
             rate = 1.0 + chain.get(f"{CHAIN}clock.{channel}", 0.0)
             width_s = chain.get(f"{CHAIN}smooth.{channel}", 0.0)
             at = 0

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.diagnose.evidence.command_instants import CommandInstants, find_instants
-from pamctl.diagnose.evidence.constants import FIT_STEPS, LEFT_TIMES, NAME_NATS
+from pamctl.diagnose.evidence.constants import FIT_STEPS, NAME_NATS
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher, bound_gain
 from pamctl.diagnose.evidence.ladder import Finding, climb_ladder, fit_number
 from pamctl.diagnose.evidence.likelihood import from_haar
@@ -27,7 +27,7 @@ from pamctl.diagnose.evidence.pool import (
     list_terms,
 )
 from pamctl.diagnose.evidence.run_pieces import (
-    HOLD_M,
+    APART_M,
     CannotBeWeighed,
     Recording,
     Runs,
@@ -250,10 +250,9 @@ def _free_mistyped(weigher: Weigher, start: WeighedModel, base: WeighedModel) ->
         for n in start.numbers
     )  # fmt: skip
     wide = weigher.settle(replace(base, numbers=numbers, x=base.x.copy()), FIT_STEPS)
-    left2 = weigher.find_robust2(wide) / weigher.find_noise2(wide)
     weigher.meet(base, wide)
     is_sure = bound_gain(base.left_out - wide.left_out)[0] > NAME_NATS
-    return wide if is_sure and left2.max() < LEFT_TIMES**2 else base
+    return wide if is_sure and not weigher.is_much_left(wide) else base
 
 
 def prepare_weigher(
@@ -292,7 +291,7 @@ def list_calibrated(
 ) -> tuple[Unknown, ...]:
     """Return the numbers that every model frees.
 
-    They are the plant's guesses, the sensors' zeros, and how a force acts between two samples.
+    They are the plant's guesses, the sensors' zeros, and when in a sample a force acts.
     """
     found, tick = [], runs.period_s
     for name, share in CALIBRATED[plant.actuator].items():
@@ -312,8 +311,8 @@ def list_calibrated(
     if loaded and LOAD not in values and "external_load" not in plant.known:
         force = scales_of(runs, plant).force_n
         found.append(Unknown(LOAD, 0.0, -10.0 * force, 10.0 * force, 0.1 * force))
-    if "force_n" in runs.stretches[0].inputs and not runs.imposed:  # measured, or held by a drive
-        found.append(Unknown(HOLD_M, 0.5 * tick, 0.0, tick, 0.2 * tick))
+    if "force_n" in runs.stretches[0].inputs and not runs.imposed:
+        found.append(Unknown(APART_M, 0.0, -tick, tick, 0.2 * tick))
     for channel, row in zip(runs.channels, runs.shown, strict=True):
         step = find_resolution(row.ravel())
         most = {"pressure_pa": ZERO_PA, "position_m": step}.get(channel, 1e3 * np.ptp(row))

@@ -360,20 +360,23 @@ VALVE_SLEW = EffectDescription(
 
 
 class ValveSpool(NamedTuple):
-    """The valve's spool follows its command as a second-order system, not at once.
+    """The valve's spool follows its command as a system of first or second order, not at once.
 
     Lag of the spool. The paper's 109 Hz valve has a time constant of 1.46 ms.
     """
 
     time_constant_s: float = 0.0
-    """1 / (2 pi natural frequency in Hz); 0 is a spool without mass."""
+    """1 / (2 pi natural frequency in Hz); of first order until 63 % is reached. 0 is no lag."""
     damping_ratio: float = 0.7
+    """Of second order."""
+    order: float = 2.0
+    """2, or 1 for a spool without mass, as behind a pilot stage."""
 
 
 def spool_step(
     spool: ValveSpool, spool_v: float, rate_v_per_s: float, command_v: float, step_s: float
 ) -> tuple[float, float]:
-    """Advance s'' = w^2 (u - s) - 2 zeta w s' exactly over a step of constant command.
+    """Advance s'' = w^2 (u - s) - 2 zeta w s', or s' = w (u - s), over a step of constant command.
 
     Returns the spool's position, in volts of the command that would hold it there,
     and its rate in V/s.
@@ -381,8 +384,11 @@ def spool_step(
     if spool.time_constant_s <= 0.0:
         return command_v, 0.0
     natural = 1.0 / spool.time_constant_s
-    decay_rate = spool.damping_ratio * natural
     offset = spool_v - command_v
+    if spool.order < 2.0:
+        left = offset * math.exp(-natural * step_s)
+        return command_v + left, -natural * left
+    decay_rate = spool.damping_ratio * natural
     curvature = natural * natural - decay_rate * decay_rate
     # `level` and `swing`: what a unit of offset and of push leave at the end of the step.
     if curvature > 0.0:
@@ -407,12 +413,18 @@ def spool_step(
 
 VALVE_SPOOL = EffectDescription(
     kind=ValveSpool, block="pressure",
-    equation="s'' = w^2 (u - s) - 2 zeta w s',  A_v = K_Av s",
+    equation="s'' = w^2 (u - s) - 2 zeta w s', or s' = w (u - s);  A_v = K_Av s",
     parameters=(
         size("time_constant_s", "s", 0.1, smallest=2e-4, start=1e-3,
-             meaning="1 / natural angular frequency"),
+             meaning="1 / natural angular frequency; of first order, the time to 63 %"),
         shape("damping_ratio", "1", 0.2, 2.0, usual=0.7, smallest=0.1,
-              meaning="damping of the spool"),
+              meaning="damping of the spool of second order"),
+        shape("order", "1", 1.0, 2.0, usual=2.0, smallest=1.0,
+              meaning="2, or 1 for a spool without mass"),
+    ),
+    forms=(
+        EffectForm("second order", ("time_constant_s", "damping_ratio"), {"order": 2.0}),
+        EffectForm("first order", ("time_constant_s",), {"order": 1.0}),
     ),
     signature="an error in the first milliseconds after every step of the command; it grows with "
     "frequency",

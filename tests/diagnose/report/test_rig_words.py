@@ -83,7 +83,7 @@ def test_no_word_of_a_mechanism_speaks_of_air(
     found: Diagnosis, records: list[Record], verdict: Verdict | None
 ) -> None:
     said = found if verdict is None else replace(found, verdict=verdict)
-    assert names_of(found) == ["coulomb_friction", "position_late"]  # the force was held for 1 ms
+    assert names_of(found) == ["coulomb_friction"]
     html = write_html(build_diagnosis_page(said, records))
     page = re.sub(r"<style.*?</style>", "", html.split("plant.yaml</summary>")[0], flags=re.S)
     document = build_diagnosis_document(said)

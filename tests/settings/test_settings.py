@@ -551,3 +551,22 @@ def test_config_show_keeps_problems_off_stdout() -> None:
 def test_a_key_without_its_section_is_refused_with_the_section() -> None:
     with pytest.raises(ConfigError, match=r"did you mean 'controller\.lambda_per_s'\?"):
         resolve(overrides=["lambda_per_s=30"])
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("experiment.amplitude_mm='2'", "must be a number (got '2')"),
+        ("experiment={offset_mm: 9}", "missing; it must be 'tracking', "),
+        ("controller={}", "missing; it must be 'qsmc', "),
+        ("rig.limits.command_v=true", "must be a number (got true)"),
+        (
+            "plant.terms.force={size: 1, operator: curve, driver: position, low: 1, high: 1}",
+            "a curve's `high` must be greater than its `low`",
+        ),
+    ],
+)
+def test_models_that_are_built_at_first_use_are_as_strict_as_any(override: str, said: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        resolve(overrides=[override])
+    assert said in str(refused.value)

@@ -366,7 +366,9 @@ def _import_beside(path: Path, imported: Path, column_map: ImportMap | None) -> 
     notes = [f"imported: {read_as}", *([f"not used: {unused}"] if unused else [])]
     notes += [f.message for f in done.findings if f.level == Severity.WARNING]
     if done.map_text:
-        notes.append("`pamctl log import` of it shows a map that would name what is not used")
+        notes.append(
+            "`pamctl log import FILE OUT.mcap` shows a map that would name what is not used"
+        )
     return tuple(map(escape_name, notes))
 
 

@@ -113,7 +113,7 @@ def doubt_actuator(record: Record, plant: PlantSettings) -> Iterator[Problem]:
         )
 
 
-_ANOTHER_PLANT = "make the plant file of what was measured (`pamctl plant new --actuator`)"
+_ANOTHER_PLANT = "make the plant file of what was measured (`pamctl plant new`)"
 
 
 def _find_motion_m(record: Record) -> float:

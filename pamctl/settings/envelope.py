@@ -144,9 +144,8 @@ def _find_drive_commands(
 def find_demand(model: PaperParameters, sample: TimedReference, load_n: float = 0.0) -> Demand:
     """Return what Eq. 4 to 8 need for a motion; the pressure has Eq. 5's friction in it.
 
-    The load, N, pulls against the contraction.
-
-    The valve command is without the jump of pressure at a reversal, which no valve can follow.
+    The load, N, pulls against the contraction. The valve command is without the jump of pressure at
+    a reversal, which no valve can follow.
     """
     _, x, v, a, j, _ = sample.reference
     gauge_pa = _find_gauge_pa(model, load_n, x, v, a, with_friction=False)

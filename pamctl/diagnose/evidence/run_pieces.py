@@ -181,7 +181,7 @@ class Runs:
 
         A speed that is wrong by e leaves e t after a time t, of a mass that nothing slows.
         """
-        if not self.windowed:
+        if not self.windowed or self.imposed:
             return np.zeros(len(self.channels))
         errors = np.concatenate([s.rates["speed_error"] for s in self.stretches])
         return np.full(1, float(np.mean(errors**2)) * (self._window * self.period_s) ** 2 / 3.0)

@@ -7,7 +7,7 @@ import pytest
 from pamctl.cli.output import read_map
 from pamctl.log import LogError
 from pamctl.log.importing.column_map import ImportMap
-from pamctl.log.importing.column_roles import HeaderMeaning, understand_header
+from pamctl.log.importing.headers import HeaderMeaning, understand_header
 from pamctl.log.importing.measured_table import MapWanted
 from pamctl.log.importing.pipeline import import_log
 

@@ -1,17 +1,12 @@
 """Which column of a table is which quantity: by its header, or by asking.
 
-`Pressure [bar]`, `Chamber pressure (bar g)`, `Kolbenweg/mm`, `position_mm`. The unit says which
-quantity a column can hold; the words must agree. A word that is not known leaves a doubt, a word
-for something else (a set point, the supply) rules the column out. A doubt is a question: the
-refusal holds a map that can be used as it stands.
+A doubt is a question: the refusal holds a map that can be used as it stands.
 """
 
 from __future__ import annotations
 
 import re
-import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cache
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -25,11 +20,22 @@ from pamctl.log.importing.column_map import (
     ColumnMap,
     ImportMap,
     PressureMap,
-    SaidQuantity,
     describe_part,
     parse_column_name,
     quote,
     write_key,
+)
+from pamctl.log.importing.headers import (
+    NAMES,
+    OF_A_COMMAND,
+    OTHER,
+    HeaderMeaning,
+    names_another,
+    say_why_unread,
+    split_unit,
+    split_words,
+    tell_gauge,
+    understand_column,
 )
 from pamctl.log.importing.measured_table import (
     Floats,
@@ -38,205 +44,6 @@ from pamctl.log.importing.measured_table import (
     MeasuredTable,
     TableColumn,
 )
-
-
-class HeaderMeaning(NamedTuple):
-    """What a header says of its column."""
-
-    quantity: str
-    unit: str
-    """Empty where it states none that this quantity has."""
-    is_gauge: bool | None
-    """Of a pressure; None if the header does not say it."""
-    is_sure: bool
-    """Whether every word is understood."""
-    said_unit: str = ""
-    """What stands in the place of the unit."""
-    is_plain: bool = False
-    """Whether it is pamctl's own name for the quantity and its unit, such as `valve_v`."""
-
-
-_NAMES: Mapping[str, frozenset[str]] = {
-    TIME: frozenset({
-        "time", "t", "timestamp", "zeit", "messzeit", "uhrzeit", "temps", "tiempo", "tempo",
-    }),
-    "valve_v": frozenset({
-        "valve", "command", "cmd", "control", "u", "ao", "ventil", "stell", "stellgroesse",
-        "valvula", "valvola", "vanne", "mando", "comando", "commande",
-    }),
-    "pressure_pa": frozenset({
-        "pressure", "p", "pm", "druck", "ueberdruck", "pression", "presion", "pressione", "pressao",
-    }),
-    "position_m": frozenset({
-        "position", "pos", "displacement", "disp", "contraction", "stroke", "x", "weg", "hub",
-        "lage", "encoder", "enc", "kontraktion", "auslenkung", "deplacement", "angle", "winkel",
-        "posicion", "posizione", "posicao", "desplazamiento", "spostamento", "deslocamento",
-    }),
-    "force_n": frozenset({"force", "f", "fm", "kraft", "thrust", "fuerza", "forza", "forca"}),
-}  # fmt: skip
-"""Words for a quantity, in the languages of many labs."""
-_SENSES: Mapping[bool, frozenset[str]] = {
-    True: frozenset({
-        "gauge", "gage", "rel", "relative", "relativ", "relativa", "uberdruck", "ueberdruck",
-        "manometric", "manometrica", "manometrique",
-    }),
-    False: frozenset({
-        "abs", "absolute", "absolut", "absolutdruck", "absolu", "absolue", "absoluta", "assoluta",
-    }),
-}  # fmt: skip
-"""Words for a gauge pressure, and for an absolute one."""
-_SENSES_OF_A_UNIT = {True: _SENSES[True] | {"g", "ue"}, False: _SENSES[False] | {"a"}}
-"""Beside a unit: `bar g`, `bar \xfc`, `kPa a`."""
-_BESIDE = _SENSES[True] | _SENSES[False] | frozenset({
-    "muscle", "muskel", "pam", "actuator", "aktor", "measured", "meas", "gemessen", "actual", "act",
-    "ist", "sensor", "channel", "ch", "ai", "signal", "value", "wert", "applied", "feedback",
-    "elapsed", "of", "day", "clock", "internal", "inner",
-    "voltage", "spannung", "since", "start", "cell", "load", "axial", "linear", "number", "no",
-    "chamber", "vessel", "cylinder", "piston", "rod", "carriage", "slide", "axis", "drive", "motor",
-    "joint", "gelenk",
-    "bogen", "chambre", "camara", "camera", "muscolo", "musculo", "cilindro", "verin", "pistone",
-    "asse", "axe", "eje", "del", "della",
-    "kammer", "behaelter", "zylinder", "kolben", "stange", "schlitten", "achse", "antrieb", "mess",
-    "proportional", "prop", "laser", "lvdt", "transducer", "aufnehmer", "zelle", "last",
-})  # fmt: skip
-"""Words that change nothing: what is measured, and with what."""
-_OTHER = frozenset({
-    "set", "setpoint", "sp", "soll", "sollwert", "target", "reference", "ref", "desired", "des",
-    "demand", "demanded", "wanted", "error", "err", "fehler", "deviation", "supply", "tank",
-    "source", "versorgung", "ambient", "atmospheric", "atmosphere", "model", "modelled",
-    "simulated", "simulation", "sim", "estimate", "estimated", "est", "predicted", "mean", "max",
-    "min", "std", "limit", "velocity", "speed", "rate", "initial", "dead", "delay", "step",
-    "consigne", "consigna", "riferimento", "referencia", "alimentation", "alimentacion",
-    "alimentazione", "vitesse", "velocidad", "velocita", "errore", "erreur",
-})  # fmt: skip
-"""Words for another thing than the measured quantity."""
-_OF_A_COMMAND = frozenset({"set", "setpoint", "sp", "soll", "demand", "desired", "reference"})
-"""They do not rule out the valve's command."""
-_BRACKETED = re.compile(r"(.*?)\s*[\[(](.+?)[\])]+\s*", re.DOTALL)
-_ANY_SENSE = "|".join(sorted(_SENSES_OF_A_UNIT[True] | _SENSES_OF_A_UNIT[False]))
-_SENSE_WORDS = rf"(\S+\s+(?:{_ANY_SENSE}))"
-_FORMS = [
-    _BRACKETED,
-    *(
-        re.compile(label + r"(?:\s*/\s*|\s*,\s*|\s+in\s+|[\s_]+)" + unit, re.I | re.DOTALL)
-        for unit in (_SENSE_WORDS, r"(\S+)")
-        for label in (r"(.*?)", r"(.*)")
-    ),
-]
-_SPELLINGS = {
-    "sec": "s", "secs": "s", "second": "s", "seconds": "s", "sekunden": "s", "msec": "ms",
-    "milliseconds": "ms", "microseconds": "us", "minutes": "min", "volt": "V", "volts": "V",
-    "millimeter": "mm", "millimetre": "mm", "micron": "um", "microns": "um", "inch": "in",
-    "inches": "in", '"': "in", "newton": "N", "newtons": "N", "pascal": "Pa", "torr": "Torr",
-    "mm hg": "mmHg", "in hg": "inHg", "kp/cm2": "kgf/cm2", "kg/cm2": "kgf/cm2", "kp": "kgf",
-}  # fmt: skip
-_CLOCK_FORM = re.compile(r"[\[(][dhmsyf:.,/ -]+[\])]", re.I)
-"""As in `Time [hh:mm:ss]`: no unit, but the form of the cells."""
-_UMLAUTS = str.maketrans({
-    "\xe4": "ae", "\xf6": "oe", "\xfc": "ue", "\xdf": "ss",
-    "\xc4": "AE", "\xd6": "OE", "\xdc": "UE",
-})  # fmt: skip
-_SENSE = re.compile(rf"(\S+?|mm hg|in hg)[\s_(]*({_ANY_SENSE})\.?\)?")
-
-
-def _drop_accents(text: str) -> str:
-    """Return a text without accents; an umlaut becomes two letters."""
-    parts = unicodedata.normalize("NFD", unicodedata.normalize("NFC", text).translate(_UMLAUTS))
-    return "".join(letter for letter in parts if not unicodedata.combining(letter))
-
-
-@cache
-def read_unit(text: str) -> SaidQuantity | None:
-    """Return the quantity and unit that a text such as `[kPa abs]` names; None for another text."""
-    plain = _drop_accents(text).strip().strip("[]()").strip().lower()
-    for sign, word in (("\N{MICRO SIGN}", "u"), ("\N{GREEK SMALL LETTER MU}", "u"),
-                       ("\N{SUPERSCRIPT TWO}", "2"), ("^2", "2")):  # fmt: skip
-        plain = plain.replace(sign, word)
-    sense = _SENSE.fullmatch(plain)
-    is_gauge = sense and sense[2] in _SENSES_OF_A_UNIT[True]
-    for spelt, gauge in ((plain, None), (sense and sense[1], is_gauge)):
-        unit = _SPELLINGS.get(spelt or "", spelt or "").lower()
-        for quantity, units in UNITS.items():
-            found = next((name for name in units if name.lower() == unit), None)
-            if found is not None and (gauge is None or quantity == "pressure_pa"):
-                return SaidQuantity(quantity, found, gauge)
-    return None
-
-
-def understand_column(column: TableColumn) -> HeaderMeaning | None:
-    """Return what the names and the unit of a column say, see `understand_header`."""
-    plain = parse_column_name(column.name) or parse_column_name(column.called)
-    if plain is not None:
-        return HeaderMeaning(*plain, is_sure=True, is_plain=True)
-    return understand_header(column.called or column.name, column.unit)
-
-
-def understand_header(name: str, unit: str = "") -> HeaderMeaning | None:
-    """Return what a name says; `unit` is stated elsewhere, as in a line below the names.
-
-    None if the words name none of our quantities, or another thing.
-    """
-    label, said, found = _split_unit(name, unit)
-    words = _split_words(label)
-    named = [quantity for quantity, its in _NAMES.items() if its & words]
-    if found is not None and found.quantity in named:
-        named = [found.quantity]
-    elif found is not None and not named and words and found.quantity != "valve_v":
-        # `Load cell (N)`, `ist_mm`: volts may be those of any sensor, other units tell.
-        named = [found.quantity] if words <= _BESIDE else []
-    if len(named) != 1:
-        return None
-    quantity = named[0]
-    others = words - _NAMES[quantity]
-    is_command = quantity == "valve_v"
-    if others & (_OTHER - _OF_A_COMMAND if is_command else _OTHER):
-        return None
-    is_sure = others <= (_BESIDE | _OF_A_COMMAND if is_command else _BESIDE)
-    is_gauge = _tell_gauge(found, words)
-    if found is not None and found.quantity == quantity:
-        return HeaderMeaning(quantity, found.unit, is_gauge, is_sure, said)
-    return HeaderMeaning(quantity, "", is_gauge, is_sure, said) if is_sure else None
-
-
-def _say_why_unread(column: TableColumn) -> str:
-    if others := _names_another(column):
-        return f"{min(others)!r} in its name is not what a sensor of the rig measures"
-    return "its name says no quantity with its unit that pamctl reads"
-
-
-def _split_words(label: str) -> set[str]:
-    """Return the words of a name; numbers count for nothing."""
-    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", _drop_accents(label)).lower()
-    return {part for word in re.findall(r"[^\W\d_]+", spaced) for part in _split_compound(word)}
-
-
-def _split_compound(word: str) -> tuple[str, ...]:
-    """Return the two known words that a word such as `kolbenposition` joins, or the word."""
-    known = _BESIDE.union(_OTHER, *_NAMES.values())
-    if word not in known:
-        for at in range(3, len(word) - 2):
-            if word[at:] in known and {word[:at], word[:at].removesuffix("s")} & known:
-                return word[:at] if word[:at] in known else word[: at - 1], word[at:]
-    return (word,)
-
-
-def _split_unit(name: str, unit: str) -> tuple[str, str, SaidQuantity | None]:
-    if unit:
-        return _CLOCK_FORM.sub("", name), unit, read_unit(unit)
-    name = _drop_accents(name)
-    for form in _FORMS:
-        match = form.fullmatch(name.strip())
-        if match is not None and (found := read_unit(match[2])) is not None:
-            return match[1], match[2], found
-    bracketed = _BRACKETED.fullmatch(name.strip())
-    return (bracketed[1], bracketed[2], None) if bracketed else (name, "", None)
-
-
-def _tell_gauge(found: SaidQuantity | None, words: set[str]) -> bool | None:
-    if found is not None and found.is_gauge is not None:
-        return found.is_gauge
-    return next((is_gauge for is_gauge, its in _SENSES.items() if its & words), None)
-
 
 NEVER_ABSOLUTE_PA = 80e3
 """An absolute pressure in a muscle does not fall so low."""
@@ -342,7 +149,7 @@ def choose_by_header(table: MeasuredTable) -> ChosenColumns:
         elif column.is_text:
             left_out[number] = column.says or "words, no numbers"
         else:
-            left_out[number] = _say_why_unread(column)
+            left_out[number] = say_why_unread(column)
     _require_one_of_each(candidates)
     keys: dict[str, dict[str, Any]] = {}
     columns: dict[str, TableColumn] = {}
@@ -431,8 +238,8 @@ def _are_of_two_parts(one: TableColumn, other: TableColumn) -> bool:
     """
     if one.is_text or other.is_text or not (_does_move(one.values) and _does_move(other.values)):
         return False
-    apart = _split_words(one.called or one.name) ^ _split_words(other.called or other.name)
-    of_one = _OF_ONE_PART | _OTHER | _OF_A_COMMAND
+    apart = split_words(one.called or one.name) ^ split_words(other.called or other.name)
+    of_one = _OF_ONE_PART | OTHER | OF_A_COMMAND
     return not apart & of_one and _move_apart(one.values, other.values)
 
 
@@ -522,13 +329,13 @@ def _guess(column: TableColumn) -> HeaderMeaning | None:
 
     None where neither tells, or where a word says that it is another thing.
     """
-    label, said, found = _split_unit(column.called or column.name, column.unit)
-    words = _split_words(label)
-    named = [quantity for quantity, its in _NAMES.items() if its & words]
-    if column.is_text or words & _OTHER or len(named) > 1:
+    label, said, found = split_unit(column.called or column.name, column.unit)
+    words = split_words(label)
+    named = [quantity for quantity, its in NAMES.items() if its & words]
+    if column.is_text or words & OTHER or len(named) > 1:
         return None
     if found is not None and found.quantity == (named or [found.quantity])[0]:
-        gauge = _tell_gauge(found, words)
+        gauge = tell_gauge(found, words)
         return HeaderMeaning(found.quantity, found.unit, gauge, is_sure=False, said_unit=said)
     return HeaderMeaning(named[0], "", None, is_sure=False, said_unit=said) if named else None
 
@@ -576,15 +383,9 @@ def propose_missing(table: MeasuredTable, chosen: ChosenColumns) -> list[str]:
     rest = [
         column
         for column in table.columns
-        if id(column) not in used and not column.is_text and not _names_another(column)
+        if id(column) not in used and not column.is_text and not names_another(column)
     ]
     return [*_propose_others(table, rest, {*chosen.columns})]
-
-
-def _names_another(column: TableColumn) -> set[str]:
-    """Return the words by which a name says that it is another thing."""
-    label, _, _ = _split_unit(column.called or column.name, column.unit)
-    return _split_words(label) & _OTHER
 
 
 def _propose_others(

@@ -35,9 +35,9 @@ from pamctl.log.importing.column_roles import (
     list_stated_units,
     propose_missing,
     show_map,
-    understand_column,
 )
 from pamctl.log.importing.file_formats import read_table
+from pamctl.log.importing.headers import understand_column
 from pamctl.log.importing.measured_table import (
     Floats,
     ImportRefused,

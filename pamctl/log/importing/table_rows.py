@@ -26,7 +26,7 @@ from pamctl.log.importing.cell_texts import (
     tell_kind,
 )
 from pamctl.log.importing.column_map import TextHints
-from pamctl.log.importing.column_roles import read_unit
+from pamctl.log.importing.headers import read_unit
 from pamctl.log.importing.measured_table import (
     MOST_NUMBERS,
     Floats,

@@ -147,7 +147,7 @@ UNCATALOGUED = (
     Uncatalogued("valve_opens_wider", (("opening", "time"),),
                  run=_times("valve_m2_per_v", 0.06, 1.73)),
     Uncatalogued("spring_softens", (("stiffness", "time"),),
-                 run=_times("stiffness", -0.009)),
+                 run=_times("stiffness", -0.009), called="drift"),
     Uncatalogued("damping_grows", (("damping", "time"),),
                  run=_times("damping", 0.08)),
     Uncatalogued("load_is_hung_on", (("force", "time"),),

@@ -68,6 +68,8 @@ LOAD = "external_load.force_n"
 KNOWN_WELL = 0.1
 """A number with a smaller visible share is measured with a tape or a gauge: 6 shares are its range;
 all others are guesses, a factor of 12 (a direct mechanism: 50)."""
+MAY_BE_ABSENT = ("kinetic_friction_per_m",)
+"""Guesses that may be 0: not every braid rubs."""
 RUN_AWAY = 1e3
 """Times the span of a channel: so far from it no model of the rig can be."""
 ASKED, FITTED = 6.5, 250
@@ -301,7 +303,7 @@ def list_calibrated(
         low, high = value * (1.0 - 6.0 * share), value * (1.0 + 6.0 * share)
         if share >= KNOWN_WELL:
             most = 50.0 if plant.actuator == "direct" else 12.0
-            low, high = value / most, value * most
+            low, high = 0.0 if name in MAY_BE_ABSENT else value / most, value * most
         found.append(Unknown(name, value, low, high, share * value))
     for name, p in list_stated(values, plant.known):
         most = 50.0 * abs(values[name])

@@ -137,7 +137,7 @@ def test_a_record_of_something_else_than_the_plant_file_says_is_refused_at_once(
     muscle = replace(muscle, pressure_pa=air)
     told = [diagnose([muscle], [muscle], plant).reason for plant in (CHAMBER, DIRECT)]
     assert "sines: position_m moves by 20 mm" in told[0]
-    assert "pamctl plant new --actuator" in told[0]
+    assert "`pamctl plant new`" in told[0]
     assert "`actuator: direct`, which force_n must drive; the record holds valve_v, p" in told[1]
     axis = sines(500.0, force_n=10.0, position_m=0.01)
     assert "valve_v or pressure_pa must drive" in diagnose([axis], [axis], PAPER).reason

@@ -288,12 +288,13 @@ def spell_gap(channel: str, gap: HeldOutGap) -> list[str]:
 
 def describe_gap(diagnosis: Diagnosis) -> str:
     """Say what each model leaves of each channel, in plain units, and whether that is noise."""
-    parts = []
+    evidence, parts = diagnosis.evidence, []
+    begins = " and of each window's begin" if evidence and evidence.weigher.train.windowed else ""
     for name, unit, start, again, extended, noise in starmap(spell_gap, diagnosis.gap.items()):
         steps = [f"{start} {unit} by the start model", f"{again} {unit} recalibrated"]
         if diagnosis.findings:
             steps.append(f"{extended} {unit} with what was found")
-        parts.append(f"{name} {', '.join(steps)} (noise of its sensor {noise} {unit})")
+        parts.append(f"{name} {', '.join(steps)} (noise of its sensor{begins} {noise} {unit})")
     where = "On held-out seconds" if diagnosis.is_held_out else "On the fitted records"
     said = f"{where} the RMS that is left is: {'; '.join(parts)}."
     return f"{said} {describe_left(diagnosis)}".rstrip()

@@ -232,12 +232,10 @@ class PlantSettings(Configured):
             needed.append("stiffness_n_per_m")
         for name in needed:
             if getattr(self.parameters, name) < 1.0 / HUGE:
-                floor = "; without a spring, stroke_m says what carries the load" * (
-                    name == "stiffness_n_per_m"
-                )
-                raise ValueError(
-                    f"parameters.{name} of a {self.actuator} must be at least {1.0 / HUGE:g}{floor}"
-                )
+                text = f"parameters.{name} of a {self.actuator} must be at least {1.0 / HUGE:g}"
+                if name == "stiffness_n_per_m":
+                    text += "; without a spring, stroke_m says what carries the load"
+                raise ValueError(text)
         return self
 
     @model_validator(mode="after")

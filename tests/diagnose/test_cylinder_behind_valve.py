@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from support.cylinder import Array, Cylinder, excite
+from support.cylinder import Array, Cylinder, LiftingMuscle, excite
 from support.made_records import ask_only, list_asked
 
 from pamctl.diagnose import Diagnosis, Record, diagnose
@@ -115,3 +115,33 @@ def test_where_both_ends_are_seen_the_zero_of_the_position_is_off() -> None:
         for value in (-0.01, 0.0)
     }
     assert off[-0.01] < 0.1 * off[0.0]
+
+
+def test_of_a_muscle_whose_braid_does_not_rub_the_fitted_friction_goes_to_zero() -> None:
+    muscle, commands = LiftingMuscle(), excite(T_S) - 1.0
+    position_m, pressure_pa = muscle.simulate(T_S, commands)
+    lifted = Record("lifted", T_S, commands, pressure_pa, np.round(position_m / 1e-6) * 1e-6)
+    data = muscle.plant().model_dump(exclude_none=True)
+    data["parameters"]["kinetic_friction_per_m"] = 55.3
+    weigher, start = prepare_weigher([lifted], [], PlantSettings.model_validate(data))
+    found = weigher.settle(start, 12).values
+    assert found["kinetic_friction_per_m"] < 0.5
+    assert found["external_load.force_n"] == pytest.approx(muscle.preload_n, rel=0.005)
+
+
+def test_a_valve_of_first_order_is_named_with_its_time_and_not_a_law_without_a_name() -> None:
+    rig, fine_s, lag_s = Cylinder(stroke_m=0.2), np.arange(0.0, 4.0, 5e-4), 18e-3
+    commands = np.repeat(excite(fine_s[::4]), 4)
+    lag_v, opened, half = 0.0, np.empty(len(fine_s)), np.exp(-2.5e-4 / lag_s)
+    for k, command in enumerate(commands):
+        opened[k] = command + (lag_v - command) * half  # in the middle of the interval
+        lag_v = command + (opened[k] - command) * half
+    position_m, pressure_pa = (row[::4] for row in rig.simulate(fine_s, opened))
+    noisy_pa = pressure_pa + np.random.default_rng(5).normal(0.0, 300.0, len(pressure_pa))
+    lagging = Record("lagging", fine_s[::4], commands[::4], noisy_pa, position_m)
+    asked = "valve_spool", "command~lag", "command_delay", "pressure_late", "pressure_sensor_lag"
+    found = diagnose_asking([lagging], [], rig.plant(), *asked)
+    assert [f.name for f in found.findings if f.level == "name"] == ["valve_spool"]
+    assert found.evidence is not None
+    assert found.evidence.values["valve_spool.order"] == 1.0
+    assert found.evidence.values["valve_spool.time_constant_s"] == pytest.approx(lag_s, rel=0.05)

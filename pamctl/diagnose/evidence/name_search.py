@@ -54,6 +54,11 @@ def _begin_anew(m: WeighedModel, picked: Mapping[str, Variant]) -> WeighedModel:
     return WeighedModel(names, numbers, held, np.array(x), {**picked})
 
 
+def _put_last(m: WeighedModel, name: str) -> WeighedModel:
+    """Return the same model with a name at the end, where the one that is judged stands."""
+    return replace(m, names=(*(n for n in m.names if n != name), name))
+
+
 class NameSearch:
     """The search over a pool, from a recalibrated model."""
 
@@ -273,7 +278,7 @@ class NameSearch:
         for name in m.names[:-1] if self.weigher.is_much_left(m) else ():
             if len({v.form for v in self.pool[name].variants}) > 1:
                 without = self.drop(m, name)
-                e = replace(m, names=(*without.names, name))
+                e = _put_last(m, name)
                 other = self.choose_form(without, e)
                 if other is not e:
                     self.tell(f"{name} has another form beside the others")
@@ -335,12 +340,7 @@ class NameSearch:
 
     def counts_in(self, without: WeighedModel, m: WeighedModel, name: str) -> bool:
         """Tell whether a name counts in a model, against the model without it."""
-        order = (*(n for n in m.names if n != name), name)
-        kept, m.names = m.names, order
-        try:
-            return self.weigher.counts(without, m)
-        finally:
-            m.names = kept
+        return self.weigher.counts(without, _put_last(m, name))
 
     def prune(self, m: WeighedModel) -> WeighedModel:
         """Drop what does not count beside the rest, the weakest first."""

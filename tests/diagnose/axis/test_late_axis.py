@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from diagnose.test_cogging import positioned
+from diagnose.axis.test_cogging import positioned
 from support.made_records import ask_only, list_asked, numbers_of
 
 from pamctl.diagnose import Record, diagnose

@@ -6,11 +6,16 @@ import importlib
 import os
 import shutil
 import signal
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import settings
+
+# Hundreds of processes are started: not one of them should compile its sources anew.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 # The machine may be busy, and hundreds of examples cost minutes.
 settings.register_profile("patient", deadline=None, max_examples=40)

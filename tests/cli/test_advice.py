@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.main import get_command
+from support.command_line import build_command
 
 import hal
 import pamctl
-from pamctl.cli.app import app
 from pamctl.cli.verbs import EXAMPLES
 from pamctl.diagnose.audit import find_separating_experiment, find_showing_experiment
 from pamctl.diagnose.report.next_experiment import write_command
@@ -33,23 +32,21 @@ NAMED_ALONE = ("diagnose", "compare", "tune", "health", "plant new", "start")
 
 def texts_of(tree: ast.AST) -> Iterator[str]:
     """Every text of a module but docstrings; what is filled in is the word FILLED."""
-    inside = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr)
-              for part in node.values}  # fmt: skip
-    documents = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
-    for node in ast.walk(tree):
-        if isinstance(node, ast.JoinedStr):
-            yield "".join(
-                str(part.value) if isinstance(part, ast.Constant) else "FILLED"
-                for part in node.values
-            )
-        elif isinstance(node, ast.Constant) and id(node) not in inside | documents:
-            yield str(node.value)
+    if isinstance(tree, ast.JoinedStr):
+        parts = (p.value if isinstance(p, ast.Constant) else "FILLED" for p in tree.values)
+        yield "".join(map(str, parts))
+    elif isinstance(tree, ast.Constant):
+        yield str(tree.value)
+    elif not (isinstance(tree, ast.Expr) and isinstance(tree.value, ast.Constant)):
+        for part in ast.iter_child_nodes(tree):
+            yield from texts_of(part)
 
 
 def printed_commands() -> Iterator[tuple[str, str]]:
     for package in (pamctl, hal):
         for path in sorted(Path(str(package.__file__)).parent.rglob("*.py")):
-            for text in texts_of(ast.parse(path.read_text())):
+            source = path.read_text()
+            for text in texts_of(ast.parse(source)) if "pamctl " in source else ():
                 for found in COMMAND.finditer(text):
                     command = (found[1] or found[2] or "").strip()
                     if command and command.split()[0].isalpha():
@@ -66,12 +63,9 @@ def printed_commands() -> Iterator[tuple[str, str]]:
                 )
 
 
-COMMANDS = sorted(set(printed_commands()))
-
-
 def find_verb(words: list[str]) -> tuple[Any, list[str]]:
     """The verb that words call, and the words after it."""
-    command: Any = get_command(app)
+    command = build_command()
     while hasattr(command, "commands"):
         if command.invoke_without_command and (not words or words[0] not in command.commands):
             break
@@ -81,34 +75,39 @@ def find_verb(words: list[str]) -> tuple[Any, list[str]]:
     return command, words
 
 
-@pytest.mark.parametrize("verb", sorted(EXAMPLES))
-def test_an_example_in_the_help_can_be_typed(verb: str) -> None:
-    for example in EXAMPLES[verb]:
-        words = shlex.split(example)
-        assert words[0] == "pamctl"
-        found, rest = find_verb(words[1:])
-        assert " ".join(words[1 : len(words) - len(rest)]) == verb
-        found.make_context(found.name, rest)
-        for option, value in pairwise(words):
-            if option in SHIPPED and not value.endswith(".yaml"):
-                assert find_config_file(SHIPPED[option], value).is_file()
-
-
-def test_the_commands_are_found() -> None:
-    verbs = {command.split()[0] for _, command in COMMANDS}
-    assert verbs >= {"run", "tune", "diagnose", "log", "doctor", "calibrate", "safe", "ack"}
-    assert len(COMMANDS) > 20
-
-
-@pytest.mark.parametrize(("where", "command"), COMMANDS)
-def test_a_printed_command_can_be_typed(where: str, command: str) -> None:
-    words = shlex.split(command, comments=True)
-    verb, rest = find_verb(words)
-    if rest or " ".join(words) not in NAMED_ALONE:
-        verb.make_context(verb.name, rest)
+def check_shipped(words: list[str]) -> None:
+    """Check that a name that a command gives to an option is that of a shipped file."""
     for option, value in pairwise(words):
         if option in SHIPPED and not value.endswith((".yaml", ".py")) and "FILLED" not in value:
             assert find_config_file(SHIPPED[option], value).is_file()
+
+
+def test_an_example_in_the_help_can_be_typed() -> None:
+    for verb, examples in EXAMPLES.items():
+        for words in map(shlex.split, examples):
+            assert words[0] == "pamctl"
+            found, rest = find_verb(words[1:])
+            assert " ".join(words[1 : len(words) - len(rest)]) == verb
+            found.make_context(found.name, rest)
+            check_shipped(words)
+
+
+def test_a_printed_command_can_be_typed() -> None:
+    commands = sorted(set(printed_commands()))
+    verbs = {command.split()[0] for _, command in commands}
+    assert verbs >= {"run", "tune", "diagnose", "log", "doctor", "calibrate", "safe", "ack"}
+    assert len(commands) > 20
+    wrong = []
+    for where, command in commands:
+        words = shlex.split(command, comments=True)
+        try:
+            verb, rest = find_verb(words)
+            if rest or " ".join(words) not in NAMED_ALONE:
+                verb.make_context(verb.name, rest)
+            check_shipped(words)
+        except Exception as error:
+            wrong.append(f"{where}: pamctl {command}: {error}")
+    assert not wrong
 
 
 def test_what_to_install_is_a_package_of_the_index_and_never_ours() -> None:

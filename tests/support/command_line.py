@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 from contextlib import chdir, redirect_stderr, redirect_stdout
+from functools import cache
 from pathlib import Path
 from typing import IO, Any
 from unittest.mock import patch
@@ -20,11 +21,17 @@ from pamctl.__main__ import main
 from pamctl.cli.app import app
 
 
+@cache
+def build_command() -> Any:
+    """Return all of the command line, as a shell would find it."""
+    return get_command(app)
+
+
 def parse_command(text: str) -> None:
     """Raise a usage error where `pamctl VERB ...` would leave with one."""
     name, *words = shlex.split(text, comments=True)
     assert name == "pamctl", text
-    command: Any = get_command(app)
+    command = build_command()
     while inner := getattr(command, "commands", None):
         name, *words = words
         command = inner[name]

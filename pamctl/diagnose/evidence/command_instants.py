@@ -209,7 +209,7 @@ def find_instants(weigher: Weigher) -> list[CommandInstants]:
     stretches = [s for runs in sets for s in runs.stretches]
     if "pressure_pa" not in sets[0].channels or "valve_v" not in stretches[0].inputs:
         return []
-    if any(s.acts_after_s is not None for s in stretches):
+    if any(s.grids.acts_after_s is not None for s in stretches):
         return []
     found = [CommandInstants(runs, weigher) for runs in sets]
     lacking = [_lacks_commands(each.measure_shares()) for each in found]

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import pairwise
 from typing import Any, Protocol
@@ -120,6 +120,32 @@ class Recording(Protocol):
 
 
 @dataclass
+class StepGrids:
+    """The grids of one stretch, by the length of the step; each is built when it is first used."""
+
+    between_s: Array
+    """From each sample to the next, shape (samples - 1,)."""
+    steps: Mapping[float, int]
+    """Their number in a usual interval, by their length."""
+    acts_after_s: Array | None
+    """How long after its sample each command acts, shape (samples,); None: at once."""
+    held_v: float | None
+
+    def __post_init__(self) -> None:
+        """Build nothing yet."""
+        self._built: dict[float, SampleGrid] = {}
+
+    def __getitem__(self, step_s: float) -> SampleGrid:
+        """Return the grid with steps of this length."""
+        if step_s not in self._built:
+            samples = len(self.between_s) + 1
+            self._built[step_s] = build_grid(
+                self.between_s, samples, self.steps[step_s], self.acts_after_s, self.held_v
+            )
+        return self._built[step_s]
+
+
+@dataclass
 class RunPiece:
     """A record, or the part of one between two gaps."""
 
@@ -129,15 +155,12 @@ class RunPiece:
     masked: Mask
     """As `shown`."""
     rates: dict[str, Array]
-    grids: dict[float, SampleGrid]
-    """By the length of the step."""
+    grids: StepGrids
     starts_at_rest: bool
     name: str = ""
     """Of its record."""
     begin_s: float = 0.0
     """Where it begins in its record."""
-    acts_after_s: Array | None = None
-    """How long after its sample each command acts, shape (samples,); None: at once."""
 
 
 class Runs:
@@ -165,8 +188,9 @@ class Runs:
         levels = round(np.log2(BLOCK_S / self.period_s))
         self.block: int = like.block if like else 1 << max(LEAST_LEVELS, min(LEVELS, levels))
         self._atmosphere_pa = plant["atmospheric_pressure_pa"]
-        self.steps_s = {FINE_STEP_S: LEAST_STEPS, COARSE_STEP_S: LEAST_STEPS, SCORE_STEP_S: 1}
-        """The steps of a simulation, with the least number of them in a sample."""
+        least = {FINE_STEP_S: LEAST_STEPS, COARSE_STEP_S: LEAST_STEPS, SCORE_STEP_S: 1}
+        self.steps_s = {s: max(n, round(self.period_s / s)) for s, n in least.items()}
+        """The steps of a simulation, with their number in a usual sample."""
         self.stretches = [s for record in records for s in self._cut(record)]
         if not self.stretches:
             raise TooLittleRecorded(
@@ -217,36 +241,23 @@ class Runs:
             acts_after = getattr(record, "acts_after_s", None)
             held_v = getattr(record, "held_v", None) if begin == 0 else None
             late_s = None if acts_after is None else acts_after[cut]
-            grids = self._build_grids(np.diff(t_s[cut]), late_s, held_v)
+            grids = StepGrids(np.diff(t_s[cut]), self.steps_s, late_s, held_v)
             counted = None if counts is None else counts[cut]
             found.append(self._make_stretch(columns, grids, begin == 0, counted))
             found[-1].name, found[-1].begin_s = record.name, float(t_s[begin])
-            found[-1].acts_after_s = late_s
         return found
 
-    def _build_grids(
-        self, between_s: Array, acts_after_s: Array | None, held_v: float | None
-    ) -> dict[float, SampleGrid]:
-        return {
-            step: build_grid(
-                between_s, len(between_s) + 1, max(least, round(self.period_s / step)),
-                acts_after_s, held_v,
-            )
-            for step, least in self.steps_s.items()
-        }  # fmt: skip
-
-    def set_instants(self, acts_after_s: Sequence[Array | None]) -> None:
+    def set_instants(self, acts_after_s: Sequence[Array]) -> None:
         """Let the commands of each stretch act so long after their samples, s."""
         for stretch, late_s in zip(self.stretches, acts_after_s, strict=True):
-            grid = stretch.grids[FINE_STEP_S]
-            stretch.grids = self._build_grids(np.diff(grid.samples_s), late_s, grid.held_v)
-            stretch.acts_after_s = late_s
-        self._whole._last = None
+            now_s = stretch.grids.acts_after_s
+            if now_s is None or not np.array_equal(late_s, now_s):
+                stretch.grids = replace(stretch.grids, acts_after_s=late_s)
+                self._whole._last = None
 
     def _make_stretch(
-        self, columns: dict[str, Array], grids: dict[float, SampleGrid], is_first: bool,
-        counts: Mask | None,
-    ) -> RunPiece:  # fmt: skip
+        self, columns: dict[str, Array], grids: StepGrids, is_first: bool, counts: Mask | None
+    ) -> RunPiece:
         shown = np.stack([columns[c] for c in self.channels])
         masked = ~np.isfinite(shown)
         shown = np.stack([fill_gone(row, gone) for row, gone in zip(shown, masked, strict=True)])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
@@ -182,9 +182,10 @@ class _Band(Drawn):
         require_rising(self.low_hz, self.high_hz)
         return self
 
-    def _sample(self, value_at: Callable[[float], float]) -> list[float]:
-        count = max(round(self.duration_s / SAMPLE_S), 1)
-        return [value_at(i * SAMPLE_S) for i in range(count)]
+    @property
+    def samples(self) -> int:
+        """How many commands are held."""
+        return max(round(self.duration_s / SAMPLE_S), 1)
 
 
 class MultisinePart(_Band):
@@ -206,7 +207,7 @@ class MultisinePart(_Band):
                 for i in range(self.tones)
             )
         )
-        values = self._sample(tones.value_at)
+        values = tones.sample(SAMPLE_S, self.samples)
         peak = max(map(abs, values)) or 1.0
         sketch.hold_each((self.bias_v + self.amplitude_v * v / peak for v in values), SAMPLE_S)
 
@@ -221,7 +222,8 @@ class ChirpPart(_Band):
         wave = Sweep(
             self.amplitude_v, self.low_hz, self.high_hz, self.duration_s, is_logarithmic=True
         )
-        sketch.hold_each(self._sample(lambda t_s: wave.at(t_s).position_m), SAMPLE_S)
+        values = (wave.at(i * SAMPLE_S).position_m for i in range(self.samples))
+        sketch.hold_each(values, SAMPLE_S)
 
 
 class PairForecast(Configured):

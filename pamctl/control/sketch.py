@@ -79,8 +79,12 @@ class Sketch:
 
     def hold_each(self, commands_v: Iterable[float], duration_s: float) -> None:
         """Hold samples of a wave, each for equally long, within the range of a command."""
-        for command_v in commands_v:
-            self.hold_valve(min(max(command_v, -5.0), 5.0), duration_s)
+        levels_v = [min(max(command_v, -5.0), 5.0) for command_v in commands_v]
+        self._refuse_too_long(len(levels_v))
+        phase, nan = Phase.OPEN_LOOP, math.nan
+        self._segments += [Segment(phase, duration_s, nan, nan, v) for v in levels_v]
+        self._now_s += len(levels_v) * duration_s
+        self._here = levels_v[-1]
 
     def draw(self, shape: Shape, duration_s: float, end: float, phase: Phase = Phase.TRACK) -> None:
         """Follow a shape that begins here and ends at `end`."""

@@ -157,9 +157,16 @@ class Tones:
             j -= w * w * c
         return Motion(x, v, a, j)
 
-    def value_at(self, t_s: float) -> float:
-        """Return the sum alone."""
-        return sum(amplitude * math.sin(w * t_s + phase) for amplitude, w, phase in self.tones)
+    def sample(self, step_s: float, count: int) -> list[float]:
+        """Return the sum alone, at `count` times from 0 on."""
+        times_s = [i * step_s for i in range(count)]
+        values = [0.0] * count
+        for amplitude, w, phase in self.tones:
+            values = [
+                x + amplitude * math.sin(w * t_s + phase)
+                for x, t_s in zip(values, times_s, strict=True)
+            ]
+        return values
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,7 +215,7 @@ def scale_to_peak(tones: Sequence[Tone], peak: float, duration_s: float) -> Tone
     samples = min(math.ceil(_SAMPLES_PER_PERIOD * fastest_hz * duration_s) + 1, _MOST_SAMPLES)
     step_s = duration_s / samples
     whole = Tones(tuple(tones))
-    highest = max(abs(whole.value_at(i * step_s)) for i in range(samples))
+    highest = max(map(abs, whole.sample(step_s, samples)))
     scale = peak / highest if highest else 1.0
     return Tones(tuple(tone._replace(amplitude=scale * tone.amplitude) for tone in tones))
 

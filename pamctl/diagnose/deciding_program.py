@@ -58,12 +58,12 @@ class Separation:
 
 
 class ProgramTrial:
-    """One program, simulated under every explanation."""
+    """One program under every explanation; each is simulated when it is first asked for."""
 
     def __init__(
         self, program: ProgramSettings, explanations: Sequence[Explanation], period_s: float
     ) -> None:
-        """Simulate the coupled plant of each explanation."""
+        """Sample the commands."""
         self.program, self.explanations, self.period_s = program, tuple(explanations), period_s
         self.commands_v = sample_commands(program, period_s)
         weigher = explanations[0].weigher
@@ -75,15 +75,29 @@ class ProgramTrial:
         record = Record("program", t_s, whole_v, pressure_pa=still + vented, position_m=still)
         self._runs = Runs([record], weigher.base, weigher.train)
         self._keep = self._runs.find_kept(weigher.like.level)
-        self._shown: dict[str, Array] = {}
-        self.runs: dict[str, ProgramRun] = {}
-        for e in explanations:
+        self._simulated: dict[str, tuple[ProgramRun, Array]] = {}
+        self._tangents: dict[str, Array] = {}
+
+    def run(self, e: Explanation) -> ProgramRun:
+        """Return what the coupled plant of an explanation does."""
+        return self._simulate_once(e)[0]
+
+    def _show(self, e: Explanation) -> Array:
+        """Return what the sensors show of it."""
+        return self._simulate_once(e)[1]
+
+    def _simulate_once(self, e: Explanation) -> tuple[ProgramRun, Array]:
+        if e.name not in self._simulated:
             plain, _ = join_waves(e.values)
             rows = self._runs.simulate(plain, COARSE_STEP_S).reshape(len(self._runs.channels), -1)
             by_channel = zip(self._runs.channels, rows[:, : len(self.commands_v)], strict=True)
-            self.runs[e.name] = ProgramRun(**dict(by_channel))
-            self._shown[e.name] = self._runs.simulate(e.values, COARSE_STEP_S)
-        self._tangents: dict[str, Array] = {}
+            run = ProgramRun(**dict(by_channel))
+            self._simulated[e.name] = run, self._runs.simulate(e.values, COARSE_STEP_S)
+        return self._simulated[e.name]
+
+    def stays_within(self, limits: RigLimits) -> bool:
+        """Tell whether no explanation exceeds the limits; the first that does ends it."""
+        return all(limits.allows(self.run(e)) for e in self.explanations)
 
     @cached_property
     def rough(self) -> tuple[float, float]:
@@ -95,8 +109,8 @@ class ProgramTrial:
         whole: list[float] = []
         fast: list[float] = []
         for a, b in combinations(self.explanations, 2):
-            noise = np.sqrt(a.weigher.find_noise2(a.model))[:, None]
-            off = (self._shown[a.name] - self._shown[b.name]).reshape(len(noise), -1) / noise
+            noise = np.sqrt(a.noise2)[:, None]
+            off = (self._show(a) - self._show(b)).reshape(len(noise), -1) / noise
             slow = uniform_filter1d(off, max(1, round(SLOW_S / self.period_s)), axis=1)
             for found, rows in ((whole, off), (fast, off - slow)):
                 found.append(float(np.sqrt((rows**2).mean(axis=1)).max()))
@@ -118,10 +132,8 @@ class ProgramTrial:
         left, agrees = self._refit(true, other, steps)
         weigher = true.weigher
         squares = self._mean_squares(left)
-        noise2 = weigher.find_noise2(true.model)
-        channel = int((squares / noise2).argmax())
-        here2 = weigher.like.mean_squares(true.model.d)[channel]
-        over = float(np.sqrt((squares[channel] + here2) / noise2[channel]))
+        channel = int((squares / true.noise2).argmax())
+        over = float(np.sqrt((squares[channel] + true.left2[channel]) / true.noise2[channel]))
         # What the wrong one loses in each block, beside noise of the right one's scales; and on
         # the records so far. It is refuted if it surely loses what a name must gain.
         scales2 = self._find_scales2(true.model, squares)
@@ -151,14 +163,14 @@ class ProgramTrial:
         Of no steps: after a straight one, by the tangents.
         """
         m, agrees = other.model, True
-        change = to_haar(self._shown[true.name] - self._shown[other.name])
+        change = to_haar(self._show(true) - self._show(other))
         moved = np.zeros(len(m.x))
         for _ in range(max(steps, 1)):
             way = self._find_step(true, other, change, moved)
             straight = change + (way @ self._find_tangent(other)).reshape(change.shape)
             if not steps:
                 return straight, True
-            d = to_haar(self._shown[true.name] - self._simulate(other, moved + way))
+            d = to_haar(self._show(true) - self._simulate(other, moved + way))
             promised, found, before = (float(np.mean(x**2)) for x in (straight, d, change))
             agrees = found <= AGREES**2 * promised
             if found >= before:
@@ -171,15 +183,12 @@ class ProgramTrial:
     ) -> Array:
         """Return a Gauss-Newton step, in scales, on the records so far and the program's run."""
         m = other.model
-        assert m.tangent is not None
-        old = m.tangent.reshape(len(m.x), -1)
-        known = (old * m.cost.weights.ravel()) @ old.T
         scales2 = self._find_scales2(true.model, self._mean_squares(change))
         weights = ((NU + 1.0) / (NU * scales2 + change**2) * self._keep).ravel()
         slope = self._find_tangent(other)
-        both = known + (slope * weights) @ slope.T
+        both = other.known + (slope * weights) @ slope.T
         both += RIDGE * np.diag(np.diag(both))
-        pull = (slope * weights) @ change.ravel() + known @ moved
+        pull = (slope * weights) @ change.ravel() + other.known @ moved
         way = -np.linalg.pinv(both, hermitian=True) @ pull
         low, high, scale = (
             np.array([getattr(n, k) for n in m.numbers]) for k in ("low", "high", "scale")
@@ -190,7 +199,7 @@ class ProgramTrial:
     def _find_tangent(self, other: Explanation) -> Array:
         """Return the change of an explanation's own residual for a scale of each number."""
         if other.name not in self._tangents:
-            here, rows = self._shown[other.name], []
+            here, rows = self._show(other), []
             for i in range(len(other.model.x)):
                 way = np.zeros(len(other.model.x))
                 way[i] = STEP
@@ -310,7 +319,7 @@ def choose_deciding_program(
     def try_programs(count: int, pool: Sequence[Block] = ()) -> list[_Tried]:
         drawn = draw_programs(count, limits.command_v, begin, seed, pool)
         tried = [(ProgramTrial(d.program, explanations, period_s), d.blocks) for d in drawn]
-        return [t for t in tried if all(map(limits.allows, t[0].runs.values()))]
+        return [t for t in tried if t[0].stays_within(limits)]
 
     inside = try_programs(programs)
     best = _keep_best(inside)
@@ -319,15 +328,15 @@ def choose_deciding_program(
     admitted = [
         trial
         for trial, _ in _rank([*best, *_keep_best(mixed)])[:BEST]
-        if all(limits.admits(trial.commands_v, run, period_s) for run in trial.runs.values())
+        if all(limits.admits(trial.commands_v, trial.run(e), period_s) for e in explanations)
     ]
     if not admitted:
         return None
     chosen = max(admitted[:FORECAST], key=lambda t: _weigh(t.forecasts))
-    runs = chosen.runs.values()
+    runs = [*map(chosen.run, explanations)]
     return DecidingProgram(
         chosen.program,
-        tuple(chosen.runs),
+        tuple(e.name for e in explanations),
         chosen.forecasts,
         max(float(run.pressure_pa.max()) for run in runs),
         min(float(run.position_m.min()) for run in runs),
@@ -369,7 +378,6 @@ def choose_repeated_part(
     for share in STROKES:
         begin = make_repeated_part(share * limits.command_v, limits.command_v)
         program = make_program([*begin, make_vent(limits.command_v)])
-        runs = ProgramTrial(program, explanations, period_s).runs
-        if all(map(limits.allows, runs.values())):
+        if ProgramTrial(program, explanations, period_s).stays_within(limits):
             return begin
     return make_repeated_part(0.0, limits.command_v)

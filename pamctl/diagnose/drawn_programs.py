@@ -19,7 +19,8 @@ from pamctl.control.course import Segment, make_valve_reference
 from pamctl.control.experiment import ProgramSettings, plan_experiment
 from pamctl.diagnose.record import Array, Record
 from pamctl.errors import ConfigError
-from pamctl.safety import INITIAL_SAFETY_STATE, Limits, admit
+from pamctl.kernel.calls import machine
+from pamctl.safety import INITIAL_SAFETY_STATE, Limits, SafetyState, admit
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.resolve import from_resolved
 from pamctl.signals import Command, Estimate, Measurement, Phase, Timing
@@ -263,29 +264,46 @@ class RigLimits:
         """Tell whether the rig's safety, tick by tick, would let a whole run pass."""
         if self.safety is None:
             return True
-        zero = Zero(self.sensor_zero_v, 0.0)
         state = INITIAL_SAFETY_STATE._replace(
             valve_v=float(commands_v[0]),
             position_m=float(run.position_m[0]),
             model_pressure_pa=float(run.pressure_pa[0]),
         )
-        none = Estimate(0.0, 0.0, 0.0, 0.0, 0.0)
-        signals = zip(commands_v, run.position_m, run.pressure_pa, strict=True)
-        for tick, (command_v, position_m, pressure_pa) in enumerate(signals):
-            raw = RawSample(sensor_v(self.calibration, zero, pressure_pa), 0, 0, 0)
-            decision, state = admit(
-                self.safety,
-                state,
-                raw,
-                Measurement(position_m, pressure_pa),
-                make_valve_reference(int(Phase.OPEN_LOOP), command_v),
-                none,
-                Command(command_v, math.nan, math.nan, math.nan, saturated=False),
-                Timing(tick, tick * period_s, period_s, 0.0, 0),
-            )
-            if decision.tripped:
-                return False
-        return True
+        tripped = np.zeros(1)
+        machine(rehearse)(
+            self.safety, state, self.calibration, Zero(self.sensor_zero_v, 0.0), commands_v,
+            run.pressure_pa, run.position_m, period_s, tripped,
+        )  # fmt: skip
+        return not tripped.any()
+
+
+def rehearse(
+    limits: Limits,
+    state: SafetyState,
+    cal: Calibration,
+    zero: Zero,
+    commands_v: Array,
+    pressures_pa: Array,
+    positions_m: Array,
+    period_s: float,
+    tripped: Array,
+) -> None:
+    """Kernel: let safety judge the ticks of a run; `tripped`, shape (1,), gets 1 if it trips."""
+    for tick in range(len(commands_v)):
+        command_v, pressure_pa = commands_v[tick], pressures_pa[tick]
+        decision, state = admit(
+            limits,
+            state,
+            RawSample(sensor_v(cal, zero, pressure_pa), 0, 0, 0),
+            Measurement(positions_m[tick], pressure_pa),
+            make_valve_reference(int(Phase.OPEN_LOOP), command_v),
+            Estimate(0.0, 0.0, 0.0, 0.0, 0.0),
+            Command(command_v, math.nan, math.nan, math.nan, False),
+            Timing(tick, tick * period_s, period_s, 0.0, 0),
+        )
+        if decision.tripped:
+            tripped[0] = 1.0
+            break
 
 
 def find_rig_limits(records: Sequence[Record]) -> RigLimits:

@@ -18,7 +18,7 @@ from pamctl.diagnose.evidence.pool import CHAIN
 from pamctl.diagnose.evidence.run_pieces import Runs, join_waves
 from pamctl.diagnose.evidence.weigh import EvidenceVerdict
 from pamctl.diagnose.plant_numbers import with_values
-from pamctl.diagnose.record import Record
+from pamctl.diagnose.record import Array, Record
 from pamctl.plant.model import PlantSettings
 
 BLOCKS = {"pressure_pa": "pressure", "position_m": "mechanics"}
@@ -42,6 +42,23 @@ class Explanation:
     def values(self) -> dict[str, float]:
         """The model's numbers by flat name, those of the measuring chain included."""
         return {**self.weigher.base, **self.model.values}
+
+    @cached_property
+    def noise2(self) -> Array:
+        """The squared noise of each channel, by what this explanation leaves."""
+        return self.weigher.find_noise2(self.model)
+
+    @cached_property
+    def left2(self) -> Array:
+        """The mean square of what it leaves of each channel."""
+        return self.weigher.like.mean_squares(self.model.d)
+
+    @cached_property
+    def known(self) -> Array:
+        """What the records so far know of its numbers: the information, in scales."""
+        assert self.model.tangent is not None
+        slope = self.model.tangent.reshape(len(self.model.x), -1)
+        return np.asarray((slope * self.model.cost.weights.ravel()) @ slope.T)
 
     @cached_property
     def plant(self) -> PlantSettings:

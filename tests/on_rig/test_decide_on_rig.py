@@ -61,7 +61,7 @@ def test_the_forecast_is_what_a_whole_refit_leaves(done: Investigation) -> None:
     )
     forecast = next(s for s in chosen.separations if (s.true, s.refuted) == (true.name, wrong.name))
     assert forecast.block == "mechanics"
-    run = ProgramTrial(chosen.program, (true, wrong), 1e-3).runs[true.name]
+    run = ProgramTrial(chosen.program, (true, wrong), 1e-3).run(true)
     assert len(run.position_m) == round(1e3 * chosen.duration_s)
     noise_m = found.evidence.noise_rms["position_m"]
     shown_m = run.position_m + np.random.default_rng(4).normal(0.0, noise_m, len(run.position_m))

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import pytest
 from support.command_line import run_pamctl
 from support.patience import BUSY_PC, PATIENCE_S
+from support.processes.daemons import QUICK
 from support.runs import run_settings
 
 import pamctl.log
@@ -31,7 +32,7 @@ pytestmark = pytest.mark.long
 
 PAMCTL = str(Path(sys.executable).with_name("pamctl"))
 DEVICE = f"toy-{os.getpid()}"
-PATIENT = [f"--set={setting}" for setting in BUSY_PC]
+PATIENT = [f"--set={setting}" for setting in [*BUSY_PC, *QUICK]]
 
 MODULE = '''
 """A bench of another maker: a plant behind a 12-bit output and an ideal sensor."""

@@ -13,7 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 from support.chromium import Page
-from support.processes.daemons import Daemon, as_root, nobody, parked
+from support.processes.daemons import (
+    TRACKING,
+    Daemon,
+    as_root,
+    nobody,
+    parked,
+    run_to_its_end,
+)
 from support.processes.watch_pages import Served, set_input, shown, tab, up
 
 from pamctl.daemon.client import DaemonDeclinedError
@@ -27,9 +34,10 @@ pytestmark = pytest.mark.long
 assert all((up, shown, tab))  # fixtures
 
 OFFSET_MM, AFTER_S, HOLDOFF_S = 8.0, 0.06, 0.4
-SINE: dict[str, Any] = {
-    "kind": "sine", "offset_mm": OFFSET_MM, "amplitude_mm": 1.0, "frequency_hz": 4.0, "cycles": 200,
+WAVE: dict[str, Any] = {
+    **TRACKING, "offset_mm": OFFSET_MM, "amplitude_mm": 1.0, "transition_s": 0.125, "cycles": 200,
 }  # fmt: skip
+"""Four times a second, at once: a sine would begin seven seconds later."""
 
 
 def find_rises(log: Log) -> list[int]:
@@ -40,7 +48,7 @@ def find_rises(log: Log) -> list[int]:
 
 @pytest.fixture(scope="module")
 def watched(up: Daemon, tab: Page) -> tuple[Log, dict[str, list[int]]]:
-    """A sine that was watched in one mode after the other, and the triggers of each mode."""
+    """A wave that was watched in one mode after the other, and the triggers of each mode."""
     tab.value("document.querySelector('#panes').scrollIntoView({ behavior: 'instant' })")
     tab.value(
         "(window.seen = {}, window.show = showCapture, showCapture = capture => {"
@@ -50,7 +58,7 @@ def watched(up: Daemon, tab: Page) -> tuple[Log, dict[str, list[int]]]:
               "tpost": AFTER_S}  # fmt: skip
     for name, value in wanted.items():
         set_input(tab, name, value)
-    log = Path(up.ask("start", experiment=SINE, name="sine")["log"]).name
+    log = Path(up.ask("start", experiment=WAVE, name="wave")["log"]).name
     tab.wait_for(f"scope.held?.log === {json.dumps(log)}")
     tab.value("window.stage = 'normal', 0")
     tab.click("[data-mode=normal]")
@@ -113,10 +121,7 @@ def test_runs_lie_over_each_other_with_their_zero_where_it_was_asked(
     up: Daemon, watched: tuple[Log, dict[str, list[int]]], tab: Page, how: str
 ) -> None:
     if len(up.finished_logs()) < 2:
-        later = {**SINE, "cycles": 2, "fade_s": 0.2}
-        up.ask("start", experiment=later, name="later")
-        up.wait_for("running")
-        parked(up)
+        run_to_its_end(up, {**WAVE, "cycles": 2}, "later")
     tab.value("loadRuns()")
     tab.wait_for("document.querySelectorAll('[data-run]').length === 2")
     tab.value("document.querySelectorAll('[data-run]').forEach(box => { box.checked = true; })")

@@ -28,6 +28,7 @@ from support.processes.card_runs import (
     start,
 )
 from support.processes.children import await_children
+from support.processes.daemons import QUICK
 from support.runs import AO_STEP_V
 
 from pamctl.signals import Phase
@@ -43,7 +44,8 @@ MOVING = 300
 def test_a_run_on_the_card_is_complete_and_ends_at_the_safe_voltage(own: Card) -> None:
     own.fail("DAQmxWriteAnalogScalarF64", hang_s=6.5e-3, is_deaf=True, after=MOVING, times=1)
     # In the plainest of locales: every name handed to the driver must survive it.
-    process = start(own, "--duration", "1", "--json", LC_ALL="C")
+    quick = [part for setting in QUICK for part in ("--set", setting)]
+    process = start(own, "--duration", "1", "--json", *quick, LC_ALL="C")
     said, complaints = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, complaints
     report = json.loads(said)

@@ -35,7 +35,7 @@ def test_positions_runs_gains_and_marks_are_those_of_the_simulation(up: Daemon) 
         rig.goto(4e-3, within_s=0.6)
         assert rig.state == "ready"
         assert rig.status()["tick"]["reference_m"] == pytest.approx(4e-3)
-        rig.start(SINE)
+        rig.start(pamctl.MotionSequence(parts=[pamctl.Move(to_mm=4, duration_s=0.5), SINE]))
         newest = [tick["tick"] for tick in rig.live(rate_hz=50, duration_s=0.5)]
         rig.mark("from Python")
         assert rig.set(lambda_per_s=12, ramp_s=0.1)["lambda_per_s"] == 12
@@ -45,7 +45,7 @@ def test_positions_runs_gains_and_marks_are_those_of_the_simulation(up: Daemon) 
     assert len(newest) == 25
     assert np.all(np.diff(newest) > 0)
     assert [text for _, text in run.marks] == ["from Python"]
-    assert run.settings["experiment"]["kind"] == "sine"
+    assert run.settings["experiment"]["kind"] == "sequence"
     assert np.nanmax(run["reference_m"]) == pytest.approx(5e-3, abs=1e-5)
     assert replay_log(run.log).is_equal
     assert up.is_safe()

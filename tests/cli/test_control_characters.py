@@ -11,11 +11,11 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from support.command_line import run_pamctl
-from support.processes.daemons import daemon
 from support.small_log import write_small
 
 from pamctl.log import read
 from pamctl.plain_text import PlainStream, clean_document, clean_lines, clean_text
+from pamctl.session.simulated_rig import simulate
 
 HOSTILE = (
     "a\x1b[2J\x1b[1;1H\x1b]0;title\x07\x1bc\x9b31m\u202egnol\u2066\u200b\x00\x7f\r\nb\u2028c\ud800"
@@ -60,17 +60,13 @@ def test_a_progress_line_may_begin_anew_but_not_in_its_middle() -> None:
 
 
 def test_a_mark_blanks_no_terminal_and_is_logged_without_its_controls(tmp_path: Path) -> None:
-    with daemon(tmp_path, "marks", "rig.homing.enabled=false") as made:
-        log = made.ask("goto", position_m=8e-3, within_s=0.5)["log"]
-        made.wait_until(lambda status: status["log"] is not None)
-        made.ask("mark", text=HOSTILE)
-        seen = _pamctl("watch", "--count", "1", "--json", "--socket", str(made.socket))
-        assert [e["text"] for e in json.loads(seen)["status"]["events"] if "text" in e] == [
-            "agnol b c"
-        ]
-        made.ask("disarm")
-    (mark,) = [event for event in read(log).events if event["event"] == "mark"]
-    assert mark["text"] == "agnol b c"
+    with simulate(logs=tmp_path, overrides=["rig.homing.enabled=false"]) as rig:
+        rig.goto(8e-3, within_s=0.5)
+        rig.mark(HOSTILE)
+        status = rig.status()
+    shown = [event["text"] for event in status["events"] if "text" in event]
+    logged = [event["text"] for event in read(status["log"]).events if event["event"] == "mark"]
+    assert shown == logged == ["agnol b c"]
 
 
 def test_an_old_log_that_holds_them_shows_none(tmp_path: Path) -> None:

@@ -15,13 +15,14 @@ import sys
 import termios
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from support.command_line import run_pamctl
 from support.patience import PATIENCE_S
-from support.processes.daemons import daemon
+from support.processes.daemons import Daemon, daemon, parked
 
 from pamctl.live.feed import DaemonFeed
 
@@ -29,23 +30,28 @@ NOT_HOMED = "rig.homing.enabled=false"
 SHOW_CURSOR, HIDE_CURSOR = "\x1b[?25h", "\x1b[?25l"
 
 
+@pytest.fixture(scope="module")
+def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    with daemon(tmp_path_factory.mktemp("watch"), "watch", NOT_HOMED) as made:
+        yield made
+
+
 @pytest.mark.long
-def test_values_are_those_of_the_log_and_a_restarted_daemon_is_found_again(tmp_path: Path) -> None:
+def test_values_are_those_of_the_log(up: Daemon) -> None:
+    """A daemon that is started again is found again: `test_watch_web.py`."""
     from pamctl.log import read
 
-    seen = []
-    with daemon(tmp_path, "feed", NOT_HOMED) as made:
-        feed = DaemonFeed(made.socket, every=10)
-        log = made.ask("goto", position_m=8e-3, within_s=0.5)["log"]
-        made.wait_until(lambda status: status["state"] == "ready" and status["log"] is not None)
-        deadline_s = time.monotonic() + PATIENCE_S
-        while len(seen) < 30:
-            assert time.monotonic() < deadline_s, "there is nothing to see"
-            seen += feed.look().ticks
-            time.sleep(0.05)
-    away = feed.look()
-    assert (away.status, away.ticks) == (None, [])
-    assert "pamctl daemon" in away.problem
+    seen, feed = [], DaemonFeed(up.socket, every=10)
+    log = up.ask("goto", position_m=8e-3, within_s=0.5)["log"]
+    up.wait_until(lambda status: status["state"] == "ready" and status["log"] is not None)
+    deadline_s = time.monotonic() + PATIENCE_S
+    while len(seen) < 30:
+        assert time.monotonic() < deadline_s, "there is nothing to see"
+        seen += feed.look().ticks
+        time.sleep(0.05)
+    feed.close()
+    up.ask("stop")
+    parked(up)
     ran = read(log)
     rows = {int(tick): row for row, tick in enumerate(ran["tick"])}
     logged = [tick for tick in seen if int(tick["tick"]) in rows]
@@ -54,31 +60,25 @@ def test_values_are_those_of_the_log_and_a_restarted_daemon_is_found_again(tmp_p
         row = rows[int(tick["tick"])]
         for name, value in tick.items():
             assert value == ran[name][row] or (value != value and ran[name][row] != ran[name][row])
-    with daemon(tmp_path, "feed", NOT_HOMED):
-        back = feed.look().status
-        assert back is not None
-        assert back["state"] == "idle"
-        feed.close()
 
 
 @pytest.mark.long
 def test_a_terminal_is_rewritten_a_pipe_gets_lines_and_json_is_what_the_page_is_sent(
-    tmp_path: Path,
+    up: Daemon, tmp_path: Path
 ) -> None:
-    with daemon(tmp_path, "watch", NOT_HOMED) as made:
-        made.ask("goto", position_m=8e-3, within_s=0.5)
-        command = [sys.executable, "-m", "pamctl", "watch", "--socket", str(made.socket)]
-        picture = _seen_in_a_terminal(command, until="8.00")
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as piped:
-            try:
-                assert piped.stdout is not None
-                lines = [piped.stdout.readline() for _ in range(2)]
-                piped.send_signal(signal.SIGINT)
-                assert piped.wait(PATIENCE_S) == 0
-            finally:
-                piped.kill()
-        told = _json_lines(made.socket)
-    away = _json_lines(made.socket, 69)
+    up.ask("goto", position_m=8e-3, within_s=0.5)
+    command = [sys.executable, "-m", "pamctl", "watch", "--socket", str(up.socket)]
+    picture = _seen_in_a_terminal(command, until="8.00")
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as piped:
+        try:
+            assert piped.stdout is not None
+            lines = [piped.stdout.readline() for _ in range(2)]
+            piped.send_signal(signal.SIGINT)
+            assert piped.wait(PATIENCE_S) == 0
+        finally:
+            piped.kill()
+    told = _json_lines(up.socket)
+    away = _json_lines(tmp_path / "none", 69)
     assert "(goto), sim" in picture
     assert "controller: qsmc" in picture
     assert all(re.search(r"\(goto\), sim .* x +-?\d+\.\d+ mm", line) for line in lines)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import pytest
 from support.command_line import run_pamctl
-from support.processes.daemons import daemon
 
 from pamctl.live.feed import format_status
 from pamctl.log import read
 from pamctl.log.run_meta import describe_changes, describe_running_changes
+from pamctl.session.simulated_rig import simulate
 
 CHANGED = "qsmc*, lambda_per_s 60 (file 37.82)"
 
@@ -43,18 +42,16 @@ def test_a_run_with_changed_gains_says_so_in_info_and_report(tmp_path: Path) -> 
     assert "*" not in pamctl("log", "info", str(plain))
 
 
-@pytest.mark.long
-def test_the_daemon_says_what_was_set_until_a_file_is_loaded(tmp_path: Path) -> None:
-    with daemon(tmp_path, "gains", "rig.homing.enabled=false") as made:
-        made.ask("set", changes=["controller.lambda_per_s=60"], ramp_s=0.1)
-        assert CHANGED in format_status(made.ask("status"))
-        log = made.ask("goto", position_m=8e-3, within_s=0.5)["log"]
-        made.wait_until(lambda status: status["state"] == "ready" and status["log"] is not None)
-        gains = made.ask("set", changes=["controller.lambda_per_s=50"], ramp_s=0.2)
-        assert "lambda_per_s 50 (file 37.82)" in format_status(made.ask("status"))
-        made.ask("load", controller=gains, name="mine", ramp_s=0.1)
-        assert "controller: mine\n" in format_status(made.ask("status"))
-        made.ask("disarm")
+def test_a_session_says_what_was_set_until_a_file_is_loaded(tmp_path: Path) -> None:
+    with simulate(logs=tmp_path, overrides=["rig.homing.enabled=false"]) as rig:
+        rig.set(lambda_per_s=60, ramp_s=0.1)
+        assert CHANGED in format_status(rig.status())
+        rig.goto(8e-3, within_s=0.5)
+        log = rig.status()["log"]
+        gains = rig.set(lambda_per_s=50, ramp_s=0.2)
+        assert "lambda_per_s 50 (file 37.82)" in format_status(rig.status())
+        rig._ask("load", controller=gains, name="mine", ramp_s=0.1)
+        assert "controller: mine\n" in format_status(rig.status())
     ran = read(log)
     assert ran.metadata["run"]["controller_changes"] == "lambda_per_s 60 (file 37.82)"
     told = pamctl("log", "info", log)

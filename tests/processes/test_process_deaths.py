@@ -242,10 +242,7 @@ def test_a_device_in_use_is_refused_and_a_front_that_was_stopped_goes_on(
     with running(tmp_path, device) as run:
         await_motion(run)
         os.kill(run.front.pid, signal.SIGSTOP)
-        second = subprocess.run(
-            run_command(device, "--log", "second.mcap"),
-            cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE_S, check=False,
-        )  # fmt: skip
+        second = run_pamctl(*run_command(device, "--log", "second.mcap")[3:], cwd=tmp_path)
         assert second.returncode == 69
         assert f"{device} is held by process {run.front.pid}" in second.stderr
         assert len(second.stderr.splitlines()) == 1

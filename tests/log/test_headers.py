@@ -7,7 +7,7 @@ import pytest
 from pamctl.cli.output import read_map
 from pamctl.log import LogError
 from pamctl.log.importing.column_map import ImportMap
-from pamctl.log.importing.headers import HeaderMeaning, understand_header
+from pamctl.log.importing.headers import Certainty, read_header
 from pamctl.log.importing.measured_table import MapWanted
 from pamctl.log.importing.pipeline import import_log
 
@@ -59,21 +59,19 @@ NOT_MEASURED = [
 
 @pytest.mark.parametrize(("header", "meaning"), UNDERSTOOD.items())
 def test_a_header_says_quantity_unit_and_sense(header: str, meaning: tuple[object, ...]) -> None:
-    found = understand_header(header)
-    assert found is not None
-    assert found.is_sure
+    found = read_header(header)
+    assert found.certainty == Certainty.SURE
     assert found[:3] == meaning
 
 
 @pytest.mark.parametrize("header", DOUBTFUL)
 def test_a_word_that_may_mean_another_sensor_is_a_question(header: str) -> None:
-    assert isinstance(found := understand_header(header), HeaderMeaning)
-    assert not found.is_sure
+    assert read_header(header).certainty == Certainty.DOUBT
 
 
 @pytest.mark.parametrize("header", NOT_MEASURED)
 def test_another_thing_than_a_measured_quantity_is_not_read(header: str) -> None:
-    assert understand_header(header) is None
+    assert read_header(header).certainty < Certainty.DOUBT
 
 
 def write_table(path: Path, head: str, rests: bool = False) -> Path:

@@ -25,18 +25,7 @@ from pamctl.log.importing.column_map import (
     quote,
     write_key,
 )
-from pamctl.log.importing.headers import (
-    NAMES,
-    OF_A_COMMAND,
-    OTHER,
-    HeaderMeaning,
-    names_another,
-    say_why_unread,
-    split_unit,
-    split_words,
-    tell_gauge,
-    understand_column,
-)
+from pamctl.log.importing.headers import OF_A_COMMAND, OTHER, Certainty, split_words
 from pamctl.log.importing.measured_table import (
     Floats,
     ImportRefused,
@@ -63,28 +52,14 @@ class ChosenColumns(NamedTuple):
     """Kind and text."""
 
 
-class _Candidate(NamedTuple):
-    number: int
-    column: TableColumn
-    meaning: HeaderMeaning
-
-    @property
-    def is_clear(self) -> bool:
-        return self.meaning.is_sure and bool(self.meaning.unit) and not self.column.is_text
-
-
 def choose_by_map(table: MeasuredTable, import_map: ImportMap) -> ChosenColumns:
     """Return the columns that a map names; raise ImportRefused where there is no such column."""
     columns = {q: table.find(part.column or "") for q, part in import_map.parts().items()}
     for column in columns.values():
         if column.is_text:
             raise ImportRefused(f"{column.name} holds {column.says or 'words'}, no numbers")
-    used = [id(column) for column in columns.values()]
-    left_out = {
-        number: "the map does not name it"
-        for number, column in enumerate(table.columns, 1)
-        if id(column) not in used
-    }
+    rest = [n for n, c in enumerate(table.columns, 1) if c not in columns.values()]
+    left_out = dict.fromkeys(rest, "the map does not name it")
     warnings = [*_find_contradictions(import_map, columns), *_find_unused_parts(table, columns)]
     return ChosenColumns(import_map, columns, left_out, warnings)
 
@@ -95,40 +70,35 @@ def _find_contradictions(
     """Yield where a header says another unit, or another sense of a pressure, than the map."""
     senses = {True: "gauge", False: "absolute", None: ""}
     for quantity, part in import_map.parts().items():
-        meaning = understand_column(columns[quantity])
-        if meaning is None or meaning.quantity != quantity or getattr(part, "gain", 1.0) != 1.0:
+        header = columns[quantity].header
+        if not names_quantity(columns[quantity], quantity) or getattr(part, "gain", 1.0) != 1.0:
             continue
-        gauge = getattr(part, "gauge", None)
-        for said, mapped in (
-            (meaning.unit, part.unit),
-            (senses[meaning.is_gauge], senses[gauge]),
-        ):
+        mapped_sense = senses[getattr(part, "gauge", None)]
+        for said, mapped in ((header.unit, part.unit), (senses[header.is_gauge], mapped_sense)):
             if said and said != mapped:
                 name = quote(columns[quantity].name)
                 yield "map", f"{name} says {said}, and the map {mapped}: the map is followed"
 
 
-def list_stated_units(chosen: ChosenColumns) -> dict[str, str]:
-    """Return the units that the names of the columns state, by quantity."""
-    found = {q: understand_column(column) for q, column in chosen.columns.items()}
-    return {q: m.unit for q, m in found.items() if m and m.quantity == q and m.unit}
+def names_quantity(column: TableColumn, quantity: str) -> bool:
+    """Tell whether a column's header names a quantity, and no guess is needed."""
+    return column.header.quantity == quantity and column.header.certainty >= Certainty.DOUBT
 
 
 def _find_unused_parts(
     table: MeasuredTable, columns: Mapping[str, TableColumn]
 ) -> Iterator[tuple[str, str]]:
     """Yield which columns are left out that show another valve, chamber or joint."""
-    used = {id(column) for column in columns.values()}
     for column in table.columns:
-        meaning = None if id(column) in used else understand_column(column) or _guess(column)
-        of_rig = columns.get(meaning.quantity) if meaning is not None else None
-        if meaning is None or of_rig is None or meaning.quantity not in _SEVERAL:
+        quantity = column.header.quantity
+        used = columns.get(quantity)
+        if used is None or quantity not in _SEVERAL or column in columns.values():
             continue
-        if _are_of_two_parts(of_rig, column):
+        if _are_of_two_parts(used, column):
             yield (
                 "columns",
-                f"{quote(column.name)} is not used, and moves apart from {quote(of_rig.name)}: are "
-                f"they {_SEVERAL[meaning.quantity]}? pamctl describes one valve, one chamber and "
+                f"{quote(column.name)} is not used, and moves apart from {quote(used.name)}: are "
+                f"they {_SEVERAL[quantity]}? pamctl describes one valve, one chamber and "
                 "one joint, and takes what another one does for a fault of this one",
             )
 
@@ -140,48 +110,58 @@ def choose_by_header(table: MeasuredTable) -> ChosenColumns:
     a doubt, a pressure may be gauge or absolute, a quantity is named without a unit that it has, or
     there is no time. A table of two valves, chambers or joints is refused without a map.
     """
-    candidates: dict[str, list[_Candidate]] = {quantity: [] for quantity in UNITS}
-    left_out: dict[int, str] = {}
-    for number, column in enumerate(table.columns, 1):
-        meaning = understand_column(column)
-        if meaning is not None:
-            candidates[meaning.quantity].append(_Candidate(number, column, meaning))
-        elif column.is_text:
-            left_out[number] = column.says or "words, no numbers"
-        else:
-            left_out[number] = say_why_unread(column)
-    _require_one_of_each(candidates)
+    found = {q: [c for c in table.columns if names_quantity(c, q)] for q in UNITS}
+    _require_one_of_each(found)
+    left_out = {
+        number: _say_why_unread(column)
+        for number, column in enumerate(table.columns, 1)
+        if column.header.certainty < Certainty.DOUBT
+    }
     keys: dict[str, dict[str, Any]] = {}
     columns: dict[str, TableColumn] = {}
     doubts: list[str] = []
     warnings: list[tuple[str, str]] = []
-    for quantity, found in candidates.items():
-        clear = [one for one in found if one.is_clear]
-        clear = [one for one in clear if one.meaning.is_plain] or clear
-        doubts += [] if clear else [_ask(one) for one in found]
-        rivals: list[_Candidate] = []
-        for one in clear:
-            if rivals and quantity == TIME and _is_same_time(rivals[0], one):
-                left_out[one.number] = f"the same time as in column {rivals[0].number}"
-            else:
-                rivals.append(one)
-        for one in found if clear else ():
-            if one not in clear:
-                left_out[one.number] = f"{quantity} is in {clear[0].column.name!r}"
-        if len(rivals) > 1:
-            names = " and ".join(quote(one.column.name) for one in rivals)
+    for quantity, named in found.items():
+        surest = max((c.header.certainty for c in named if _is_clear(c)), default=Certainty.SURE)
+        clear = [c for c in named if _is_clear(c) and c.header.certainty == surest]
+        if not clear:
+            doubts += map(_ask, named)
+            continue
+        first = clear[0]
+        for column in named:
+            if column not in clear:
+                left_out[table.number_of(column)] = f"{quantity} is in {first.name!r}"
+            elif column is not first and quantity == TIME and _is_same_time(first, column):
+                same = f"the same time as in column {table.number_of(first)}"
+                left_out[table.number_of(column)] = same
+                clear.remove(column)
+        if len(clear) > 1:
+            names = " and ".join(quote(column.name) for column in clear)
             doubts.append(f"{names} may each be {quantity}")
-        elif rivals:
-            columns[quantity] = rivals[0].column
-            keys[KEYS[quantity]] = _read_as(table, rivals[0], doubts, warnings)
+        else:
+            columns[quantity] = first
+            keys[KEYS[quantity]] = _read_as(table, first, doubts, warnings)
     if not doubts and TIME in columns and not columns.keys() & {"pressure_pa", "position_m"}:
         doubts.append("no column is a pressure or a position by its name")
     if doubts or TIME not in columns:
         settled = {q: key for q in columns if (key := keys[KEYS[q]]).get("gauge", 0) is not None}
-        raise MapWanted(_refuse(table, doubts, settled, candidates))
+        raise MapWanted(_refuse(table, doubts, settled, found))
     asked = {q: column for q, column in columns.items() if not parse_column_name(column.name)}
     warnings += _find_unused_parts(table, asked)
     return ChosenColumns(ImportMap.model_validate(keys), columns, left_out, warnings)
+
+
+def _is_clear(column: TableColumn) -> bool:
+    header = column.header
+    return header.certainty >= Certainty.SURE and bool(header.unit) and not column.is_text
+
+
+def _say_why_unread(column: TableColumn) -> str:
+    if column.is_text:
+        return column.says or "words, no numbers"
+    if others := column.header.others:
+        return f"{min(others)!r} in its name is not what a sensor of the rig measures"
+    return "its name says no quantity with its unit that pamctl reads"
 
 
 _INDEX = re.compile(r"\d+|(?<![^\W_])[a-d](?![^\W_])", re.I)
@@ -198,19 +178,18 @@ _SEVERAL = {
 }
 
 
-def _require_one_of_each(candidates: Mapping[str, Sequence[_Candidate]]) -> None:
+def _require_one_of_each(found: Mapping[str, Sequence[TableColumn]]) -> None:
     """Raise ImportRefused where columns of one quantity are of several parts.
 
     They differ by a number or a letter, or their names say as much of the quantity.
     """
     for quantity, what in _SEVERAL.items():
+        named = found[quantity]
         alike: dict[str, list[TableColumn]] = {}
-        for one in candidates[quantity]:
-            if _INDEX.search(one.column.name):
-                kind = _INDEX.sub("#", one.column.name).lower()
-                alike.setdefault(kind, []).append(one.column)
-        clear = [one.column for one in candidates[quantity] if one.is_clear]
-        for columns in (*alike.values(), clear or [one.column for one in candidates[quantity]]):
+        for column in named:
+            if _INDEX.search(column.name):
+                alike.setdefault(_INDEX.sub("#", column.name).lower(), []).append(column)
+        for columns in (*alike.values(), [c for c in named if _is_clear(c)] or named):
             if any(parse_column_name(column.name) for column in columns):
                 continue
             if any(_are_of_two_parts(a, b) for a, b in combinations(columns, 2)):
@@ -239,8 +218,11 @@ def _are_of_two_parts(one: TableColumn, other: TableColumn) -> bool:
     if one.is_text or other.is_text or not (_does_move(one.values) and _does_move(other.values)):
         return False
     apart = split_words(one.called or one.name) ^ split_words(other.called or other.name)
-    of_one = _OF_ONE_PART | OTHER | OF_A_COMMAND
-    return not apart & of_one and _move_apart(one.values, other.values)
+    if apart & (_OF_ONE_PART | OTHER | OF_A_COMMAND) or len(one.values) != len(other.values):
+        return False
+    both = np.isfinite(one.values) & np.isfinite(other.values)
+    together = np.corrcoef(one.values[both], other.values[both])[0, 1] if both.sum() > 1 else 1.0
+    return bool(together < _TOGETHER)
 
 
 def _does_move(values: Floats) -> bool:
@@ -248,57 +230,50 @@ def _does_move(values: Floats) -> bool:
     return bool(len(good) and np.ptp(good) > _MOVES * np.abs(good).max())
 
 
-def _move_apart(one: Floats, other: Floats) -> bool:
-    if len(one) != len(other):
-        return False
-    both = np.isfinite(one) & np.isfinite(other)
-    return bool(both.sum() > 1 and np.corrcoef(one[both], other[both])[0, 1] < _TOGETHER)
-
-
-def _is_same_time(one: _Candidate, other: _Candidate) -> bool:
-    first, second = (c.column.values * UNITS[TIME][c.meaning.unit] for c in (one, other))
+def _is_same_time(one: TableColumn, other: TableColumn) -> bool:
+    first, second = (c.values * UNITS[TIME][c.header.unit] for c in (one, other))
     return np.array_equal(first, second, equal_nan=True)
 
 
 def _read_as(
     table: MeasuredTable,
-    one: _Candidate,
+    column: TableColumn,
     doubts: list[str],
     warnings: list[tuple[str, str]],
 ) -> dict[str, Any]:
     """Return the keys of a column; `gauge` is None, with a doubt, where the file does not tell."""
-    column, meaning = one.column, one.meaning
-    keys: dict[str, Any] = {"column": table.name_of(column), "unit": meaning.unit}
-    if meaning.quantity == "pressure_pa":
-        keys["gauge"] = meaning.is_gauge
-        if meaning.is_gauge is None:
-            lowest_pa = _find_lowest_pa(one)
-            sense = ""
-            if lowest_pa < NEVER_ABSOLUTE_PA:
-                sense = f"gauge, as an absolute one does not fall to {lowest_pa:.4g} Pa"
-            elif OF_THE_AIR_PA[0] <= lowest_pa <= OF_THE_AIR_PA[1]:
-                sense = f"absolute, as it falls to {lowest_pa:.4g} Pa, the atmosphere's"
-            if sense:
-                keys["gauge"] = sense.startswith("gauge")
-                warnings.append(
-                    ("gauge", f"{column.name} is taken as {sense}; if that is wrong, use --map")
-                )
-            else:
-                doubts.append(f"{quote(column.name)} may be gauge or absolute")
+    header = column.header
+    keys: dict[str, Any] = {"column": table.name_of(column), "unit": header.unit}
+    if header.quantity != "pressure_pa":
+        return keys
+    keys["gauge"] = header.is_gauge
+    if header.is_gauge is None:
+        lowest_pa = _find_lowest_pa(column)
+        if lowest_pa < NEVER_ABSOLUTE_PA:
+            keys["gauge"] = True
+            sense = f"gauge, as an absolute one does not fall to {lowest_pa:.4g} Pa"
+        elif OF_THE_AIR_PA[0] <= lowest_pa <= OF_THE_AIR_PA[1]:
+            keys["gauge"] = False
+            sense = f"absolute, as it falls to {lowest_pa:.4g} Pa, the atmosphere's"
+        else:
+            doubts.append(f"{quote(column.name)} may be gauge or absolute")
+            return keys
+        taken = f"{column.name} is taken as {sense}; if that is wrong, use --map"
+        warnings.append(("gauge", taken))
     return keys
 
 
-def _find_lowest_pa(one: _Candidate) -> float:
-    values = one.column.values[np.isfinite(one.column.values)]
+def _find_lowest_pa(column: TableColumn) -> float:
+    values = column.values[np.isfinite(column.values)]
     lowest = float(np.quantile(values, 0.001)) if len(values) else np.nan
-    return lowest * UNITS["pressure_pa"][one.meaning.unit]
+    return lowest * UNITS["pressure_pa"][column.header.unit]
 
 
-def _ask(one: _Candidate) -> str:
-    name, quantity, said = quote(one.column.name), one.meaning.quantity, one.meaning.said_unit
-    if one.column.is_text:
-        return f"{name} may be {quantity}, but holds {one.column.says or 'words'}"
-    if one.meaning.unit:
+def _ask(column: TableColumn) -> str:
+    name, quantity, said = quote(column.name), column.header.quantity, column.header.said_unit
+    if column.is_text:
+        return f"{name} may be {quantity}, but holds {column.says or 'words'}"
+    if column.header.unit:
         return f"{name} may be {quantity}, or something else"
     if not said:
         return f"{name} states no unit for {quantity}"
@@ -324,66 +299,44 @@ _EXAMPLES: Mapping[str, Mapping[str, Any]] = {
 }
 
 
-def _guess(column: TableColumn) -> HeaderMeaning | None:
-    """Return what a column may be whose name leaves it open: by its unit, or by one of its words.
-
-    None where neither tells, or where a word says that it is another thing.
-    """
-    label, said, found = split_unit(column.called or column.name, column.unit)
-    words = split_words(label)
-    named = [quantity for quantity, its in NAMES.items() if its & words]
-    if column.is_text or words & OTHER or len(named) > 1:
-        return None
-    if found is not None and found.quantity == (named or [found.quantity])[0]:
-        gauge = tell_gauge(found, words)
-        return HeaderMeaning(found.quantity, found.unit, gauge, is_sure=False, said_unit=said)
-    return HeaderMeaning(named[0], "", None, is_sure=False, said_unit=said) if named else None
-
-
 def _refuse(
     table: MeasuredTable,
     doubts: Sequence[str],
     settled: Mapping[str, Mapping[str, Any]],
-    candidates: Mapping[str, Sequence[_Candidate]],
+    found: Mapping[str, Sequence[TableColumn]],
 ) -> str:
     doubts = list(doubts)
-    if TIME not in settled and not candidates[TIME]:
+    if TIME not in settled and not found[TIME]:
         names = ", ".join(dict.fromkeys(column.name for column in table.columns[:20]))
         if all(column.name.isdecimal() for column in table.columns):
-            doubts.append(
-                f"there is no line of names above the numbers: the columns are called {names}"
-            )
+            why = f"there is no line of names above the numbers: the columns are called {names}"
         else:
-            doubts.append(
-                "no column is called t_s, time_s, time_ms, `Time [s]` or the like, with the unit "
-                f"in its name; there are {names}"
-            )
+            such = "t_s, time_s, time_ms, `Time [s]` or the like, with the unit in its name"
+            why = f"no column is called {such}; there are {names}"
+        doubts.append(why)
     lines = []
-    for quantity, found in candidates.items():
-        usable = [one for one in found if not one.column.is_text]
+    for quantity, named in found.items():
+        usable = [column for column in named if not column.is_text]
         if quantity in settled:
             lines.append(write_key(KEYS[quantity], settled[quantity]))
-        elif quantity == TIME and not any(one.meaning.unit for one in usable):
-            rising = [one.column for one in usable] or table.columns
-            lines.append(_propose_time(table, rising))
+        elif quantity == TIME and not any(column.header.unit for column in usable):
+            lines.append(_propose_time(table, usable or table.columns))
         else:
-            lines += [_propose(table, one, is_first=one is usable[0]) for one in usable]
-    doubts += table.notes
-    known = [id(one.column) for found in candidates.values() for one in found]
-    rest = [c for c in table.columns if id(c) not in known and not c.is_text]
+            lines += [_propose(table, column, is_first=column is usable[0]) for column in usable]
+    rest = [c for c in table.columns if c.header.certainty < Certainty.DOUBT and not c.is_text]
     rest = [c for c in rest if not lines[0].startswith(f"time: {{column: {quote(c.name)},")]
-    lines += _propose_others(table, rest, {q for q, found in candidates.items() if found})
+    lines += _propose_others(table, rest, {q for q, named in found.items() if named})
     lines += [write_key(key, value) for key, value in table.mend.items()]
-    return show_map("; ".join(doubts) + "; say which with --map FILE, such as:", lines)
+    why = "; ".join([*doubts, *table.notes])
+    return show_map(f"{why}; say which with --map FILE, such as:", lines)
 
 
 def propose_missing(table: MeasuredTable, chosen: ChosenColumns) -> list[str]:
     """Return lines of a map, as comments, for columns that may be what is not read yet."""
-    used = {id(column) for column in chosen.columns.values()}
     rest = [
         column
         for column in table.columns
-        if id(column) not in used and not column.is_text and not names_another(column)
+        if not (column in chosen.columns.values() or column.is_text or column.header.others)
     ]
     return [*_propose_others(table, rest, {*chosen.columns})]
 
@@ -392,24 +345,19 @@ def _propose_others(
     table: MeasuredTable, rest: Sequence[TableColumn], known: set[str]
 ) -> Iterator[str]:
     """Yield lines, as comments, for the columns that may be what the map does not have yet."""
-    guessed: set[str] = set()
-    others = []
-    for number, column in enumerate(rest):
-        meaning = _guess(column)
-        if meaning is None or meaning.quantity in known | {TIME}:
-            others.append(column)
-            continue
-        line = _propose(table, _Candidate(number, column, meaning), is_first=True)
-        quantity = meaning.quantity
-        yield line if line.startswith("#") else f"# {line}  # if it is {quantity}"
-        guessed.add(quantity)
+    guessed = [c for c in rest if c.header.quantity not in known | {TIME, ""}]
+    for column in guessed:
+        line = _propose(table, column, is_first=True)
+        yield line if line.startswith("#") else f"# {line}  # if it is {column.header.quantity}"
+    others = [column for column in rest if column not in guessed]
     if others:
-        open_ones = [quantity for quantity in _EXAMPLES if quantity not in known | guessed]
+        open_ones = _EXAMPLES.keys() - known - {column.header.quantity for column in guessed}
         listed = ", ".join(quote(column.name) for column in others[:20])
         yield f"# other columns: {listed}" + ("; such as" if open_ones else "")
-        for quantity in open_ones:
-            keys = {"column": table.name_of(others[0]), **_EXAMPLES[quantity]}
-            yield f"# {write_key(KEYS[quantity], keys)}"
+        for quantity in _EXAMPLES:
+            if quantity in open_ones:
+                keys = {"column": table.name_of(others[0]), **_EXAMPLES[quantity]}
+                yield f"# {write_key(KEYS[quantity], keys)}"
 
 
 def show_map(doubt: str, lines: Sequence[str]) -> str:
@@ -417,23 +365,21 @@ def show_map(doubt: str, lines: Sequence[str]) -> str:
     return "\n".join([doubt, *(f"  {line}" for line in lines)])
 
 
-def _propose(table: MeasuredTable, one: _Candidate, *, is_first: bool) -> str:
+def _propose(table: MeasuredTable, column: TableColumn, *, is_first: bool) -> str:
     """Return a line for a column in doubt; a comment where the user must fill something in."""
-    meaning = one.meaning
-    quantity = meaning.quantity
-    unit = meaning.unit or next(iter(UNITS[quantity]))
-    keys: dict[str, Any] = {"column": table.name_of(one.column), "unit": unit}
+    header = column.header
+    unit = header.unit or next(iter(UNITS[header.quantity]))
+    keys: dict[str, Any] = {"column": table.name_of(column), "unit": unit}
     remark = ""
-    if quantity == "pressure_pa":
-        keys["gauge"] = bool(meaning.is_gauge)
-        if meaning.is_gauge is None and meaning.unit:
-            keys["gauge"] = _find_lowest_pa(one) < NEVER_ABSOLUTE_PA
+    if header.quantity == "pressure_pa":
+        keys["gauge"] = bool(header.is_gauge)
+        if header.is_gauge is None and header.unit:
+            keys["gauge"] = _find_lowest_pa(column) < NEVER_ABSOLUTE_PA
             remark = f"or gauge: {str(not keys['gauge']).lower()}; the file does not say"
-    if not meaning.unit:
-        per = f" per {meaning.said_unit}" if meaning.said_unit else ""
-        line = write_key(KEYS[quantity], keys)
+    line = write_key(KEYS[header.quantity], keys, remark)
+    if not header.unit:
+        per = f" per {header.said_unit}" if header.said_unit else ""
         return f"# {line}  # its unit is not known: write unit, or gain ({unit}{per}) and offset"
-    line = write_key(KEYS[quantity], keys, remark)
     return line if is_first else f"# {line}  # or this one"
 
 

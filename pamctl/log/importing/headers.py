@@ -9,32 +9,41 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Mapping
+from enum import IntEnum
 from functools import cache
 from typing import NamedTuple
 
-from pamctl.log.importing.column_map import (
-    TIME,
-    UNITS,
-    SaidQuantity,
-    parse_column_name,
-)
-from pamctl.log.importing.measured_table import TableColumn
+from pamctl.log.importing.column_map import TIME, UNITS, SaidQuantity, parse_column_name
 
 
-class HeaderMeaning(NamedTuple):
+class Certainty(IntEnum):
+    """How much a header says of its quantity."""
+
+    NOTHING = 0
+    GUESS = 1
+    """Its unit or one of its words is of this quantity, and the others are not known."""
+    DOUBT = 2
+    """It names the quantity, beside a word that is not known."""
+    SURE = 3
+    """Every word is understood."""
+    PLAIN = 4
+    """It is pamctl's own name for the quantity and its unit, such as `valve_v`."""
+
+
+class Header(NamedTuple):
     """What a header says of its column."""
 
     quantity: str
+    """Empty where it says nothing."""
     unit: str
     """Empty where it states none that this quantity has."""
     is_gauge: bool | None
     """Of a pressure; None if the header does not say it."""
-    is_sure: bool
-    """Whether every word is understood."""
+    certainty: Certainty
     said_unit: str = ""
     """What stands in the place of the unit."""
-    is_plain: bool = False
-    """Whether it is pamctl's own name for the quantity and its unit, such as `valve_v`."""
+    others: frozenset[str] = frozenset()
+    """The words by which it says that it is another thing."""
 
 
 NAMES: Mapping[str, frozenset[str]] = {
@@ -144,52 +153,37 @@ def read_unit(text: str) -> SaidQuantity | None:
     return None
 
 
-def understand_column(column: TableColumn) -> HeaderMeaning | None:
-    """Return what the names and the unit of a column say, see `understand_header`."""
-    plain = parse_column_name(column.name) or parse_column_name(column.called)
+@cache
+def read_header(name: str, called: str = "", unit: str = "") -> Header:
+    """Return what the names of a column say; `unit` is stated apart, as in a line below them."""
+    plain = parse_column_name(name) or parse_column_name(called)
     if plain is not None:
-        return HeaderMeaning(*plain, is_sure=True, is_plain=True)
-    return understand_header(column.called or column.name, column.unit)
-
-
-def understand_header(name: str, unit: str = "") -> HeaderMeaning | None:
-    """Return what a name says; `unit` is stated elsewhere, as in a line below the names.
-
-    None if the words name none of our quantities, or another thing.
-    """
-    label, said, found = split_unit(name, unit)
+        return Header(*plain, Certainty.PLAIN)
+    label, said, found = split_unit(called or name, unit)
     words = split_words(label)
+    others = frozenset(words & OTHER)
     named = [quantity for quantity, its in NAMES.items() if its & words]
-    if found is not None and found.quantity in named:
-        named = [found.quantity]
-    elif found is not None and not named and words and found.quantity != "valve_v":
-        # `Load cell (N)`, `ist_mm`: volts may be those of any sensor, other units tell.
-        named = [found.quantity] if words <= _BESIDE else []
-    if len(named) != 1:
-        return None
-    quantity = named[0]
-    others = words - NAMES[quantity]
-    is_command = quantity == "valve_v"
-    if others & (OTHER - OF_A_COMMAND if is_command else OTHER):
-        return None
-    is_sure = others <= (_BESIDE | OF_A_COMMAND if is_command else _BESIDE)
-    is_gauge = tell_gauge(found, words)
-    if found is not None and found.quantity == quantity:
-        return HeaderMeaning(quantity, found.unit, is_gauge, is_sure, said)
-    return HeaderMeaning(quantity, "", is_gauge, is_sure, said) if is_sure else None
-
-
-def names_another(column: TableColumn) -> set[str]:
-    """Return the words by which a name says that it is another thing."""
-    label, _, _ = split_unit(column.called or column.name, column.unit)
-    return split_words(label) & OTHER
-
-
-def say_why_unread(column: TableColumn) -> str:
-    """Return why a column is not read."""
-    if others := names_another(column):
-        return f"{min(others)!r} in its name is not what a sensor of the rig measures"
-    return "its name says no quantity with its unit that pamctl reads"
+    is_alone = not named and bool(words) and words <= _BESIDE
+    # `Load cell (N)`, `ist_mm`: volts may be those of any sensor, other units tell.
+    if found and (found.quantity in named or (is_alone and found.quantity != "valve_v")):
+        quantities = [found.quantity]
+    else:
+        quantities = named
+    if len(quantities) == 1:
+        quantity = quantities[0]
+        of_a_command = OF_A_COMMAND if quantity == "valve_v" else frozenset()
+        stated = found.unit if found and found.quantity == quantity else ""
+        is_sure = words - NAMES[quantity] <= _BESIDE | of_a_command
+        if not (words - NAMES[quantity]) & (OTHER - of_a_command) and (stated or is_sure):
+            certainty = Certainty.SURE if is_sure else Certainty.DOUBT
+            return Header(quantity, stated, tell_gauge(found, words), certainty, said, others)
+    if not others and len(named) < 2:
+        if found and found.quantity in (named or [found.quantity]):
+            gauge = tell_gauge(found, words)
+            return Header(found.quantity, found.unit, gauge, Certainty.GUESS, said)
+        if named:
+            return Header(named[0], "", None, Certainty.GUESS, said)
+    return Header("", "", None, Certainty.NOTHING, said, others)
 
 
 def split_words(label: str) -> set[str]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.log.framing import LogError
+from pamctl.log.importing.headers import Header, read_header
 from pamctl.plain_text import hint_at_nearest
 
 Floats = NDArray[np.float64]
@@ -49,6 +50,11 @@ class TableColumn:
     """The first cell that is no number, with its line; such a column cannot be used."""
     mend: Mapping[str, Any] = field(default_factory=dict)
     """The keys of a map that may mend that."""
+
+    @property
+    def header(self) -> Header:
+        """What its names and its unit say."""
+        return read_header(self.name, self.called, self.unit)
 
 
 @dataclass(frozen=True)
@@ -92,12 +98,15 @@ class MeasuredTable:
         listed = ", ".join(names[:20]) or "none"
         raise ImportRefused(f"there is no column {wanted!r}{hint}; there are {listed}")
 
+    def number_of(self, column: TableColumn) -> int:
+        """Return the number of a column, from 1."""
+        return self.columns.index(column) + 1
+
     def name_of(self, column: TableColumn) -> str | int:
         """Return how a map names a column: by its number where its name does not tell."""
-        number = next(n for n, one in enumerate(self.columns, 1) if one is column)
         is_one = sum(one.name == column.name for one in self.columns) == 1
         is_clear = column.name == column.name.strip() and column.name.isprintable()
-        return column.name if is_one and is_clear and column.name else number
+        return column.name if is_one and is_clear and column.name else self.number_of(column)
 
 
 def _are_same(one: TableColumn, other: TableColumn) -> bool:

@@ -32,12 +32,11 @@ from pamctl.log.importing.column_roles import (
     choose_by_header,
     choose_by_map,
     describe_reading,
-    list_stated_units,
+    names_quantity,
     propose_missing,
     show_map,
 )
 from pamctl.log.importing.file_formats import read_table
-from pamctl.log.importing.headers import understand_column
 from pamctl.log.importing.measured_table import (
     Floats,
     ImportRefused,
@@ -127,8 +126,7 @@ def import_log(
     better = import_map
     if not findings.any(Severity.ERROR):
         judge_clock(t_s, findings, time_name)
-        headers = list_stated_units(chosen) if has_map else None
-        better = judge_units(import_map, quantities, findings, headers)
+        better = judge_units(chosen, quantities, findings, has_map=has_map)
         _judge_whole(quantities, findings)
     if accept_units:
         findings.soften("unit")
@@ -226,11 +224,11 @@ def _convert_to_si(
 def _judge_own_time(table: MeasuredTable, kept: slice, rows: Ints, findings: LogFindings) -> None:
     """Report what is wrong with the file's own time, which a rate in the map would hide."""
     for column in table.columns:
-        meaning = understand_column(column)
-        if meaning is None or meaning.quantity != TIME or not meaning.unit or column.is_text:
+        unit = column.header.unit
+        if not names_quantity(column, TIME) or not unit or column.is_text:
             continue
         own = LogFindings()
-        values = UNITS[TIME][meaning.unit] * column.values[kept]
+        values = UNITS[TIME][unit] * column.values[kept]
         judge_record(values, {}, rows, own, column.name)
         for finding in own.all:
             if finding.key != "jitter":

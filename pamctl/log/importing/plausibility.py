@@ -14,7 +14,12 @@ import numpy as np
 from pamctl.json_text import to_json
 from pamctl.log.check import LogFindings
 from pamctl.log.importing.column_map import KEYS, UNITS, ColumnMap, ImportMap, ValveMap
-from pamctl.log.importing.column_roles import NEVER_ABSOLUTE_PA, OF_THE_AIR_PA
+from pamctl.log.importing.column_roles import (
+    NEVER_ABSOLUTE_PA,
+    OF_THE_AIR_PA,
+    ChosenColumns,
+    names_quantity,
+)
 from pamctl.log.importing.measured_table import Floats, Ints
 from pamctl.log.record_problems import RecordColumn, find_record_problems, nominal_period_s
 
@@ -74,30 +79,29 @@ def judge_clock(t_s: Floats, findings: LogFindings, time_name: str) -> None:
 
 
 def judge_units(
-    import_map: ImportMap,
-    quantities: Mapping[str, Floats],
-    findings: LogFindings,
-    headers: Mapping[str, str] | None,
+    chosen: ChosenColumns, quantities: Mapping[str, Floats], findings: LogFindings, *, has_map: bool
 ) -> ImportMap:
     """Report values that no rig has; return the map as it might be better.
 
-    `headers` are the units that the columns' names state, by quantity, beside a map of the user's;
-    None without one: then another name is a way on too.
+    Beside a map of the user's, the unit that a column's name states counts; without one, another
+    name is a way on too.
     """
+    import_map = chosen.map
     for quantity, column in quantities.items():
         values = column[np.isfinite(column)]
         part = import_map.parts()[quantity]
         for text, name, change in _doubt(part, values) if len(values) else ():
             span = f"{values.min():.6g} to {values.max():.6g}"
-            said = (headers or {}).get(quantity, part.unit)
-            if "unit" in change and said != part.unit:
+            named = has_map and names_quantity(chosen.columns[quantity], quantity)
+            said = named and chosen.columns[quantity].header.unit
+            if said and "unit" in change and said != part.unit:
                 text, change = f"is this {said}, as the column's name says?", {"unit": said}
             if name:
                 keys = ", ".join(
                     f"{key}: {to_json(value).decode()}" for key, value in change.items()
                 )
                 keys = keys.replace('"', "")
-                rename = f", or call it {name}" if headers is None else ""
+                rename = f", or call it {name}" if not has_map else ""
                 text += f" Then say `{keys}` in the map{rename}"
             findings.error("unit", f"{quantity} is {span}: {text}")
             better = part.model_copy(update=change)

@@ -49,9 +49,10 @@ class FileIndex:
     def __init__(self, complain: Complain = lambda kind, what: None) -> None:
         """`complain` is told of descriptions that are missing, or contradict each other."""
         self._complain = complain
-        self.schemas: dict[int, bytes] = {}
-        """Schema records by number, as they stand in the file."""
-        self.channels: dict[int, bytes] = {}
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.frames: dict[int, dict[int, bytes]] = {kind: {} for kind in DESCRIPTIONS}
+        """The records of these by kind and number, as they stand in the file."""
         self.counts: Counter[int] = Counter()
         """Messages by channel."""
         self.chunks = 0
@@ -65,12 +66,33 @@ class FileIndex:
         self._times: list[int] = []
         """Of the earliest and the latest message, ns."""
 
+    def knows(self, channel: int) -> bool:
+        """Tell whether a channel and its schema are described."""
+        found = self.channels.get(channel)
+        return found is not None and found.schema_id in {0, *self.schemas}
+
+    def describe(self, channel: int) -> tuple[bytes, bytes]:
+        """Return the records of a known channel's schema, if it has one, and of the channel."""
+        schema = self.frames[Opcode.SCHEMA].get(self.channels[channel].schema_id, b"")
+        return schema, self.frames[Opcode.CHANNEL][channel]
+
     def take(self, record: FileRecord) -> None:
         """Take a record that is neither a chunk nor a message."""
         length = record.end - record.start
         match record.opcode:
-            case Opcode.SCHEMA | Opcode.CHANNEL:
-                self._describe(record)
+            case Opcode.SCHEMA:
+                schema = Schema.read(record.stream())
+                if schema.id == 0:
+                    self._complain("schema", f"at byte {record.start}, a schema has the number 0")
+                self.schemas.setdefault(schema.id, schema)
+                self._keep_frame(record, "schema", schema.id)
+            case Opcode.CHANNEL:
+                channel = Channel.read(record.stream())
+                if channel.schema_id not in {0, *self.schemas}:
+                    there = f"schema {channel.schema_id}, which does not exist"
+                    self._complain("channel", f"channel {channel.topic} has {there}")
+                self.channels.setdefault(channel.id, channel)
+                self._keep_frame(record, "channel", channel.id)
             case Opcode.ATTACHMENT:
                 a = Attachment.read(record.stream())
                 place = (record.start, length, a.create_time, a.log_time, len(a.data))
@@ -82,20 +104,9 @@ class FileIndex:
     def _add(self, kind: Opcode, entry: McapRecord) -> None:
         self._encoded[kind].append(encode_record(entry))
 
-    def _describe(self, record: FileRecord) -> None:
-        number = int.from_bytes(record.body[:2], "little")
-        what, known = "schema", self.schemas
-        if record.opcode == Opcode.CHANNEL:
-            what, known = "channel", self.channels
-            channel = Channel.read(record.stream())
-            if channel.schema_id and channel.schema_id not in self.schemas:
-                there = f"schema {channel.schema_id}, which does not exist"
-                self._complain(what, f"channel {channel.topic} has {there}")
-        else:
-            Schema.read(record.stream())
-            if number == 0:
-                self._complain(what, f"at byte {record.start}, a schema has the number 0")
-        if known.setdefault(number, record.frame()) != record.frame():
+    def _keep_frame(self, record: FileRecord, what: str, number: int) -> None:
+        frame = record.frame()
+        if self.frames[record.opcode].setdefault(number, frame) != frame:
             self._complain(what, f"{what} {number} is described in two ways")
 
     def take_parts(self, parts: Iterable[Part]) -> tuple[tuple[int, int], dict[int, NDArray[Any]]]:
@@ -168,8 +179,7 @@ class FileIndex:
             schema_count=len(self.schemas),
         )
         return {
-            Opcode.SCHEMA: list(self.schemas.values()),
-            Opcode.CHANNEL: list(self.channels.values()),
+            **{kind: list(self.frames[kind].values()) for kind in DESCRIPTIONS},
             Opcode.STATISTICS: [encode_record(statistics)],
             **self._encoded,
         }
@@ -227,9 +237,7 @@ class IndexCheck:
                 self._in_summary = True
                 if DataEnd.read(record.stream()).data_section_crc == 0:
                     self._warn_unchecked("the data section")
-            case Opcode.HEADER if not before:
-                pass
-            case _:
+            case _ if before or record.opcode != Opcode.HEADER:
                 where = f"at byte {record.start}, a record {record.opcode}"
                 self._error("order", f"{where} among the data")
 
@@ -267,9 +275,7 @@ class IndexCheck:
             return
         stored = np.frombuffer(record.body[6:], INDEX_ENTRY)
         expected = self._expected.get(channel, stored[:0])
-        is_equal = record.body[6:] == expected.tobytes() or np.array_equal(
-            np.sort(stored), np.sort(expected)
-        )
+        is_equal = np.array_equal(np.sort(stored), np.sort(expected))
         if not is_equal or int.from_bytes(record.body[2:6], "little") != stored.nbytes:
             what = f"the message index of channel {channel} at byte {record.start}"
             self._error("index", f"{what} does not match its chunk")
@@ -299,9 +305,9 @@ class IndexCheck:
             groups.setdefault(record.opcode, []).append(record)
         offsets = map(_parse_summary, groups.pop(Opcode.SUMMARY_OFFSET, []))
         stated = [offset for offset in offsets if offset.group_length]
-        lengths = {kind: sum(r.end - r.start for r in group) for kind, group in groups.items()}
         if stated and stated != [
-            SummaryOffset(kind, group[0].start, lengths[kind]) for kind, group in groups.items()
+            SummaryOffset(kind, group[0].start, sum(r.end - r.start for r in group))
+            for kind, group in groups.items()
         ]:
             self._error("summary", "the summary offsets do not match the summary")
         for kind, expected in self._index.groups().items():

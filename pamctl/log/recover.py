@@ -146,7 +146,7 @@ class LogCopy:
         for record in read_summary(self._file):
             if record.opcode in DESCRIPTIONS:  # in case the first chunk is damaged
                 with suppress(Damage), translate_parse_errors(record):
-                    writer.learn(record)
+                    writer.index.take(record)
         self._load(lambda loaded: self._copy(writer, loaded), self._lose)
 
     def _load(self, take: Callable[[Loaded], None], lose: Callable[[Hole], None]) -> None:
@@ -177,7 +177,7 @@ class LogCopy:
                 if writer.pending_bytes > _LOOSE_BYTES:
                     writer.end_chunk()
             case Opcode.SCHEMA | Opcode.CHANNEL:
-                writer.learn(record)
+                writer.index.take(record)
             case Opcode.ATTACHMENT:
                 a = Attachment.read(record.stream())
                 self._refuse_unchecked(record, record.body[-4:] != NO_CHECKSUM)
@@ -194,7 +194,7 @@ class LogCopy:
         assert chunk is not None
         self._refuse_unchecked(loaded.record, chunk.uncompressed_crc != 0)
         for part in _find_descriptions(parts):
-            writer.learn(part)
+            writer.index.take(part)
         chosen = self._choose(writer, loaded.record, parts)
         count = sum(len(part.records) for part in parts if isinstance(part, MessageRun))
         if sum(len(kept) for _, kept in chosen) == count:
@@ -221,13 +221,13 @@ class LogCopy:
         Raise Damage if a channel is not known: it was described in a lost part.
         """
         runs = [part for part in parts if isinstance(part, MessageRun)]
-        if not all(writer.knows(run.channel) for run in runs):
+        if not all(writer.index.knows(run.channel) for run in runs):
             self._look_ahead(writer, record)
         chosen, counts = [], Counter[str]()
         for run in runs:
-            if not writer.knows(run.channel):
+            if not writer.index.knows(run.channel):
                 raise Damage(record.start, f"channel {run.channel} was described in a lost part")
-            topic = writer.topic(run.channel)
+            topic = writer.index.channels[run.channel].topic
             kept = self.select_messages(topic, run.records)
             chosen.append((run.channel, kept))
             if len(kept):
@@ -244,7 +244,7 @@ class LogCopy:
         def learn(loaded: Loaded) -> None:
             if loaded.chunk is not None and loaded.record.start >= first.start:
                 for description in _find_descriptions(loaded.parts):
-                    writer.learn(description)
+                    writer.index.take(description)
 
         self._load(learn, lambda hole: None)
 
@@ -285,7 +285,7 @@ def resume_log(
             return
         writer.take_over(loaded)
         for run in (part for part in loaded.parts if isinstance(part, MessageRun)):
-            topic = writer.topic(run.channel)
+            topic = writer.index.channels[run.channel].topic
             if topic == TICK_TOPIC:
                 last_tick = max(last_tick, int(run.records["sequence"].max()))
             elif topic in JSON_SCHEMAS:

@@ -70,11 +70,8 @@ class LogWriter:
         """Write the file's header, unless the stream has it: `resume_log` reads what is there."""
         self._stream = stream
         self._at = self._crc = 0
-        self._index = FileIndex()
-        self._schemas: dict[tuple[str, str, bytes], int] = {NO_SCHEMA: 0}
-        self._channels: dict[tuple[str, int], int] = {}
-        self._learnt: dict[int, Channel] = {}
-        """Channels by number."""
+        self.index = FileIndex()
+        """What is in the file."""
         self._attached: set[str] = set()
         self._said: set[tuple[str, bytes]] = set()
         """Metadata by name and content."""
@@ -92,11 +89,6 @@ class LogWriter:
             self._put(encode_record(Header("", LIBRARY)))
 
     @property
-    def chunks(self) -> int:
-        """Number of chunks written."""
-        return self._index.chunks
-
-    @property
     def pending_bytes(self) -> int:
         """Bytes that were added since the last chunk."""
         return len(self._inside)
@@ -112,36 +104,20 @@ class LogWriter:
 
         `schema` is name, encoding and data, all empty for no schema.
         """
-        if schema not in self._schemas:
+        known = {(one.name, one.encoding, one.data): i for i, one in self.index.schemas.items()}
+        schema_id = 0 if schema == NO_SCHEMA else known.get(schema)
+        if schema_id is None:
+            schema_id = max(self.index.schemas, default=0) + 1
             name, kind, data = schema
-            number = max(self._index.schemas, default=0) + 1
-            self.learn(make_record(Schema(id=number, data=data, encoding=kind, name=name)))
-        key = (topic, self._schemas[schema])
-        if key not in self._channels:
-            number = max(self._index.channels, default=0) + 1
-            self.learn(make_record(Channel(number, topic, encoding, dict(metadata or {}), key[1])))
-            self._describe(number)
-        return self._channels[key]
-
-    def learn(self, record: FileRecord) -> None:
-        """Take the description of a schema or a channel over, with its number."""
-        if record.opcode == Opcode.SCHEMA:
-            schema = Schema.read(record.stream())
-            self._schemas.setdefault((schema.name, schema.encoding, schema.data), schema.id)
-        else:
-            channel = Channel.read(record.stream())
-            self._channels.setdefault((channel.topic, channel.schema_id), channel.id)
-            self._learnt.setdefault(channel.id, channel)
-        self._index.take(record)
-
-    def knows(self, channel: int) -> bool:
-        """Tell whether a channel and its schema were described."""
-        found = self._learnt.get(channel)
-        return found is not None and found.schema_id in {0, *self._index.schemas}
-
-    def topic(self, channel: int) -> str:
-        """Return the topic of a known channel."""
-        return self._learnt[channel].topic
+            self.index.take(make_record(Schema(schema_id, data, kind, name)))
+        for number, channel in self.index.channels.items():
+            if (channel.topic, channel.schema_id) == (topic, schema_id):
+                return number
+        number = max(self.index.channels, default=0) + 1
+        made = Channel(number, topic, encoding, dict(metadata or {}), schema_id)
+        self.index.take(make_record(made))
+        self._describe(number)
+        return number
 
     def attachment(self, name: str, data: bytes, time_ns: int = 0, media_type: str = "") -> None:
         """Attach a file, unless one of this name is attached; the suffix gives the media type."""
@@ -174,9 +150,9 @@ class LogWriter:
         """Describe a channel in the next chunk, once."""
         if channel not in self._described_inside:
             self._described_inside.add(channel)
-            frame = self._index.schemas.get(self._learnt[channel].schema_id, b"")
-            self._inside += b"" if frame in self._inside else frame
-            self._inside += self._index.channels[channel]
+            schema, described = self.index.describe(channel)
+            self._inside += b"" if schema in self._inside else schema
+            self._inside += described
 
     def end_chunk(self) -> None:
         """Write everything added so far as a chunk, and hand it to the operating system.
@@ -191,8 +167,8 @@ class LogWriter:
             packed = self._compressor.compress(content)
             chunk = Chunk("zstd", packed, 0, 0, zlib.crc32(content), len(content))
             self._put_chunk(chunk, list(walk_messages(memoryview(content))))
-            if self.chunks == 1 or self.chunks % DESCRIBED_EVERY == 0:
-                for channel in self._index.channels:
+            if self.index.chunks == 1 or self.index.chunks % DESCRIBED_EVERY == 0:
+                for channel in self.index.channels:
                     self._describe(channel)
         self._stream.flush()
 
@@ -211,7 +187,7 @@ class LogWriter:
         inside = _find_described(known)
         for part in known:
             if isinstance(part, FileRecord):
-                self.learn(part)
+                self.index.take(part)
             elif part.channel not in inside:
                 self._put_description(part.channel)
         if not chunk.compression:
@@ -221,36 +197,26 @@ class LogWriter:
 
     def take_over(self, loaded: Loaded) -> None:
         """Take note of a sound record that the stream has already; call it for each, in order."""
-        record, place = loaded.record, (loaded.record.start, loaded.record.end)
+        record, length = loaded.record, loaded.record.end - loaded.record.start
+        if record.opcode == Opcode.MESSAGE_INDEX:
+            channel = int.from_bytes(record.body[:2], "little")
+            if self._unindexed.pop(channel, None) is not None:
+                self.index.add_message_index(channel, record.start, length)
+                self._at = record.end
+            return
+        _, entries = self.index.take_parts(loaded.parts)
+        self._described |= _find_described(loaded.parts)
+        self._at, self._unindexed = record.end, {}
         match record.opcode:
             case Opcode.CHUNK:
                 assert loaded.chunk is not None
-                for part in loaded.parts:
-                    if isinstance(part, FileRecord):
-                        self.learn(part)
-                _, self._unindexed = self._index.take_parts(loaded.parts)
-                self._index.add_chunk(loaded.chunk, place[0], place[1] - place[0])
-                self._described |= _find_described(loaded.parts)
-                self._at = place[1]
-            case Opcode.MESSAGE_INDEX:
-                channel = int.from_bytes(record.body[:2], "little")
-                if self._unindexed.pop(channel, None) is not None:
-                    self._index.add_message_index(channel, place[0], place[1] - place[0])
-                    self._at = place[1]
-            case Opcode.MESSAGE:  # another program wrote it in no chunk
-                self._index.take_parts(loaded.parts)
-            case Opcode.SCHEMA | Opcode.CHANNEL:
-                self.learn(record)
-                self._described |= _find_described(loaded.parts)
+                self.index.add_chunk(loaded.chunk, record.start, length)
+                self._unindexed = entries
             case Opcode.ATTACHMENT:
                 self._attached.add(Attachment.read(record.stream()).name)
-                self._index.take(record)
             case Opcode.METADATA:
                 said = Metadata.read(record.stream())
                 self._said.add((said.name, to_json(said.metadata)))
-                self._index.take(record)
-        if record.opcode not in (Opcode.CHUNK, Opcode.MESSAGE_INDEX):
-            self._at, self._unindexed = place[1], {}
 
     def go_on(self, crc_of: Callable[[int], int]) -> int:
         """Go on writing behind the records taken over; return where they end.
@@ -264,15 +230,15 @@ class LogWriter:
         end = self._at
         self._put_message_indexes(self._unindexed)
         self._unindexed = {}
-        for channel in self._index.channels:
+        for channel in self.index.channels:
             self._describe(channel)
         return end
 
     def _put_chunk(self, chunk: Chunk, parts: Sequence[Part]) -> None:
         """Write a chunk that holds these parts; its times are those of its messages."""
-        (start, end), entries = self._index.take_parts(parts)
+        (start, end), entries = self.index.take_parts(parts)
         chunk.message_start_time, chunk.message_end_time = start, end
-        self._index.add_chunk(chunk, *self._put(encode_record(chunk)))
+        self.index.add_chunk(chunk, *self._put(encode_record(chunk)))
         self._put_message_indexes(entries)
         self._described |= _find_described(parts)
 
@@ -280,12 +246,12 @@ class LogWriter:
         for channel, found in entries.items():
             body = channel.to_bytes(2, "little") + found.nbytes.to_bytes(4, "little")
             frame = FRAME.pack(Opcode.MESSAGE_INDEX, len(body) + found.nbytes) + body
-            self._index.add_message_index(channel, *self._put(frame + found.tobytes()))
+            self.index.add_message_index(channel, *self._put(frame + found.tobytes()))
 
     def finish(self) -> None:
         """Write the last chunk, the summary and the footer."""
         self.end_chunk()
-        for channel in self._index.channels:  # those without messages
+        for channel in self.index.channels:  # those without messages
             self._put_description(channel)
         self._put(encode_record(DataEnd(self._crc)))
         self._put(self._encode_summary())
@@ -294,7 +260,7 @@ class LogWriter:
     def _encode_summary(self) -> bytes:
         """Return all that follows the data: the summary, the footer, the magic bytes."""
         start, summary, offsets = self._at, b"", b""
-        for opcode, group in self._index.groups().items():
+        for opcode, group in self.index.groups().items():
             if records := b"".join(group):
                 offsets += encode_record(SummaryOffset(opcode, start + len(summary), len(records)))
                 summary += records
@@ -307,13 +273,12 @@ class LogWriter:
         """Describe a channel in no chunk, unless a reader of the file so far knows it."""
         if channel not in self._described:
             self._described.add(channel)
-            self._put(self._index.schemas.get(self._learnt[channel].schema_id, b""))
-            self._put(self._index.channels[channel])
+            self._put(b"".join(self.index.describe(channel)))
 
     def _put_indexed(self, record: McapRecord) -> None:
         made = make_record(record, self._at)
         self._put(made.frame())
-        self._index.take(made)
+        self.index.take(made)
 
     def _put(self, data: bytes) -> tuple[int, int]:
         """Write; return the offset and the length."""

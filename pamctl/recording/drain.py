@@ -262,7 +262,7 @@ class _Recording:
         if self._full:
             return
         try:
-            self._reserve.extend(self._file.tell(), self._writer.chunks)
+            self._reserve.extend(self._file.tell(), self._writer.index.chunks)
         except OSError as error:
             if not is_full(error):
                 raise

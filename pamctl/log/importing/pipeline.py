@@ -23,12 +23,10 @@ from pamctl.log.importing.column_map import (
     ATMOSPHERIC_PRESSURE_PA,
     TIME,
     UNITS,
-    ColumnMap,
     ImportMap,
     write_map,
 )
 from pamctl.log.importing.column_roles import (
-    ChosenColumns,
     choose_by_header,
     choose_by_map,
     describe_reading,
@@ -40,7 +38,6 @@ from pamctl.log.importing.file_formats import read_table
 from pamctl.log.importing.measured_table import (
     Floats,
     ImportRefused,
-    Ints,
     MapWanted,
     MeasuredTable,
 )
@@ -99,209 +96,236 @@ def import_log(
     """
     source, destination = Path(source), Path(destination)
     require_place(destination)
-    table = read_table(source, import_map)
-    findings = LogFindings()
-    for note in table.notes:
-        findings.warning("file", note)
-    for remark in table.remarks:
-        findings.note("last-line", remark)
-    has_map = import_map is not None
-    chosen = choose_by_map(table, import_map) if import_map else choose_by_header(table)
-    import_map = chosen.map
-    for kind, text in chosen.warnings:
-        findings.warning(kind, text)
-    _refuse_doubts(table, chosen)
-    _note_atmosphere(import_map, findings)
-    kept = _select_lines(table, import_map)
-    rows = table.rows[kept]
-    t_s, quantities = _convert_to_si(chosen, rows, kept)
-    if t_s is None:
-        if import_map.time.rate_hz is None or not quantities:
-            nothing = "no column of a measured quantity is named; there is nothing to import"
-            raise ImportRefused(nothing)
-        t_s = np.arange(len(next(iter(quantities.values())))) / import_map.time.rate_hz
-        _judge_own_time(table, kept, rows, findings)
-    time_name = chosen.columns[TIME].name if TIME in chosen.columns else "rate_hz"
-    judge_record(t_s, quantities, rows, findings, time_name)
-    better = import_map
-    if not findings.any(Severity.ERROR):
-        judge_clock(t_s, findings, time_name)
-        better = judge_units(chosen, quantities, findings, has_map=has_map)
-        _judge_whole(quantities, findings)
+    found = _Import(read_table(source, import_map), import_map)
+    found.convert_to_si()
+    found.judge()
     if accept_units:
-        findings.soften("unit")
-    stopped = findings.any(Severity.ERROR)
-    columns = _describe_columns(table, chosen)
-    if not stopped:
-        t_s, quantities = _shift_columns(import_map.parts(), t_s, quantities, findings)
+        found.findings.soften("unit")
+    columns = found.describe_columns()
+    written = not found.findings.any(Severity.ERROR)
+    if written:
+        found.shift_columns()
         if resample_hz is not None:
-            t_s, quantities = _resample_to_grid(t_s, quantities, resample_hz, findings)
-        story = _tell_story(source, len(rows), chosen, columns, findings, t_s, resample_hz)
-        if import_map.valve and import_map.valve.acts_after_s:
-            story["acts_after_s"] = repr(import_map.valve.acts_after_s)
-        if import_map.pressure and import_map.pressure.gauge:
-            story["atmospheric_pressure_pa"] = repr(import_map.atmospheric_pressure_pa)
-        if noise := import_map.stated_noise():
-            story["noise"] = to_json(noise).decode()
-        write_imported(destination, t_s - t_s[0], quantities, story)
+            found.resample(resample_hz)
+        story = found.tell_story(source, columns, resample_hz)
+        write_imported(destination, found.t_s - found.t_s[0], found.quantities, story)
     return ImportSummary(
         source=str(source),
         destination=str(destination),
-        written=not stopped,
-        ticks=0 if stopped else len(t_s),
-        period_s=None if stopped else nominal_period_s(t_s),
-        lasts_s=None if stopped else float(t_s[-1] - t_s[0]),
-        form=table.form,
+        written=written,
+        ticks=len(found.t_s) if written else 0,
+        period_s=nominal_period_s(found.t_s) if written else None,
+        lasts_s=float(found.t_s[-1] - found.t_s[0]) if written else None,
+        form=found.table.form,
         columns=columns,
-        map=import_map,
-        findings=tuple(findings.summarise()),
-        map_text=_write_better_map(table, chosen, better, findings, has_map=has_map),
+        map=found.map,
+        findings=tuple(found.findings.summarise()),
+        map_text=found.write_better_map(),
     )
 
 
-def _write_better_map(
-    table: MeasuredTable,
-    chosen: ChosenColumns,
-    better: ImportMap,
-    findings: LogFindings,
-    *,
-    has_map: bool,
-) -> str:
-    """Return the map that may mend an error, or may read what no header names; else nothing."""
-    misses = not has_map and any(finding.key == "columns" for finding in findings.all)
-    lines = propose_missing(table, chosen) if misses else []
-    keys = write_map(better.as_keys(), {})
-    if findings.any(Severity.ERROR):
-        return keys
-    return "\n".join([keys, *lines]) if lines else ""
+class _Import:
+    """A table on its way to a log: what is read from which column, and what is wrong with it."""
 
+    def __init__(self, table: MeasuredTable, import_map: ImportMap | None) -> None:
+        """Choose the columns; raise ImportRefused where they, or a cell, have no one reading."""
+        self.table, self.has_map = table, import_map is not None
+        self.chosen = choose_by_map(table, import_map) if import_map else choose_by_header(table)
+        self.map = self.better_map = self.chosen.map
+        self.findings = LogFindings()
+        for note in table.notes:
+            self.findings.warning("file", note)
+        for remark in table.remarks:
+            self.findings.note("last-line", remark)
+        for kind, text in self.chosen.warnings:
+            self.findings.warning(kind, text)
+        self._refuse_doubts()
+        self.kept = slice(None)
+        if part := self.map.lines:
+            last = table.rows[-1] if part.last is None and len(table.rows) else part.last or 0
+            begin, end = np.searchsorted(table.rows, [part.first, last + 1])
+            self.kept = slice(int(begin), int(end))
+        self.rows = table.rows[self.kept]
+        self.t_s: Floats = np.empty(0)
+        self.quantities: dict[str, Floats] = {}
 
-def _refuse_doubts(table: MeasuredTable, chosen: ChosenColumns) -> None:
-    """Raise ImportRefused, with a whole map, where the file or a column has no one reading."""
-    doubts = [(table.doubt, table.mend), *((c.bad_cell, c.mend) for c in chosen.columns.values())]
-    text = "; ".join(doubt for doubt, _ in doubts if doubt)
-    if not text:
-        return
-    keys = chosen.map.as_keys()
-    for _, mend in doubts:
-        for key, value in mend.items():
-            keys[key] = [*keys.get(key, []), *value] if key == "missing" else value
-    lines = write_map(keys, {"decimal": "or ','", "date_order": "or m/d/y"}).splitlines()
-    raise MapWanted(show_map(f"{text}; with --map FILE, such as:", lines))
+    def _refuse_doubts(self) -> None:
+        """Raise ImportRefused, with a whole map, where the file or a column has no one reading."""
+        columns = self.chosen.columns.values()
+        doubts = [(self.table.doubt, self.table.mend), *((c.bad_cell, c.mend) for c in columns)]
+        text = "; ".join(doubt for doubt, _ in doubts if doubt)
+        if not text:
+            return
+        keys = self.map.as_keys()
+        for _, mend in doubts:
+            for key, value in mend.items():
+                keys[key] = [*keys.get(key, []), *value] if key == "missing" else value
+        lines = write_map(keys, {"decimal": "or ','", "date_order": "or m/d/y"}).splitlines()
+        raise MapWanted(show_map(f"{text}; with --map FILE, such as:", lines))
 
+    def convert_to_si(self) -> None:
+        """Set the time and the quantities, all of one length; raise ImportRefused."""
+        lengths = {c.name: len(c.values) for c in self.chosen.columns.values()}
+        if len(set(lengths.values())) > 1:
+            listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
+            raise ImportRefused(f"the columns differ in length: {listed}")
+        for quantity, column in self.chosen.columns.items():
+            raw = column.values[self.kept]
+            with np.errstate(over="ignore", invalid="ignore"):
+                values = self.map.to_si(quantity, raw)
+            lost = np.flatnonzero(np.isfinite(raw) & ~np.isfinite(values))
+            if len(lost):
+                unit = self.map.parts()[quantity].unit
+                detail = f"{column.name} is {raw[lost[0]]:g} {unit} at row {self.rows[lost[0]]}"
+                raise ImportRefused(f"{detail}: too large for a number in SI")
+            self.quantities[quantity] = values
+        if TIME in self.quantities:
+            self.t_s = self.quantities.pop(TIME)
+        elif self.map.time.rate_hz is None or not self.quantities:
+            nothing = "no column of a measured quantity is named; there is nothing to import"
+            raise ImportRefused(nothing)
+        else:
+            rows = len(next(iter(self.quantities.values())))
+            self.t_s = np.arange(rows) / self.map.time.rate_hz
 
-def _select_lines(table: MeasuredTable, import_map: ImportMap) -> slice:
-    part = import_map.lines
-    if part is None:
-        return slice(None)
-    last = table.rows[-1] if part.last is None and len(table.rows) else part.last or 0
-    begin, end = np.searchsorted(table.rows, [part.first, last + 1])
-    return slice(int(begin), int(end))
+    def judge(self) -> None:
+        """Report what is wrong with the measurement, and what a reader of the log must know."""
+        findings, air_pa = self.findings, self.map.atmospheric_pressure_pa
+        pressure = self.map.pressure
+        if pressure and pressure.gauge and air_pa != ATMOSPHERIC_PRESSURE_PA:
+            findings.note(
+                "atmosphere",
+                f"pressure_pa counts from {air_pa:.6g} Pa, as the map says; a plant file for this "
+                f"log has atmospheric_pressure_pa: {air_pa:.6g}",
+            )
+        if TIME not in self.chosen.columns:
+            self._judge_own_time()
+        time_name = self.chosen.columns[TIME].name if TIME in self.chosen.columns else "rate_hz"
+        judge_record(self.t_s, self.quantities, self.rows, findings, time_name)
+        if findings.any(Severity.ERROR):
+            return
+        judge_clock(self.t_s, findings, time_name)
+        self.better_map = judge_units(self.chosen, self.quantities, findings, has_map=self.has_map)
+        there = self.quantities.keys()
+        if not {"pressure_pa", "position_m"} & there:
+            findings.error(
+                "columns", "there is neither pressure nor position: nothing was measured"
+            )
+        elif not there >= _OF_A_MECHANISM and (missing := _MISSED - there):
+            listed = ", ".join(sorted(missing))
+            findings.warning("columns", f"no {listed}: no analysis that needs them is possible")
 
+    def _judge_own_time(self) -> None:
+        """Report what is wrong with the file's own time, which a rate in the map would hide."""
+        for column in self.table.columns:
+            unit = column.header.unit
+            if not names_quantity(column, TIME) or not unit or column.is_text:
+                continue
+            own = LogFindings()
+            values = UNITS[TIME][unit] * column.values[self.kept]
+            judge_record(values, {}, self.rows, own, column.name)
+            for finding in own.all:
+                if finding.key != "jitter":
+                    self.findings.warning(finding.key, f"rate_hz is used, but {finding.message}")
+            return
 
-def _convert_to_si(
-    chosen: ChosenColumns, rows: Ints, kept: slice
-) -> tuple[Floats | None, dict[str, Floats]]:
-    """Return the time and the quantities in SI; all have the same length."""
-    lengths = {column.name: len(column.values) for column in chosen.columns.values()}
-    if len(set(lengths.values())) > 1:
-        listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
-        raise ImportRefused(f"the columns differ in length: {listed}")
-    found: dict[str, Floats] = {}
-    for quantity, column in chosen.columns.items():
-        raw = column.values[kept]
-        with np.errstate(over="ignore", invalid="ignore"):
-            values = chosen.map.to_si(quantity, raw)
-        lost = np.flatnonzero(np.isfinite(raw) & ~np.isfinite(values))
-        if len(lost):
-            unit = chosen.map.parts()[quantity].unit
-            detail = f"{column.name} is {raw[lost[0]]:g} {unit} at row {rows[lost[0]]}"
-            raise ImportRefused(f"{detail}: too large for a number in SI")
-        found[quantity] = values
-    return found.pop(TIME, None), found
+    def write_better_map(self) -> str:
+        """Return the map that may mend an error, or may read what no header names; or nothing."""
+        keys = write_map(self.better_map.as_keys(), {})
+        if self.findings.any(Severity.ERROR):
+            return keys
+        misses = not self.has_map and any(f.key == "columns" for f in self.findings.all)
+        lines = propose_missing(self.table, self.chosen) if misses else []
+        return "\n".join([keys, *lines]) if lines else ""
 
+    def describe_columns(self) -> tuple[ImportedColumn, ...]:
+        """Return what became of each column of the file."""
+        parts, used = self.map.parts(), self.chosen.columns
+        roles = {id(column): describe_reading(parts[q]) for q, column in used.items()}
+        found = []
+        for number, column in enumerate(self.table.columns, 1):
+            read_as, values = roles.get(id(column), ""), column.values
+            why = "" if read_as else self.chosen.left_out.get(number, "")
+            if column.bad_cell:
+                why += "; not all its cells are numbers"
+            good = values[np.isfinite(values)]
+            plot, rests = "", None
+            if read_as and len(good) and not read_as.startswith(TIME):
+                moves = np.abs(np.diff(_average(values, max(min(_PIECES, len(values) // 10), 1))))
+                rests = float(np.mean(moves <= _STILL * np.ptp(good))) if len(moves) else None
+                plot = _draw_course(values)
+            low, high = (float(good.min()), float(good.max())) if len(good) else (None, None)
+            gone = len(values) - len(good)
+            found.append(
+                ImportedColumn(number, column.name, read_as, why, low, high, gone, rests, plot)
+            )
+        return tuple(found)
 
-def _judge_own_time(table: MeasuredTable, kept: slice, rows: Ints, findings: LogFindings) -> None:
-    """Report what is wrong with the file's own time, which a rate in the map would hide."""
-    for column in table.columns:
-        unit = column.header.unit
-        if not names_quantity(column, TIME) or not unit or column.is_text:
-            continue
-        own = LogFindings()
-        values = UNITS[TIME][unit] * column.values[kept]
-        judge_record(values, {}, rows, own, column.name)
-        for finding in own.all:
-            if finding.key != "jitter":
-                findings.warning(finding.key, f"rate_hz is used, but {finding.message}")
-        return
+    def shift_columns(self) -> None:
+        """Move columns in time, and cut the ends off where one of them is gone."""
+        parts = self.map.parts()
+        shifts = {q: s for q in self.quantities if (s := getattr(parts[q], "shift_s", 0.0))}
+        if not shifts:
+            return
+        first = self.t_s[0] + max(0.0, *shifts.values())
+        last = self.t_s[-1] + min(0.0, *shifts.values())
+        kept = self.t_s[(self.t_s >= first - 1e-9) & (self.t_s <= last + 1e-9)]
+        if len(kept) < 2:
+            raise ImportRefused("shift_s moves the columns so far that they have no time in common")
+        for name, shift_s in shifts.items():
+            self.findings.note("shifted", f"{name} by {shift_s:+g} s")
+        self.quantities = {
+            name: _interpolate_at(kept - shifts.get(name, 0.0), self.t_s, values, name)
+            for name, values in self.quantities.items()
+        }
+        self.t_s = kept
 
-
-def _note_atmosphere(import_map: ImportMap, findings: LogFindings) -> None:
-    """Say from which atmosphere the log now counts, where it is not the usual one."""
-    air_pa, pressure = import_map.atmospheric_pressure_pa, import_map.pressure
-    if pressure and pressure.gauge and air_pa != ATMOSPHERIC_PRESSURE_PA:
-        findings.note(
-            "atmosphere",
-            f"pressure_pa counts from {air_pa:.6g} Pa, as the map says; a plant file for this log "
-            f"has atmospheric_pressure_pa: {air_pa:.6g}",
+    def resample(self, rate_hz: float) -> None:
+        """Put the rows on an even grid; raise ImportRefused for too many ticks, or too few."""
+        lasts_s, was_hz = self.t_s[-1] - self.t_s[0], 1.0 / nominal_period_s(self.t_s)
+        ticks = lasts_s * rate_hz
+        if ticks > MOST_TICKS:
+            raise ImportRefused(
+                f"--resample {rate_hz:g} would make {ticks:.3g} ticks: is it in Hz?"
+            )
+        self.findings.note(
+            "resampled",
+            f"from {was_hz:.6g} to {rate_hz:.6g} Hz; measured values interpolated, the command "
+            "held",
         )
+        if rate_hz < 0.9 * was_hz:
+            detail = f"signals faster than {rate_hz / 2:.6g} Hz are aliased: there is no filter"
+            self.findings.warning("aliasing", detail)
+        self.t_s, self.quantities = resample_columns(self.t_s, self.quantities, rate_hz)
+        if len(self.t_s) < 2:
+            detail = f"--resample {rate_hz:g} leaves 1 tick of {lasts_s:.6g} s"
+            way_out = f"give a rate in Hz nearer to the measurement's own {was_hz:.6g}"
+            raise ImportRefused(f"{detail}; a measurement needs at least two: {way_out}")
 
-
-def _judge_whole(quantities: Mapping[str, Floats], findings: LogFindings) -> None:
-    if not {"pressure_pa", "position_m"} & quantities.keys():
-        findings.error("columns", "there is neither pressure nor position: nothing was measured")
-    elif not quantities.keys() >= _OF_A_MECHANISM and (missing := _MISSED - quantities.keys()):
-        listed = ", ".join(sorted(missing))
-        findings.warning("columns", f"no {listed}: no analysis that needs them is possible")
-
-
-def _describe_columns(table: MeasuredTable, chosen: ChosenColumns) -> tuple[ImportedColumn, ...]:
-    parts = chosen.map.parts()
-    roles = {id(column): describe_reading(parts[q]) for q, column in chosen.columns.items()}
-    found = []
-    for number, column in enumerate(table.columns, 1):
-        read_as, values = roles.get(id(column), ""), column.values
-        why = "" if read_as else chosen.left_out.get(number, "")
-        if column.bad_cell:
-            why += "; not all its cells are numbers"
-        good = values[np.isfinite(values)]
-        plot, rests = "", None
-        if read_as and len(good) and not read_as.startswith(TIME):
-            moves = np.abs(np.diff(_average(values, max(min(_PIECES, len(values) // 10), 1))))
-            rests = float(np.mean(moves <= _STILL * np.ptp(good))) if len(moves) else None
-            plot = _draw_course(values)
-        low, high = (float(good.min()), float(good.max())) if len(good) else (None, None)
-        gone = len(values) - len(good)
-        found.append(
-            ImportedColumn(number, column.name, read_as, why, low, high, gone, rests, plot)
-        )
-    return tuple(found)
-
-
-# Shifts and resampling.
-
-
-def _shift_columns(
-    parts: Mapping[str, ColumnMap],
-    t_s: Floats,
-    quantities: Mapping[str, Floats],
-    findings: LogFindings,
-) -> tuple[Floats, dict[str, Floats]]:
-    """Return the record with columns moved in time, without its ends where one of them is gone."""
-    shifts = {q: s for q in quantities if (s := getattr(parts[q], "shift_s", 0.0))}
-    if not shifts:
-        return t_s, dict(quantities)
-    first = t_s[0] + max(0.0, *shifts.values())
-    last = t_s[-1] + min(0.0, *shifts.values())
-    kept = t_s[(t_s >= first - 1e-9) & (t_s <= last + 1e-9)]
-    if len(kept) < 2:
-        raise ImportRefused("shift_s moves the columns so far that they have no time in common")
-    for name, shift_s in shifts.items():
-        findings.note("shifted", f"{name} by {shift_s:+g} s")
-    return kept, {
-        name: _interpolate_at(kept - shifts.get(name, 0.0), t_s, values, name)
-        for name, values in quantities.items()
-    }
+    def tell_story(
+        self, source: Path, columns: Sequence[ImportedColumn], resample_hz: float | None
+    ) -> dict[str, str]:
+        """Return the metadata record `import`: the source, and how the log was made from it."""
+        with source.open("rb") as file:
+            checksum = hashlib.file_digest(file, "sha256").hexdigest()
+        left_out = {f"{c.number} {c.name}": c.left_out for c in columns if c.left_out}
+        story = {
+            "source": escape_name(source.name),
+            "sha256": checksum,
+            "rows": str(len(self.rows)),
+            "first_t_s": repr(float(self.t_s[0])),
+            "map": write_map(self.map.as_keys(), {}),
+            "left_out": to_json(left_out).decode(),
+            "resampled_hz": "" if resample_hz is None else repr(resample_hz),
+            "report": to_json(list_findings(self.findings.summarise())).decode(),
+        }
+        if self.map.valve and self.map.valve.acts_after_s:
+            story["acts_after_s"] = repr(self.map.valve.acts_after_s)
+        if self.map.pressure and self.map.pressure.gauge:
+            story["atmospheric_pressure_pa"] = repr(self.map.atmospheric_pressure_pa)
+        if noise := self.map.stated_noise():
+            story["noise"] = to_json(noise).decode()
+        return story
 
 
 def resample_columns(
@@ -331,57 +355,6 @@ def _interpolate_at(grid: Floats, t_s: Floats, values: Floats, name: str) -> Flo
         held: Floats = values[np.clip(index, 0, len(t_s) - 1)]
         return held
     return np.interp(grid, t_s, values)
-
-
-def _resample_to_grid(
-    t_s: Floats, quantities: dict[str, Floats], rate_hz: float, findings: LogFindings
-) -> tuple[Floats, dict[str, Floats]]:
-    """Return the measurement at `rate_hz`; raise ImportRefused for too many ticks, or too few."""
-    lasts_s, was_hz = t_s[-1] - t_s[0], 1.0 / nominal_period_s(t_s)
-    ticks = lasts_s * rate_hz
-    if ticks > MOST_TICKS:
-        raise ImportRefused(f"--resample {rate_hz:g} would make {ticks:.3g} ticks: is it in Hz?")
-    findings.note(
-        "resampled",
-        f"from {was_hz:.6g} to {rate_hz:.6g} Hz; measured values interpolated, the command held",
-    )
-    if rate_hz < 0.9 * was_hz:
-        detail = f"signals faster than {rate_hz / 2:.6g} Hz are aliased: there is no filter"
-        findings.warning("aliasing", detail)
-    grid_s, there = resample_columns(t_s, quantities, rate_hz)
-    if len(grid_s) < 2:
-        detail = f"--resample {rate_hz:g} leaves 1 tick of {lasts_s:.6g} s"
-        way_out = f"give a rate in Hz nearer to the measurement's own {was_hz:.6g}"
-        raise ImportRefused(f"{detail}; a measurement needs at least two: {way_out}")
-    return grid_s, there
-
-
-# What the log keeps.
-
-
-def _tell_story(
-    source: Path,
-    rows: int,
-    chosen: ChosenColumns,
-    columns: Sequence[ImportedColumn],
-    findings: LogFindings,
-    t_s: Floats,
-    resample_hz: float | None,
-) -> dict[str, str]:
-    """Return the metadata record `import`: the source, and how the log was made from it."""
-    with source.open("rb") as file:
-        checksum = hashlib.file_digest(file, "sha256").hexdigest()
-    left_out = {f"{c.number} {c.name}": c.left_out for c in columns if c.left_out}
-    return {
-        "source": escape_name(source.name),
-        "sha256": checksum,
-        "rows": str(rows),
-        "first_t_s": repr(float(t_s[0])),
-        "map": write_map(chosen.map.as_keys(), {}),
-        "left_out": to_json(left_out).decode(),
-        "resampled_hz": "" if resample_hz is None else repr(resample_hz),
-        "report": to_json(list_findings(findings.summarise())).decode(),
-    }
 
 
 CHUNK_TICKS = 2048

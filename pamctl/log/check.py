@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import partialmethod
 from pathlib import Path
 from typing import Any
 
@@ -83,23 +84,15 @@ class LogFindings:
     kinds: Counter[str] = field(default_factory=Counter)
     """Number of findings of each kind, listed or not."""
 
-    def error(self, kind: str, message: str) -> None:
-        """Add an error."""
-        self.add(Severity.ERROR, kind, message)
-
-    def warning(self, kind: str, message: str) -> None:
-        """Add a warning."""
-        self.add(Severity.WARNING, kind, message)
-
-    def note(self, kind: str, message: str) -> None:
-        """Add a note."""
-        self.add(Severity.NOTE, kind, message)
-
     def add(self, severity: Severity, kind: str, message: str) -> None:
         """Add a finding."""
         self.kinds[kind] += 1
         if self.kinds[kind] <= MOST_OF_A_KIND:
             self.all.append(Problem("", kind, message, severity))
+
+    error = partialmethod(add, Severity.ERROR)
+    warning = partialmethod(add, Severity.WARNING)
+    note = partialmethod(add, Severity.NOTE)
 
     def errors(self, kind: str, rows: NDArray[np.intp], describe: Callable[[int], str]) -> None:
         """Add an error for each of these rows; only those that are listed are described."""
@@ -111,10 +104,11 @@ class LogFindings:
 
     def summarise(self) -> list[Problem]:
         """Return the findings, and for each kind with too many the number of the rest."""
-        more = {kind: n - MOST_OF_A_KIND for kind, n in self.kinds.items() if n > MOST_OF_A_KIND}
         weights = {finding.key: finding.level for finding in self.all}
         rest = (
-            Problem("", kind, f"and {n} more of these", weights[kind]) for kind, n in more.items()
+            Problem("", kind, f"and {count - MOST_OF_A_KIND} more of these", weights[kind])
+            for kind, count in self.kinds.items()
+            if count > MOST_OF_A_KIND
         )
         return [*self.all, *rest]
 
@@ -167,13 +161,11 @@ def check_log(
     ticks.end()
     _check_schema(scan, findings)
     _check_story(scan, findings, problems_of_config)
-    log = escape_name(str(path))
-    problems = (
-        finding._replace(fix=FIXES.get(finding.key, "").format(log))
-        if finding.level == Severity.ERROR
-        else finding
-        for finding in findings.summarise()
-    )
+    problems = findings.summarise()
+    for at, finding in enumerate(problems):
+        if finding.level == Severity.ERROR:
+            fix = FIXES.get(finding.key, "").format(escape_name(str(path)))
+            problems[at] = finding._replace(fix=fix)
     return LogCheckReport(str(path), ticks.count, tuple(problems))
 
 
@@ -250,10 +242,9 @@ class _TickCheck:
             self._check_piece()
         for problem in self._join_problems():
             # A run may end before its first tick, and a rig may be at rest.
-            is_wrong = problem.is_fatal and problem.kind != "short"
-            severity = Severity.ERROR if is_wrong else Severity.WARNING
-            if problem.kind == "constant":
-                severity = Severity.NOTE
+            severity = Severity.NOTE if problem.kind == "constant" else Severity.WARNING
+            if problem.is_fatal and problem.kind != "short":
+                severity = Severity.ERROR
             self._findings.add(severity, problem.kind, problem.describe())
         if self.missed:
             counted = f"{self.missed} ticks in {self.gaps} gaps were missed; the log counts them"

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -146,17 +146,20 @@ class Pages(Mapping[str, Any]):
         """
         self.grid = grid
         """Which row holds which tick."""
-        self._none, self._decode = none, decode
+        self._none = none
         self._rows: list[int] = []
         """The first row of each page."""
-        self._chunks: list[list[int]] = []
-        """Where the chunks of each page begin in the file."""
-        self._kept: OrderedDict[int, Page] = OrderedDict()
+        chunks: list[list[int]] = []
         for row, at in places:
             if not self._rows or row - self._rows[-1] >= PAGE_TICKS:
                 self._rows.append(row)
-                self._chunks.append([])
-            self._chunks[-1].append(at)
+                chunks.append([])
+            chunks[-1].append(at)
+        self._ends = ends = [*self._rows[1:], grid.count]
+        starts = self._rows
+        self._read = lru_cache(_KEPT_PAGES)(
+            lambda number: decode(chunks[number], ends[number] - starts[number])
+        )
 
     def __getitem__(self, name: str) -> PagedColumn:
         return PagedColumn(self, name, self._none[name].dtype)
@@ -176,18 +179,9 @@ class Pages(Mapping[str, Any]):
         """Yield the pages that hold some rows, with the place of those rows in each."""
         while begin < end:
             number = bisect_right(self._rows, begin) - 1
-            first = self._rows[number]
-            last = self._rows[number + 1] if number + 1 < len(self._rows) else self.grid.count
-            yield self._read(number, last - first), slice(begin - first, min(end, last) - first)
+            first, last = self._rows[number], self._ends[number]
+            yield self._read(number), slice(begin - first, min(end, last) - first)
             begin = last
-
-    def _read(self, number: int, rows: int) -> Page:
-        if number not in self._kept:
-            self._kept[number] = self._decode(self._chunks[number], rows)
-        self._kept.move_to_end(number)
-        if len(self._kept) > _KEPT_PAGES:
-            self._kept.popitem(last=False)
-        return self._kept[number]
 
 
 class PagedColumn:

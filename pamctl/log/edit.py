@@ -164,17 +164,14 @@ def cut_log(
     for name in names:
         require_place(name)
     checksum = hashlib.sha256(map_log_file(source)).hexdigest()
+    pieces = []
     for name, part in zip(names, kept, strict=True):
         _write_piece(log, part, name, checksum)
-    return CutLog(
-        str(source),
-        len(t_s),
-        tuple(
-            LogPiece(str(n), p.start, p.stop - 1, float(t_s[p.start]), float(t_s[p.stop - 1]))
-            for n, p in zip(names, kept, strict=True)
-        ),
-        tuple(part.start for part in parts if part not in kept),
-    )
+        last = part.stop - 1
+        piece = LogPiece(str(name), part.start, last, float(t_s[part.start]), float(t_s[last]))
+        pieces.append(piece)
+    left_out = tuple(part.start for part in parts if part not in kept)
+    return CutLog(str(source), len(t_s), tuple(pieces), left_out)
 
 
 def _name_files(destination: Path, count: int) -> list[Path]:

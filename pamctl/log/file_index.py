@@ -275,7 +275,10 @@ class IndexCheck:
             return
         stored = np.frombuffer(record.body[6:], INDEX_ENTRY)
         expected = self._expected.get(channel, stored[:0])
-        is_equal = np.array_equal(np.sort(stored), np.sort(expected))
+        is_equal = record.body[6:] == expected.tobytes() or np.array_equal(
+            np.sort(stored),
+            np.sort(expected),  # slow: only where another program wrote it
+        )
         if not is_equal or int.from_bytes(record.body[2:6], "little") != stored.nbytes:
             what = f"the message index of channel {channel} at byte {record.start}"
             self._error("index", f"{what} does not match its chunk")

@@ -283,24 +283,17 @@ def nominal_period_s(t_s: Floats) -> float:
 def judge_numbers(t_s: Floats, column: RecordColumn) -> Iterator[RecordProblem]:
     """Yield where a column has no numbers, or only one."""
     values, whole = column.values, [(0, len(t_s))]
-    good = np.isfinite(values)
-    if not good.any():
+    good = values[np.isfinite(values)]
+    if not len(good):
         yield make_problem(t_s, "empty", column.name, "has no values", whole, is_fatal=True)
         return
-    if not good.all():
-        infinite = np.isinf(values)
-        kinds: tuple[tuple[ProblemKind, Flags], ...] = (
-            ("missing", ~good & ~infinite),
-            ("infinite", infinite),
-        )
-        for kind, where in kinds:
-            if where.any():
-                count = int(np.count_nonzero(where))
-                text = f"is {kind} in {count} row{'s' * (count > 1)}"
-                yield make_problem(t_s, kind, column.name, text, find_runs(where))
-        values = values[good]
-    if float(values.min()) == float(values.max()):
-        text = f"is {float(values[0]):.6g} {column.unit} throughout"
+    lost: dict[ProblemKind, Flags] = {"missing": np.isnan(values), "infinite": np.isinf(values)}
+    for kind, where in lost.items():
+        if count := int(np.count_nonzero(where)):
+            text = f"is {kind} in {count} row{'s' * (count > 1)}"
+            yield make_problem(t_s, kind, column.name, text, find_runs(where))
+    if float(good.min()) == float(good.max()):
+        text = f"is {float(good[0]):.6g} {column.unit} throughout"
         yield make_problem(t_s, "constant", column.name, text, whole)
 
 
@@ -353,11 +346,16 @@ def judge_sensors(
 
     `jumps`, shape (n,), counts those of the command up to each row.
     """
-    frozen = [_judge_frozen(t_s, sensor) for sensor in sensors]
-    alive = [sensor for sensor, how in zip(sensors, frozen, strict=True) if not how]
+    frozen = [_find_frozen(sensor) for sensor in sensors]
+    alive = [sensor for sensor, held in zip(sensors, frozen, strict=True) if not held]
     for sensor, held in zip(sensors, frozen, strict=True):
         others = [one for one in alive if one is not sensor]
-        yield from _judge_resampled(t_s, sensor) or held or _judge_stopped(t_s, sensor, others)
+        why = "while its noise shows before and after"
+        yield from (
+            _judge_resampled(t_s, sensor)
+            or _describe_held(t_s, sensor, held, why)
+            or _judge_stopped(t_s, sensor, others)
+        )
         yield from _judge_spikes(t_s, sensor, jumps)
 
 
@@ -379,11 +377,6 @@ def _find_frozen(sensor: Sensor) -> list[tuple[int, int]]:
     return [stretch for stretch in _find_held(sensor) if _is_noise_beside(sensor, stretch)]
 
 
-def _judge_frozen(t_s: Floats, sensor: Sensor) -> list[RecordProblem]:
-    why = "while its noise shows before and after"
-    return _describe_held(t_s, sensor, _find_frozen(sensor), why)
-
-
 def _judge_stopped(t_s: Floats, sensor: Sensor, others: Sequence[Sensor]) -> list[RecordProblem]:
     """Return where a sensor holds a value while another one moves: no friction holds so much."""
     held = sorted(_find_held(sensor), key=lambda stretch: stretch[0] - stretch[1])[:MOST_COMPARED]
@@ -401,14 +394,14 @@ def _describe_held(
     t_s: Floats, sensor: Sensor, held: Sequence[tuple[int, int]], why: str
 ) -> list[RecordProblem]:
     """Return the problem for stretches at an extreme, and the one for those between."""
-    at_end = [s for s in held if sensor.values[s[0]] in sensor.ends]
-    between = [s for s in held if s not in at_end]
-    texts: tuple[tuple[ProblemKind, list[tuple[int, int]], str, str], ...] = (
-        ("clipped", at_end, "stays at its extreme", "clipped, or at a stop"),
-        ("frozen", between, "stands still at", "frozen"),
-    )
+    texts: dict[ProblemKind, tuple[str, str]] = {
+        "clipped": ("stays at its extreme", "clipped, or at a stop"),
+        "frozen": ("stands still at", "frozen"),
+    }
     found = []
-    for kind, stretches, what, verdict in texts:
+    for kind, (what, verdict) in texts.items():
+        is_clipped = kind == "clipped"
+        stretches = [s for s in held if (sensor.values[s[0]] in sensor.ends) == is_clipped]
         if stretches:
             start, _ = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
             value = f"{float(sensor.values[start]):.6g} {sensor.column.unit}".rstrip()

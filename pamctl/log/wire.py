@@ -218,27 +218,25 @@ class TickDecoder:
         """Those that are decoded."""
         self.take: Callable[[TickBatch], None] | None = None
         """Gets each batch; without it no tick is decoded."""
-        self._waiting, self._form = bytearray(), np.dtype("V1")
+        self._waiting: list[NDArray[Any]] = []
+        self._count = 0
 
     def add(self, records: NDArray[Any]) -> None:
         """Take the next ticks; raise UnknownLayout if one lacks an integer."""
         if self.take is None:
             return
-        if self._waiting and self._form != records.dtype:
+        if self._waiting and self._waiting[0].dtype != records.dtype:
             self.flush()
-        if not self._waiting and len(records) >= _BATCH_TICKS:
-            self._decode_batch(records)
-            return
-        self._form = records.dtype
-        self._waiting += records.view(np.uint8).data
-        if len(self._waiting) >= _BATCH_TICKS * records.itemsize:
+        self._waiting.append(records)
+        self._count += len(records)
+        if self._count >= _BATCH_TICKS:
             self.flush()
 
     def flush(self) -> None:
         """Decode the ticks that wait for more of them."""
-        waiting, self._waiting = self._waiting, bytearray()
+        waiting, self._waiting, self._count = self._waiting, [], 0
         if waiting:
-            self._decode_batch(np.frombuffer(waiting, self._form))
+            self._decode_batch(waiting[0] if len(waiting) == 1 else np.concatenate(waiting))
 
     def _decode_batch(self, records: NDArray[Any]) -> None:
         assert self.take is not None

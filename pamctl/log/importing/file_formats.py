@@ -11,6 +11,7 @@ take all memory.
 from __future__ import annotations
 
 import bz2
+import codecs
 import csv
 import gzip
 import io
@@ -372,14 +373,10 @@ def _find_encoding(
     encoding = stated or next((name for bom, name in _BOMS if begin.startswith(bom)), "")
     if not encoding and len(begin) > 3 and begin[0] and begin[1::2] == b"\0\0":
         encoding = "utf-16-le"
-    if encoding in ("", "utf-8"):
-        with open_file() as file:
-            if all(part.isascii() for part in iter(lambda: file.read(_BLOCK), b"")):
-                return "utf-8", []
     for name in (encoding,) if encoding else ("utf-8", "cp1252"):
         try:
-            with TextIOWrapper(open_file(), name) as text:
-                while text.read(_BLOCK):
+            with open_file() as file:
+                for _ in codecs.iterdecode(iter(lambda: file.read(_BLOCK), b""), name):
                     pass
         except LookupError:
             raise ImportRefused(f"there is no encoding {name!r}; try utf-8 or cp1252") from None

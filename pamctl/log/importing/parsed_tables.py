@@ -177,47 +177,43 @@ def parse_lvm(path: Path, hints: TextHints) -> MeasuredTable:
     content = lvm_read.read(str(path), read_from_pickle=False, dump_file=False)
     segments = [content[index] for index in range(content["Segments"])]
     parts = [_read_lvm_segment(path, segment) for segment in segments]
-    starts_s = [_find_lvm_start(segment) for segment in segments]
+    units = [segment.get("Y_Unit_Label", []) for segment in segments]
     if any(part.keys() != parts[0].keys() for part in parts):
         raise ImportRefused(f"{path}: its segments have different channels; save each in a file")
-    units = [segment.get("Y_Unit_Label", []) for segment in segments]
     if any(unit != units[0] for unit in units):
         raise ImportRefused(f"{path}: a unit changes between segments; save each in a file")
-    for part, start_s in zip(parts, starts_s, strict=True):
-        if TIME_S in part and len(parts) > 1 and part[TIME_S][0] < parts[0][TIME_S][-1]:
+    first_s = _find_lvm_start(segments[0])
+    for part, segment in zip(parts[1:], segments[1:], strict=True):
+        if TIME_S in part and part[TIME_S][0] < parts[0][TIME_S][-1]:
             # Each segment counts from its own start.
-            part[TIME_S] = part[TIME_S] + (start_s - starts_s[0])
+            part[TIME_S] = part[TIME_S] + (_find_lvm_start(segment) - first_s)
     joined = [(name, np.concatenate([part[name] for part in parts])) for name in parts[0]]
     if not joined or not len(joined[0][1]):
         raise ImportRefused(f"{path} holds no rows of numbers")
-    channels = [name for name in segments[0]["Channel names"] if name not in ("X_Value", "Comment")]
+    channels = [name for name in parts[0] if name != TIME_S]
     stated = {name: unit.strip() for name, unit in zip(channels, units[0], strict=False)}
     return number_rows(make_columns(joined, stated), "LVM", [])
 
 
 def _read_lvm_segment(path: Path, segment: dict[str, Any]) -> dict[str, Floats]:
+    """Return the columns by name; the time comes first where the file has it or its interval."""
     names, table = segment["Channel names"], segment["data"]
     if table.ndim != 2 or table.shape[1] < len([n for n in names if n != "Comment"]):
         raise ImportRefused(f"{path} is not a complete LVM file: a row has too few values")
-    is_time = all(what in ("Time", "") for what in segment.get("X_Dimension", ["Time"]))
-    columns: dict[str, Floats] = {}
-    for index, name in enumerate(names):
-        values = table[:, index] if name != "Comment" else np.zeros(0)
-        if name == "X_Value" and is_time:
-            # LabVIEW may leave the column empty but for its interval.
-            is_full = np.isfinite(values).all()
-            t_s = values if is_full else _count_lvm_time(path, segment, len(table))
-            if not np.array_equal(columns.setdefault(TIME_S, t_s), t_s):
-                raise ImportRefused(
-                    f"{path}: its channels have different times; save them with one"
-                )
-        elif name not in ("X_Value", "Comment"):
-            if name in columns:
-                raise ImportRefused(f"{path} has more than one channel {name}; rename one")
-            columns[name] = values
-    if TIME_S not in columns and is_time:
-        columns = {TIME_S: _count_lvm_time(path, segment, len(table)), **columns}
-    return columns
+    columns = {n: table[:, at] for at, n in enumerate(names) if n not in ("X_Value", "Comment")}
+    if len(columns) < sum(name not in ("X_Value", "Comment") for name in names):
+        twice = next(name for name in names if name in columns and names.count(name) > 1)
+        raise ImportRefused(f"{path} has more than one channel {twice}; rename one")
+    if any(what not in ("Time", "") for what in segment.get("X_Dimension", [])):
+        return columns
+    times = [table[:, at] for at, name in enumerate(names) if name == "X_Value"]
+    # LabVIEW may leave the column empty but for its interval.
+    full = [t_s for t_s in times if np.isfinite(t_s).all()]
+    if len(full) < max(len(times), 1):
+        full.append(_count_lvm_time(path, segment, len(table)))
+    if any(not np.array_equal(t_s, full[0]) for t_s in full):
+        raise ImportRefused(f"{path}: its channels have different times; save them with one")
+    return {TIME_S: full[0], **columns}
 
 
 def _count_lvm_time(path: Path, segment: dict[str, Any], rows: int) -> Floats:
@@ -404,21 +400,21 @@ def _read_columns(name: str, value: Any) -> Iterator[TableColumn]:
     """Yield the columns of a variable or of a field, as `loadmat` simplifies it."""
     from scipy.io.matlab import MatlabOpaque
 
-    if value is None or isinstance(value, MatlabOpaque):
-        yield TableColumn(name, np.zeros(0), is_text=True, says="an object that MATLAB alone reads")
-    elif isinstance(value, dict):
-        yield from _read_struct(name, value)
-    elif isinstance(value, list) and value and isinstance(value[0], dict):
-        yield from _read_fields(name, {f: np.array([s[f] for s in value]) for f in value[0]})
-    elif not isinstance(value, np.ndarray):
-        if isinstance(value, str):
+    match value:
+        case None | MatlabOpaque():
+            says = "an object that MATLAB alone reads"
+            yield TableColumn(name, np.zeros(0), is_text=True, says=says)
+        case dict():
+            yield from _read_struct(name, value)
+        case [dict(), *_]:
+            fields = {field: np.array([each[field] for each in value]) for field in value[0]}
+            yield from _read_fields(name, fields)
+        case np.ndarray() if value.dtype.names is not None:
+            yield from _read_fields(name, {field: value[field] for field in value.dtype.names})
+        case np.ndarray() if value.dtype.kind in "fiub" and value.ndim <= 2:
+            yield from _read_array(name, value)
+        case str() | np.ndarray():
             yield TableColumn(name, np.zeros(0), is_text=True)
-    elif value.dtype.names is not None:
-        yield from _read_fields(name, {field: value[field] for field in value.dtype.names})
-    elif value.dtype.kind in "fiub" and value.ndim <= 2:
-        yield from _read_array(name, value)
-    else:
-        yield TableColumn(name, np.zeros(0), is_text=True)
 
 
 def _read_fields(name: str, fields: dict[str, Any]) -> list[TableColumn]:

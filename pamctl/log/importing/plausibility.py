@@ -97,12 +97,10 @@ def judge_units(
             if said and "unit" in change and said != part.unit:
                 text, change = f"is this {said}, as the column's name says?", {"unit": said}
             if name:
-                keys = ", ".join(
-                    f"{key}: {to_json(value).decode()}" for key, value in change.items()
-                )
-                keys = keys.replace('"', "")
+                ((key, value),) = change.items()
+                said = to_json(value).decode().strip('"')
                 rename = f", or call it {name}" if not has_map else ""
-                text += f" Then say `{keys}` in the map{rename}"
+                text += f" Then say `{key}: {said}` in the map{rename}"
             findings.error("unit", f"{quantity} is {span}: {text}")
             better = part.model_copy(update=change)
             import_map = import_map.model_copy(update={KEYS[quantity]: better})
@@ -167,24 +165,16 @@ def _doubt(part: ColumnMap, values: Floats) -> Iterator[_Doubt]:
     elif part.quantity == "position_m" and max(-low, high) > 0.5:
         unit = "mm" if max(-low, high) < 1e3 else "um"
         yield f"is this {unit}?", f"position_{unit}", {"unit": unit}
-    elif part.quantity == "pressure_pa":
-        yield from _doubt_pressure(low, high)
-
-
-def _doubt_pressure(low: float, high: float) -> Iterator[_Doubt]:
-    if low >= NEVER_ABSOLUTE_PA:
+    elif part.quantity == "pressure_pa" and low >= NEVER_ABSOLUTE_PA:
         if high > 2e6:
             yield "above 20 bar; is the unit right?", "", {}
-    elif low > 0.0 and high < 20.0:
-        yield "is this bar?", "pressure_bar, or pressure_gauge_bar", {"unit": "bar"}
-    elif high < 2e3:
-        yield "is this kPa?", "pressure_kpa, or pressure_gauge_kpa", {"unit": "kPa"}
-    else:
-        yield (
-            "below the atmosphere's; is this gauge pressure?",
-            "pressure_gauge_...",
-            {"gauge": True},
-        )
+    elif part.quantity == "pressure_pa" and high < 2e3:
+        unit = "bar" if low > 0.0 and high < 20.0 else "kPa"
+        names = f"pressure_{unit.lower()}, or pressure_gauge_{unit.lower()}"
+        yield f"is this {unit}?", names, {"unit": unit}
+    elif part.quantity == "pressure_pa":
+        below = "below the atmosphere's; is this gauge pressure?"
+        yield below, "pressure_gauge_...", {"gauge": True}
 
 
 def _doubt_valve(part: ValveMap, values: Floats, low: float, high: float) -> Iterator[_Doubt]:

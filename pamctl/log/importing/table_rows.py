@@ -202,12 +202,12 @@ class TableBuilder:
             cells = [str(column[row]).strip() for column in columns]
             is_odd = any(row in rows for rows in bad.values())
             kept[row] = not is_odd and any(cells)
-            if is_odd and cells == self._layout.names:
-                self._odd[int(lines[row])] = (
+            if is_odd:
+                again = (
                     "the names are repeated: a second table begins; save it as a file of its own"
                 )
-            elif is_odd:
-                self._odd[int(lines[row])] = "no cell is a number"
+                is_again = cells == self._layout.names
+                self._odd[int(lines[row])] = again if is_again else "no cell is a number"
         if is_cut and kept.all():
             kept[0] = not any(bad.values())
             if kept[0]:

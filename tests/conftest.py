@@ -7,10 +7,12 @@ import os
 import shutil
 import signal
 import sys
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
+import typer.testing
 from hypothesis import settings
 
 # Hundreds of processes are started: not one of them should compile its sources anew.
@@ -42,6 +44,9 @@ def _load_algebra_single_threaded() -> None:
 
 
 _load_algebra_single_threaded()
+
+# Else typer builds all verbs anew for each call that a test makes: a tenth of a second.
+typer.testing._get_command = cache(typer.testing._get_command)
 
 _DURATIONS = "pamctl/seconds_by_test"
 """Where pytest's cache keeps how long each test took when it last ran."""

@@ -40,6 +40,7 @@ from pamctl.commissioning.guided import (
     PreparedAnswers,
 )
 from pamctl.commissioning.rig_file_text import RigValue, insert_values
+from pamctl.kernel.calls import prepare
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
@@ -68,7 +69,7 @@ class Rig:
         **hidden: float,
     ) -> None:
         clock = VirtualClock(MS)
-        self.plant = plant or SimulatedPlant(plant_parameters(settings.plant))
+        self.plant = plant or SimulatedPlant(plant_parameters(settings.plant), prepare=prepare)
         true = CalibrationSettings(**hidden)  # type: ignore[arg-type]
         self.sim = SimRig(
             self.plant,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -67,6 +68,7 @@ def imported(folder: Path) -> Path:
     return folder / "imported.mcap"
 
 
+@cache
 def page_of(*paths: Path) -> str:
     return write_html(compose_report([read(path) for path in paths]))
 

@@ -11,7 +11,7 @@ from hal.backend import Plant
 from hal.faulty import FaultSettings, FaultyRig
 from hal.sim import SimRig, sensor_chain
 from pamctl.exit_codes import Ending
-from pamctl.kernel.calls import PlainCall
+from pamctl.kernel.calls import PlainCall, prepare
 from pamctl.kernel.layout import Block
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
@@ -152,7 +152,7 @@ def parts(
 ) -> Faulted:
     """Build the simulated rig of a run, so that a test can look behind its wires."""
     clock = VirtualClock(MS, missed)
-    plant = plant or SimulatedPlant(plant_parameters(settings.plant))
+    plant = plant or SimulatedPlant(plant_parameters(settings.plant), prepare=prepare)
     sim = settings.rig.sim  # type: ignore[union-attr]
     rig = SimRig(
         plant,
@@ -189,6 +189,8 @@ def run(
     plain: bool = False,
 ) -> Run:
     """Run the loop to its end, on the settings' plant or another one; `plain` in Python."""
+    if plain and plant is None:
+        plant = SimulatedPlant(plant_parameters(settings.plant))
     made = parts(settings, faults, missed, plant)
     journal = journal or MemoryJournal()
     steering = steered(settings, journal)

@@ -73,7 +73,10 @@ class GridRows:
         """Rows with a loss before them: the run did not miss those ticks, but the log lost them."""
         self.missed_first = 0
         """Ticks that the run missed before the first row."""
-        self._last_tick, self._last_t_s = 0, -np.inf
+        self.gaps = self.skipped = 0
+        """Gaps between rows, and the ticks that are not there in all of them."""
+        self.first_t_s, self.last_t_s = 0.0, -np.inf
+        self._last_tick = 0
         self._rows: list[int] = []
         self._ticks: list[int] = []
 
@@ -84,7 +87,7 @@ class GridRows:
         if not len(tick):
             return
         if self.count == 0:
-            self.missed_first = int(missed[0])
+            self.missed_first, self.first_t_s = int(missed[0]), float(t_s[0])
             self._begin_run(0, int(tick[0]))
             self._last_tick = int(tick[0]) - 1 - self.missed_first
         steps = np.diff(tick, prepend=self._last_tick)
@@ -95,10 +98,12 @@ class GridRows:
                 self.losses.add(row)
             if step != 1 and row:
                 self._begin_run(row, int(tick[at]))
+                self.gaps += step > 1
+                self.skipped += max(step - 1, 0)
         self.count += len(tick)
         with np.errstate(invalid="ignore"):  # a time may be infinite
-            self.is_rising &= bool((np.diff(t_s, prepend=self._last_t_s) > 0.0).all())
-        self._last_tick, self._last_t_s = int(tick[-1]), float(t_s[-1])
+            self.is_rising &= bool((np.diff(t_s, prepend=self.last_t_s) > 0.0).all())
+        self._last_tick, self.last_t_s = int(tick[-1]), float(t_s[-1])
 
     def _begin_run(self, row: int, tick: int) -> None:
         self._rows.append(row)

@@ -39,11 +39,9 @@ from pamctl.log.record_walk import (
     Hole,
     Loaded,
     MessageRun,
+    Unpacker,
     load_records,
     parse_messages,
-    read_chunk,
-    read_chunk_content,
-    walk_messages,
 )
 from pamctl.log.run_meta import CHANGES, describe_running_changes
 from pamctl.log.schema import (
@@ -194,10 +192,10 @@ def read_paged(path: str | Path) -> Log:
             for at in places:
                 record = record_at(scan.file, at)
                 with translate_parse_errors(record):
-                    content = read_chunk_content(read_chunk(record))
-                    for part in walk_messages(memoryview(content)):
-                        if isinstance(part, MessageRun) and part.channel == scan.tick_channel:
-                            decoder.add(part.records)
+                    *_, parts = Unpacker(scan.path, scan.file).unpack(record)
+                for part in parts:
+                    if isinstance(part, MessageRun) and part.channel == scan.tick_channel:
+                        decoder.add(part.records)
                 release_pages(scan.file, record.start, record.end)
             decoder.flush()
         except Damage as damage:
@@ -210,12 +208,21 @@ def read_paged(path: str | Path) -> Log:
 
 def info(path: str | Path) -> dict[str, Any]:
     """Summarise the undamaged part of a log of any length; raise LogError if there is none."""
-    ticks = _Tally()
-    scan = Scan(path, fields=("tick", "t_s", "phase"), take_ticks=ticks.take).run()
+    grid, phases = GridRows(), Counter[int]()
+
+    def take(batch: TickBatch) -> None:
+        if {"tick", "t_s"} <= batch.columns.keys():
+            tick = batch.columns["tick"]
+            grid.take(tick, batch.columns.get("missed", np.zeros_like(tick)), batch.columns["t_s"])
+        values, counts = np.unique(batch.columns.get("phase", []), return_counts=True)
+        phases.update(dict(zip(values.tolist(), counts.tolist(), strict=True)))
+
+    scan = Scan(path, fields=("tick", "missed", "t_s", "phase"), take_ticks=take).run()
     if scan.damage is not None and not scan.metadata:
         raise LogError(f"{path} is not a log, or nothing in it can be read: {scan.damage}")
     run, origin = scan.metadata.get("run", {}), scan.metadata.get("pamctl", {})
-    size = len(scan.file)
+    size, ticks = len(scan.file), scan.counts[TICK_TOPIC]
+    names = {phase.value: phase.name.lower() for phase in Phase}
     config: dict[str, Any] = {}
     with suppress(LogError):
         config = scan.config()
@@ -225,12 +232,12 @@ def info(path: str | Path) -> dict[str, Any]:
         "complete": scan.damage is None,
         "damage": scan.damage and str(scan.damage),
         "bytes": size,
-        "bytes_per_tick": size / ticks.count if ticks.count else None,
-        "ticks": ticks.count,
-        "duration_s": ticks.last_t_s - ticks.first_t_s,
-        "gaps": ticks.gaps,
-        "missed_ticks": ticks.missed,
-        "phases": ticks.phases(),
+        "bytes_per_tick": size / ticks if ticks else None,
+        "ticks": ticks,
+        "duration_s": grid.last_t_s - grid.first_t_s if grid.count else 0.0,
+        "gaps": grid.gaps,
+        "missed_ticks": grid.skipped,
+        "phases": {names.get(phase, str(phase)): n for phase, n in sorted(phases.items())},
         "channels": dict(scan.counts),
         "origin": IMPORTED if scan.is_imported else "recorded",
         "source": scan.metadata.get("import", {}).get("source"),
@@ -253,38 +260,6 @@ def _describe_cut(cut: Mapping[str, str] | None) -> str | None:
         return None
     rows = f"rows {cut['first_row']} to {cut['last_row']} of {cut['source_rows']}"
     return f"{cut['source']}, {rows}, {float(cut['from_s']):.6g} to {float(cut['to_s']):.6g} s"
-
-
-class _Tally:
-    """The summary of the ticks, updated batch by batch."""
-
-    def __init__(self) -> None:
-        self.count = self.gaps = self.missed = 0
-        self.first_t_s = self.last_t_s = 0.0
-        self._last_tick: int | None = None
-        self._phases: Counter[int] = Counter()
-
-    def take(self, batch: TickBatch) -> None:
-        if not {"tick", "t_s"} <= batch.columns.keys():
-            self.count += len(batch.sequence)
-            return
-        tick, t_s = batch.columns["tick"], batch.columns["t_s"]
-        before = tick[0] - 1 if self._last_tick is None else self._last_tick
-        skipped = np.maximum(np.diff(tick, prepend=before) - 1, 0)
-        if self.count == 0:
-            self.first_t_s = float(t_s[0])
-        self.count += len(tick)
-        self.gaps += int(np.count_nonzero(skipped))
-        self.missed += int(skipped.sum())
-        self._last_tick, self.last_t_s = int(tick[-1]), float(t_s[-1])
-        if "phase" in batch.columns:
-            phases, counts = np.unique(batch.columns["phase"], return_counts=True)
-            self._phases.update(dict(zip(phases.tolist(), counts.tolist(), strict=True)))
-
-    def phases(self) -> dict[str, int]:
-        """Return the number of ticks in each phase."""
-        names = {phase.value: phase.name.lower() for phase in Phase}
-        return {names.get(p, str(p)): count for p, count in sorted(self._phases.items())}
 
 
 MOST_JSON_BYTES = 1 << 24

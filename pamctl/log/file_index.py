@@ -10,22 +10,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from mcap import records as mcap
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    McapRecord,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
 from numpy.typing import NDArray
 
 from pamctl.log.framing import NO_CHECKSUM, Damage, FileRecord, encode_record, record_at
@@ -49,15 +35,15 @@ class FileIndex:
     def __init__(self, complain: Complain = lambda kind, what: None) -> None:
         """`complain` is told of descriptions that are missing, or contradict each other."""
         self._complain = complain
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
+        self.schemas: dict[int, mcap.Schema] = {}
+        self.channels: dict[int, mcap.Channel] = {}
         self.frames: dict[int, dict[int, bytes]] = {kind: {} for kind in DESCRIPTIONS}
         """The records of these by kind and number, as they stand in the file."""
         self.counts: Counter[int] = Counter()
         """Messages by channel."""
         self.chunks = 0
         """Number of chunks."""
-        self._chunk: ChunkIndex | None = None
+        self._chunk: mcap.ChunkIndex | None = None
         """The last chunk, whose message indexes may follow."""
         self._encoded: dict[Opcode, list[bytes]] = {
             kind: []
@@ -81,27 +67,29 @@ class FileIndex:
         length = record.end - record.start
         match record.opcode:
             case Opcode.SCHEMA:
-                schema = Schema.read(record.stream())
+                schema = mcap.Schema.read(record.stream())
                 if schema.id == 0:
                     self._complain("schema", f"at byte {record.start}, a schema has the number 0")
                 self.schemas.setdefault(schema.id, schema)
                 self._keep_frame(record, "schema", schema.id)
             case Opcode.CHANNEL:
-                channel = Channel.read(record.stream())
+                channel = mcap.Channel.read(record.stream())
                 if channel.schema_id not in {0, *self.schemas}:
                     there = f"schema {channel.schema_id}, which does not exist"
                     self._complain("channel", f"channel {channel.topic} has {there}")
                 self.channels.setdefault(channel.id, channel)
                 self._keep_frame(record, "channel", channel.id)
             case Opcode.ATTACHMENT:
-                a = Attachment.read(record.stream())
+                a = mcap.Attachment.read(record.stream())
                 place = (record.start, length, a.create_time, a.log_time, len(a.data))
-                self._add(Opcode.ATTACHMENT_INDEX, AttachmentIndex(*place, a.name, a.media_type))
+                self._add(
+                    Opcode.ATTACHMENT_INDEX, mcap.AttachmentIndex(*place, a.name, a.media_type)
+                )
             case Opcode.METADATA:
-                name = Metadata.read(record.stream()).name
-                self._add(Opcode.METADATA_INDEX, MetadataIndex(record.start, length, name))
+                name = mcap.Metadata.read(record.stream()).name
+                self._add(Opcode.METADATA_INDEX, mcap.MetadataIndex(record.start, length, name))
 
-    def _add(self, kind: Opcode, entry: McapRecord) -> None:
+    def _add(self, kind: Opcode, entry: mcap.McapRecord) -> None:
         self._encoded[kind].append(encode_record(entry))
 
     def _keep_frame(self, record: FileRecord, what: str, number: int) -> None:
@@ -135,11 +123,11 @@ class FileIndex:
         span = min(ends, default=0), max(ends, default=0)
         return span, {channel: np.concatenate(found) for channel, found in entries.items()}
 
-    def add_chunk(self, chunk: Chunk, offset: int, length: int) -> None:
+    def add_chunk(self, chunk: mcap.Chunk, offset: int, length: int) -> None:
         """Note where a chunk stands; its message indexes follow with `add_message_index`."""
         self._end_chunk()
         self.chunks += 1
-        self._chunk = ChunkIndex(
+        self._chunk = mcap.ChunkIndex(
             chunk_length=length,
             chunk_start_offset=offset,
             compression=chunk.compression,
@@ -167,7 +155,7 @@ class FileIndex:
         """Return the records of the summary by kind, encoded."""
         self._end_chunk()
         start, end = self._times or (0, 0)
-        statistics = Statistics(
+        statistics = mcap.Statistics(
             attachment_count=len(self._encoded[Opcode.ATTACHMENT_INDEX]),
             channel_count=len(self.channels),
             channel_message_counts=dict(self.counts),
@@ -186,14 +174,14 @@ class FileIndex:
 
 
 _SUMMARY: Mapping[int, Any] = {
-    Opcode.SCHEMA: Schema,
-    Opcode.CHANNEL: Channel,
-    Opcode.SUMMARY_OFFSET: SummaryOffset,
-    Opcode.CHUNK_INDEX: ChunkIndex,
-    Opcode.ATTACHMENT_INDEX: AttachmentIndex,
-    Opcode.METADATA_INDEX: MetadataIndex,
-    Opcode.STATISTICS: Statistics,
-    Opcode.FOOTER: Footer,
+    Opcode.SCHEMA: mcap.Schema,
+    Opcode.CHANNEL: mcap.Channel,
+    Opcode.SUMMARY_OFFSET: mcap.SummaryOffset,
+    Opcode.CHUNK_INDEX: mcap.ChunkIndex,
+    Opcode.ATTACHMENT_INDEX: mcap.AttachmentIndex,
+    Opcode.METADATA_INDEX: mcap.MetadataIndex,
+    Opcode.STATISTICS: mcap.Statistics,
+    Opcode.FOOTER: mcap.Footer,
 }
 
 
@@ -231,11 +219,11 @@ class IndexCheck:
             case Opcode.ATTACHMENT:
                 self._index.take_parts(loaded.parts)
                 if record.body[-4:] == NO_CHECKSUM:
-                    name = Attachment.read(record.stream()).name
+                    name = mcap.Attachment.read(record.stream()).name
                     self._warn_unchecked(f"the attachment {name}")
             case Opcode.DATA_END:
                 self._in_summary = True
-                if DataEnd.read(record.stream()).data_section_crc == 0:
+                if mcap.DataEnd.read(record.stream()).data_section_crc == 0:
                     self._warn_unchecked("the data section")
             case _ if before or record.opcode != Opcode.HEADER:
                 where = f"at byte {record.start}, a record {record.opcode}"
@@ -309,7 +297,7 @@ class IndexCheck:
         offsets = map(_parse_summary, groups.pop(Opcode.SUMMARY_OFFSET, []))
         stated = [offset for offset in offsets if offset.group_length]
         if stated and stated != [
-            SummaryOffset(kind, group[0].start, sum(r.end - r.start for r in group))
+            mcap.SummaryOffset(kind, group[0].start, sum(r.end - r.start for r in group))
             for kind, group in groups.items()
         ]:
             self._error("summary", "the summary offsets do not match the summary")

@@ -23,19 +23,8 @@ from typing import Any
 
 import numpy as np
 import zstandard
+from mcap import records as mcap
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    Channel,
-    Chunk,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    Metadata,
-    Schema,
-    SummaryOffset,
-)
 from numpy.typing import NDArray
 
 import pamctl
@@ -86,7 +75,7 @@ class LogWriter:
         """Entries of the last chunk that was taken over, whose index is not in the file yet."""
         if begins:
             self._put(MAGIC)
-            self._put(encode_record(Header("", LIBRARY)))
+            self._put(encode_record(mcap.Header("", LIBRARY)))
 
     @property
     def pending_bytes(self) -> int:
@@ -109,12 +98,12 @@ class LogWriter:
         if schema_id is None:
             schema_id = max(self.index.schemas, default=0) + 1
             name, kind, data = schema
-            self.index.take(make_record(Schema(schema_id, data, kind, name)))
+            self.index.take(make_record(mcap.Schema(schema_id, data, kind, name)))
         for number, channel in self.index.channels.items():
             if (channel.topic, channel.schema_id) == (topic, schema_id):
                 return number
         number = max(self.index.channels, default=0) + 1
-        made = Channel(number, topic, encoding, dict(metadata or {}), schema_id)
+        made = mcap.Channel(number, topic, encoding, dict(metadata or {}), schema_id)
         self.index.take(make_record(made))
         self._describe(number)
         return number
@@ -124,14 +113,14 @@ class LogWriter:
         if name not in self._attached:
             self._attached.add(name)
             known = media_type or _MEDIA_TYPES.get(Path(name).suffix, "text/plain")
-            self._put_indexed(Attachment(time_ns, time_ns, name, known, data))
+            self._put_indexed(mcap.Attachment(time_ns, time_ns, name, known, data))
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Add a metadata record, unless the same record was added before."""
         said = (name, to_json(values))
         if said not in self._said:
             self._said.add(said)
-            self._put_indexed(Metadata(name=name, metadata=dict(values)))
+            self._put_indexed(mcap.Metadata(name=name, metadata=dict(values)))
 
     def has_metadata(self, name: str) -> bool:
         """Tell whether there is a metadata record of this name."""
@@ -165,14 +154,14 @@ class LogWriter:
             self._described_inside.clear()
             self._has_messages = False
             packed = self._compressor.compress(content)
-            chunk = Chunk("zstd", packed, 0, 0, zlib.crc32(content), len(content))
+            chunk = mcap.Chunk("zstd", packed, 0, 0, zlib.crc32(content), len(content))
             self._put_chunk(chunk, list(walk_messages(memoryview(content))))
             if self.index.chunks == 1 or self.index.chunks % DESCRIBED_EVERY == 0:
                 for channel in self.index.channels:
                     self._describe(channel)
         self._stream.flush()
 
-    def copy_chunk(self, chunk: Chunk, parts: Iterable[Part]) -> None:
+    def copy_chunk(self, chunk: mcap.Chunk, parts: Iterable[Part]) -> None:
         """Write a whole chunk of another file as it is packed, `parts` being what it holds.
 
         Its channels keep their numbers: they must be the writer's. The head of a chunk has no
@@ -213,9 +202,9 @@ class LogWriter:
                 self.index.add_chunk(loaded.chunk, record.start, length)
                 self._unindexed = entries
             case Opcode.ATTACHMENT:
-                self._attached.add(Attachment.read(record.stream()).name)
+                self._attached.add(mcap.Attachment.read(record.stream()).name)
             case Opcode.METADATA:
-                said = Metadata.read(record.stream())
+                said = mcap.Metadata.read(record.stream())
                 self._said.add((said.name, to_json(said.metadata)))
 
     def go_on(self, crc_of: Callable[[int], int]) -> int:
@@ -234,7 +223,7 @@ class LogWriter:
             self._describe(channel)
         return end
 
-    def _put_chunk(self, chunk: Chunk, parts: Sequence[Part]) -> None:
+    def _put_chunk(self, chunk: mcap.Chunk, parts: Sequence[Part]) -> None:
         """Write a chunk that holds these parts; its times are those of its messages."""
         (start, end), entries = self.index.take_parts(parts)
         chunk.message_start_time, chunk.message_end_time = start, end
@@ -253,7 +242,7 @@ class LogWriter:
         self.end_chunk()
         for channel in self.index.channels:  # those without messages
             self._put_description(channel)
-        self._put(encode_record(DataEnd(self._crc)))
+        self._put(encode_record(mcap.DataEnd(self._crc)))
         self._put(self._encode_summary())
         self._stream.flush()
 
@@ -262,9 +251,11 @@ class LogWriter:
         start, summary, offsets = self._at, b"", b""
         for opcode, group in self.index.groups().items():
             if records := b"".join(group):
-                offsets += encode_record(SummaryOffset(opcode, start + len(summary), len(records)))
+                offsets += encode_record(
+                    mcap.SummaryOffset(opcode, start + len(summary), len(records))
+                )
                 summary += records
-        footer = Footer(start, start + len(summary) if offsets else 0, 0)
+        footer = mcap.Footer(start, start + len(summary) if offsets else 0, 0)
         summary += offsets
         footer.summary_crc = zlib.crc32(summary + encode_record(footer)[: -len(NO_CHECKSUM)])
         return summary + encode_record(footer) + MAGIC
@@ -275,7 +266,7 @@ class LogWriter:
             self._described.add(channel)
             self._put(b"".join(self.index.describe(channel)))
 
-    def _put_indexed(self, record: McapRecord) -> None:
+    def _put_indexed(self, record: mcap.McapRecord) -> None:
         made = make_record(record, self._at)
         self._put(made.frame())
         self.index.take(made)
@@ -295,7 +286,7 @@ def _find_described(parts: Iterable[Part]) -> set[int]:
     return {int.from_bytes(r.body[:2], "little") for r in records if r.opcode == Opcode.CHANNEL}
 
 
-def make_record(record: McapRecord, at: int = 0) -> FileRecord:
+def make_record(record: mcap.McapRecord, at: int = 0) -> FileRecord:
     """Return a record as it stands in a file, at this place."""
     found = record_at(memoryview(encode_record(record)), 0)
     return found._replace(start=at, end=at + found.end)

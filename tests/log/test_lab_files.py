@@ -24,6 +24,7 @@ from test_log_import import ATMOSPHERE_PA, Outcome
 import pamctl.log
 from pamctl.log.importing import file_formats
 from pamctl.log.importing.column_map import ForceMap, PositionMap, PressureMap, TimeMap, ValveMap
+from pamctl.log.importing.measured_table import ImportRefused
 from pamctl.units import find_units
 
 T_S = np.arange(300) * 2e-3
@@ -415,3 +416,44 @@ def test_waveforms_of_different_times_are_refused(tmp_path, parsed_here):
     done = Outcome(tmp_path / "a.tdms")
     assert done.code == 65
     assert "the waveforms differ" in done.stderr
+
+
+def lvm_segment(start: str, *, names: str = "A\tB", units: str = "V\tmm") -> str:
+    """Return five rows of two channels, whose time begins at zero."""
+    head = {"Channels": "2", "Date": "2026/05/04\t2026/05/04", "Time": f"{start}\t{start}",
+            "Y_Unit_Label": units, "X_Dimension": "Time\tTime", "X0": "0\t0",
+            "Delta_X": "0.002\t0.002"}  # fmt: skip
+    lines = [f"{key}\t{value}" for key, value in head.items()]
+    rows = [f"{0.002 * k:g}\t{k}\t{k * k}" for k in range(5)]
+    return "\n".join([*lines, "***End_of_Header***", f"X_Value\t{names}\tComment", *rows, "", ""])
+
+
+def write_lvm_segments(path: Path, *segments: str) -> Path:
+    head = LVM_HEAD.format(mark=".", columns="One").split("\n\n")[0]
+    path.write_text("\n\n".join([head, "".join(segments)]).rstrip("\n") + "\n")
+    return path
+
+
+def test_segments_of_an_lvm_file_follow_one_another_by_their_starts(tmp_path, parsed_here):
+    first, second = lvm_segment("12:00:00,1"), lvm_segment("12:00:03,1")
+    path = write_lvm_segments(tmp_path / "two.lvm", first, second)
+    table = file_formats.read_table(path)
+    assert [(column.name, column.unit) for column in table.columns] == [
+        ("time_s", ""), ("A", "V"), ("B", "mm"),
+    ]  # fmt: skip
+    even = 0.002 * np.arange(5)
+    np.testing.assert_allclose(table.columns[0].values, [*even, *(3.0 + even)], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("others", "told"),
+    [
+        ({"names": "A\tC"}, "its segments have different channels"),
+        ({"units": "V\tm"}, "a unit changes between segments"),
+        ({"names": "A\tA"}, "more than one channel A"),
+    ],
+)
+def test_segments_that_do_not_fit_together_are_refused(tmp_path, parsed_here, others, told):
+    first, second = lvm_segment("12:00:00,1"), lvm_segment("12:00:03,1", **others)
+    with pytest.raises(ImportRefused, match=told):
+        file_formats.read_table(write_lvm_segments(tmp_path / "two.lvm", first, second))

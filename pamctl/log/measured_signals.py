@@ -25,12 +25,11 @@ from pamctl.log.framing import LogError
 from pamctl.log.reader import Log
 from pamctl.log.record_problems import (
     FIRST_TICKS,
-    RecordColumn,
     RecordProblem,
     find_record_problems,
     judge_first_tick,
+    measured_columns,
 )
-from pamctl.log.schema import IMPORTED_QUANTITIES, unit_of_column
 from pamctl.signals import Phase
 
 NO_PHASE = -1
@@ -158,13 +157,7 @@ def find_signal_problems(columns: Mapping[str, NDArray[Any]]) -> list[RecordProb
 
     A log counts the ticks that its loop missed: gaps and uneven steps are none.
     """
-    measured = [
-        RecordColumn(name, unit_of_column(name), columns[name], is_sensor=name != "valve_v")
-        for name in IMPORTED_QUANTITIES
-        if name in columns
-    ]
-    with np.errstate(invalid="ignore"):  # a time may be infinite
-        found = find_record_problems(columns["t_s"], measured)
+    found = find_record_problems(columns["t_s"], measured_columns(columns))
     return [problem for problem in found if problem.kind not in ("gap", "jitter")]
 
 

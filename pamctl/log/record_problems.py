@@ -10,12 +10,14 @@ schema, version                          of what a log says of its columns
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pamctl.log.schema import IMPORTED_QUANTITIES, unit_of_column
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -116,6 +118,15 @@ class RecordProblem(NamedTuple):
         times = [f"{t_s:.6g}" for t_s in dict.fromkeys((self.from_s, self.to_s)) if t_s == t_s]
         when = f" ({' to '.join(times)} s)" if times else ""
         return f"{self.column} {self.text}: row{'s'[is_one:]} {', '.join(shown)}{rest}{when}"
+
+
+def measured_columns(values: Mapping[str, NDArray[Any]]) -> list[RecordColumn]:
+    """Return those of these columns that the valve or a sensor has; each is an array in SI."""
+    return [
+        RecordColumn(name, unit_of_column(name), values[name], is_sensor=name != "valve_v")
+        for name in IMPORTED_QUANTITIES
+        if name in values
+    ]
 
 
 @np.errstate(over="ignore", invalid="ignore")  # numbers of any size may be in a file

@@ -21,7 +21,7 @@ from pamctl.log.importing.column_roles import (
     names_quantity,
 )
 from pamctl.log.importing.measured_table import Floats, Ints
-from pamctl.log.record_problems import RecordColumn, find_record_problems, nominal_period_s
+from pamctl.log.record_problems import find_record_problems, measured_columns, nominal_period_s
 
 LONGEST_S = 2.0**62 * 1e-9
 """146 years: half the range of a log's clock in signed nanoseconds. Beyond it a double is off by
@@ -31,7 +31,6 @@ SHORTEST_PERIOD_S = 1e-9
 """Resolution of a log's clock."""
 LONGEST_PERIOD_S = 0.5
 """Slower rows are more likely milliseconds that were taken for seconds."""
-_SI = {"valve_v": "V", "pressure_pa": "Pa", "position_m": "m", "force_n": "N"}
 _WAYS_ON = {
     "backwards": "where a second recording begins, import each part: `lines: {{first: 1, last: "
     "{before}}}` and `lines: {{first: {row}}}` in the map",
@@ -47,10 +46,7 @@ def judge_record(
     t_s: Floats, quantities: Mapping[str, Floats], rows: Ints, findings: LogFindings, time_name: str
 ) -> None:
     """Report what is wrong with the record: see `record_problems`. `rows` are those of the file."""
-    columns = [
-        RecordColumn(name, _SI[name], values, is_sensor=name != "valve_v")
-        for name, values in quantities.items()
-    ]
+    columns = measured_columns(quantities)
     for problem in find_record_problems(t_s, columns, f"the time ({time_name})"):
         text = problem.describe(rows)
         if problem.column not in quantities and problem.kind in _WAYS_ON:

@@ -14,7 +14,6 @@ import bz2
 import codecs
 import csv
 import gzip
-import io
 import lzma
 import os
 import pickle
@@ -28,7 +27,7 @@ from importlib import import_module
 from io import TextIOWrapper
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple, TextIO, cast
+from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 import zstandard
@@ -88,53 +87,16 @@ _CLOSED = {
     b"Rar!": ("RAR", "unpack it first"),
 }  # fmt: skip
 """Formats that are often tried, with what to do."""
-_ZSTANDARD = b"\x28\xb5\x2f\xfd"
 _ZSTANDARD_HEAD = 18
 """The longest head of a frame, in bytes."""
-_PACKED: dict[bytes, Callable[[Path], Any]] = {
+Packer = Callable[[Path, str], Any]
+_PACKED: dict[bytes, Packer] = {
     b"\x1f\x8b": gzip.open,
     b"BZh": bz2.open,
     b"\xfd7zXZ\0": lzma.open,
-    _ZSTANDARD: zstandard.open,
+    b"\x28\xb5\x2f\xfd": zstandard.open,
 }
 _DAMAGED = (OSError, EOFError, ValueError, lzma.LZMAError, zlib.error, zstandard.ZstdError)
-
-
-class _Unpacked(io.RawIOBase):
-    """A compressed file, unpacked while it is read; it ends a bomb."""
-
-    def __init__(self, path: Path, stream: Any) -> None:
-        self._path, self._stream = path, stream
-        self._most = max(BOMB_BYTES, BOMB_RATIO * path.stat().st_size)
-        self._taken = 0
-        with path.open("rb") as file:
-            head = file.read(_ZSTANDARD_HEAD)
-        # Its reader says nothing of a frame that is cut short.
-        is_framed = head.startswith(_ZSTANDARD)
-        self._least = zstandard.frame_content_size(head) if is_framed else 0
-
-    def readable(self) -> bool:
-        return True
-
-    def close(self) -> None:
-        self._stream.close()
-        super().close()
-
-    def readinto(self, buffer: Any) -> int:
-        try:
-            part = self._stream.read(len(buffer))
-            if not part and self._taken < self._least:
-                raise EOFError(f"it ends after {self._taken} of {self._least} bytes")
-        except _DAMAGED as error:
-            raise ImportRefused(f"{self._path} is damaged: {error}; unpack what is whole") from None
-        self._taken += len(part)
-        if self._taken > self._most:
-            raise ImportRefused(
-                f"{self._path} unpacks to more than {self._most >> 20} MB, {BOMB_RATIO} times its "
-                "size: unpack it yourself if it is a measurement"
-            )
-        buffer[: len(part)] = part
-        return len(part)
 
 
 def read_table(source: Path, hints: TextHints | None = None) -> MeasuredTable:
@@ -146,20 +108,39 @@ def read_table(source: Path, hints: TextHints | None = None) -> MeasuredTable:
         with source.open("rb") as plain:
             magic = plain.read(8)
         packer = next((opener for mark, opener in _PACKED.items() if magic.startswith(mark)), None)
-
-        def open_file() -> BinaryIO:
-            if packer is None:
-                return source.open("rb")
-            unpacked = io.BufferedReader(_Unpacked(source, packer(source)), 1 << 18)
-            return cast(BinaryIO, unpacked)
-
-        with open_file() as file:
-            kind = _find_format(source, file.read(512), is_packed=packer is not None)
+        begin = next(_unpack(source, packer), b"")[:512]
+        kind = _find_format(source, begin, is_packed=packer is not None)
         if kind is not None:
             return _parse_apart(source, kind, hints)
-        return read_text(source, hints, open_file)
+        return read_text(source, hints, begin, packer)
     except OSError as error:
         raise ImportRefused(f"cannot read {source}: {error.strerror or error}") from error
+
+
+def _unpack(path: Path, packer: Packer | None) -> Iterator[bytes]:
+    """Yield what a file holds; raise ImportRefused where its packing is damaged, or a bomb."""
+    if packer is None:
+        with path.open("rb") as file:
+            yield from iter(lambda: file.read(_BLOCK), b"")
+        return
+    most, taken = max(BOMB_BYTES, BOMB_RATIO * path.stat().st_size), 0
+    try:
+        with packer(path, "rb") as file:
+            while block := file.read(_BLOCK):
+                taken += len(block)
+                if taken > most:
+                    raise ImportRefused(
+                        f"{path} unpacks to more than {most >> 20} MB, {BOMB_RATIO} times its "
+                        "size: unpack it yourself if it is a measurement"
+                    )
+                yield block
+        if packer is zstandard.open:  # it says nothing of a frame that is cut short
+            with path.open("rb") as file:
+                least = zstandard.frame_content_size(file.read(_ZSTANDARD_HEAD))
+            if taken < least:
+                raise EOFError(f"it ends after {taken} of {least} bytes")
+    except _DAMAGED as error:
+        raise ImportRefused(f"{path} is damaged: {error}; unpack what is whole") from None
 
 
 def _find_format(source: Path, begin: bytes, *, is_packed: bool) -> _Format | None:
@@ -304,10 +285,10 @@ class TextBlock(NamedTuple):
         return self.text.split("\n")
 
 
-def read_text(path: Path, hints: TextHints, open_file: Callable[[], BinaryIO]) -> MeasuredTable:
+def read_text(path: Path, hints: TextHints, begin: bytes, packer: Packer | None) -> MeasuredTable:
     """Read a file of text; raise ImportRefused with the line and the cell that has no reading."""
-    encoding, notes = _find_encoding(path, hints.encoding or "", open_file)
-    with TextIOWrapper(open_file(), encoding) as file:
+    encoding, notes = _find_encoding(path, hints.encoding or "", begin, packer)
+    with TextIOWrapper((packer or open)(path, "rb"), encoding) as file:
         try:
             delimiter, table = _read_blocks(path, _split_blocks(path, file), hints)
         except csv.Error as error:
@@ -366,18 +347,15 @@ def _split_evenly(text: str, delimiter: str, width: int) -> list[list[str]] | No
 
 
 def _find_encoding(
-    path: Path, stated: str, open_file: Callable[[], BinaryIO]
+    path: Path, stated: str, begin: bytes, packer: Packer | None
 ) -> tuple[str, list[str]]:
-    with open_file() as file:
-        begin = file.read(4)
     encoding = stated or next((name for bom, name in _BOMS if begin.startswith(bom)), "")
-    if not encoding and len(begin) > 3 and begin[0] and begin[1::2] == b"\0\0":
+    if not encoding and len(begin) > 3 and begin[0] and begin[1:4:2] == b"\0\0":
         encoding = "utf-16-le"
     for name in (encoding,) if encoding else ("utf-8", "cp1252"):
         try:
-            with open_file() as file:
-                for _ in codecs.iterdecode(iter(lambda: file.read(_BLOCK), b""), name):
-                    pass
+            for _ in codecs.iterdecode(_unpack(path, packer), name):
+                pass
         except LookupError:
             raise ImportRefused(f"there is no encoding {name!r}; try utf-8 or cp1252") from None
         except UnicodeError:

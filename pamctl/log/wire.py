@@ -7,7 +7,6 @@ one, by the descriptor that the log carries.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -158,28 +157,21 @@ def make_decoder(descriptor_set: bytes, message: str) -> Decoder:
         pool.Add(file)
     parse = GetMessageClass(pool.FindMessageTypeByName(message)).FromString
 
+    def read_field(field: FieldDescriptorProto, messages: Sequence[Any]) -> NDArray[Any]:
+        name = field.name
+        if not field.proto3_optional:
+            return np.array([getattr(one, name) for one in messages], _kind_of_field(field))
+        values = [getattr(one, name) if one.HasField(name) else None for one in messages]
+        if field.type not in _FLOATS and None in values:
+            raise UnknownLayout(f"a tick lacks its {name}")
+        return np.array(values, _kind_of_field(field))
+
     def decode(payloads: Sequence[bytes]) -> dict[str, NDArray[Any]]:
-        columns: dict[str, NDArray[Any]] = {
-            f.name: np.full(
-                len(payloads),
-                np.nan if f.proto3_optional and f.type in _FLOATS else 0,
-                _kind_of_field(f),
-            )
-            for f in fields
-        }
-        present = Counter[str]()
         try:
-            for row, payload in enumerate(payloads):
-                for held, value in parse(payload).ListFields():
-                    columns[held.name][row] = value
-                    present[held.name] += 1
+            messages = [parse(payload) for payload in payloads]
         except DecodeError as error:
             raise UnknownLayout("a tick does not match its descriptor") from error
-        for field in fields:
-            is_needed = field.proto3_optional and field.type not in _FLOATS
-            if is_needed and present[field.name] < len(payloads):
-                raise UnknownLayout(f"a tick lacks its {field.name}")
-        return columns
+        return {field.name: read_field(field, messages) for field in fields}
 
     return decode
 

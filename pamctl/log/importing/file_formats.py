@@ -426,7 +426,7 @@ def _choose_delimiter(path: Path, head: TextBlock) -> tuple[str, TableLayout]:
 
     A column of empty cells does not count.
     """
-    best: tuple[float, str, TableLayout] | None = None
+    found: dict[float, tuple[str, TableLayout]] = {}
     for delimiter in _DELIMITERS:
         try:
             rows = list(islice(_split_rows(head, delimiter), HEAD_ROWS))
@@ -439,17 +439,16 @@ def _choose_delimiter(path: Path, head: TextBlock) -> tuple[str, TableLayout]:
         is_named = not all(map(str.isdecimal, layout.names))
         told = len(layout.kinds.replace("m", ""))
         score = numeric / told + (numeric > 1) + 0.1 * is_named
-        if best is None or score > best[0]:
-            best = score, delimiter, layout
-    if best is None:
-        first = next((line for line in head.lines if line.strip()), "")
-        if not first:
-            raise ImportRefused(f"{path} is empty")
-        raise ImportRefused(
-            f"{path} holds no rows of numbers within its first {HEAD_ROWS} lines; "
-            f"it begins with {first[:60]!r}"
-        )
-    return best[1], best[2]
+        found.setdefault(score, (delimiter, layout))
+    if found:
+        return found[max(found)]
+    first = next((line for line in head.lines if line.strip()), "")
+    if not first:
+        raise ImportRefused(f"{path} is empty")
+    raise ImportRefused(
+        f"{path} holds no rows of numbers within its first {HEAD_ROWS} lines; "
+        f"it begins with {first[:60]!r}"
+    )
 
 
 if __name__ == "__main__":

@@ -83,18 +83,15 @@ def find_layout(rows: Sequence[Row]) -> TableLayout | None:
         return None
     flags = [_is_data(row.cells, kinds) for _, row in plain]
     for at, (first, _) in enumerate(plain):
-        after = [row for (_, row), good in zip(plain[at:], flags[at:], strict=True) if not good]
-        near = {row.number for _, row in plain[at : at + 6]}
         # Numbers above the line of names are not the table's.
-        above = after and after[0].number in near and _has_no_number(after[0].cells)
-        if flags[at] and (not above or at + 1 == len(plain)):
+        near = zip(plain[at : at + 6], flags[at : at + 6], strict=True)
+        below = next((row for (_, row), is_good in near if not is_good), None)
+        if flags[at] and (below is None or not _has_no_number(below.cells)):
             names, units = _find_names(rows[:first], width)
-            above = [row for row in rows[:first] if not row.is_comment][-1:]
-            odd = ""
-            if above and names[0] == "1" and len(above[0].cells) > 1:
-                count = _filled_width(above[0].cells)
-                if count != width:
-                    odd = f"line {above[0].number} has {count} cells, the rows below have {width}"
+            above, odd = plain[at - 1][1] if at else Row(0, []), ""
+            count = _filled_width(above.cells)
+            if names[0] == "1" and len(above.cells) > 1 and count != width:
+                odd = f"line {above.number} has {count} cells, the rows below have {width}"
             return TableLayout(names, units, kinds, first, odd)
     return None
 

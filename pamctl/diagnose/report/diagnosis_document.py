@@ -31,6 +31,7 @@ from pamctl.diagnose.report.verdict_words import (
     describe_noise,
     relative_shift,
     sentence,
+    spell_end,
     spell_gap,
 )
 from pamctl.errors import Problem
@@ -198,7 +199,7 @@ def _report_numbers(diagnosis: Diagnosis) -> Iterator[Part]:
     rows = [
         [
             n.name, own.get(n.name, ""), *n.spell(),
-            "at an end" if n.name in diagnosis.at_bound else "",
+            spell_end(diagnosis, n.name),
         ]
         for n in list_fitted(diagnosis)
     ]  # fmt: skip

@@ -23,6 +23,7 @@ from pamctl.diagnose.report.finding_words import (
     list_faults,
     list_fitted,
     list_numbers,
+    spell_best,
     spell_finding,
     spell_kind,
     spell_names,
@@ -42,8 +43,10 @@ from pamctl.diagnose.report.verdict_words import (
     advise_next_steps,
     choose_words,
     describe_noise,
+    explain_no_name,
     relative_shift,
     sentence,
+    spell_end,
 )
 from pamctl.new_file import write_files
 from pamctl.plant.catalogue import CATALOGUE
@@ -179,8 +182,9 @@ def write_findings(page: Report, diagnosis: Diagnosis) -> None:
             Text(
                 "A gain is counted in nats, on each block of the records by a model that was not "
                 "fitted to that block. It is counted under the resolution of the poorer of two "
-                "models. Intervals come from a bootstrap over stretches of 4 blocks, 0.5 % on "
-                "each side."
+                "models. So gains do not add up: without one thing that was found the model is "
+                "sharper than without all, and loses more nats. Intervals come from a bootstrap "
+                "over stretches of 4 blocks, 0.5 % on each side."
             )
         )
     for finding in diagnosis.findings:
@@ -199,16 +203,19 @@ def write_findings(page: Report, diagnosis: Diagnosis) -> None:
 
 
 def _write_finding(page: Report, diagnosis: Diagnosis, finding: Finding) -> None:
-    its = finding.hypothesis
+    its, why = finding.hypothesis, {}
+    if finding.level in ("kind", "place"):
+        why = {"why no name": explain_no_name(finding, diagnosis.findings)}
     page.add(Section(spell_finding(diagnosis, finding), is_part=True))
     page.add(
         Facts(
             {
                 "what is sure": _SURE[finding.level],
+                **why,
                 "place": spell_place(its.place),
                 "kind": spell_kind(its.kind),
-                "fits best": label_hypothesis(its),
-                "share of the whole gain": f"{100.0 * finding.share:.0f} %",
+                "fits best": spell_best(finding),
+                "gain": f"{finding.gain_nats:.0f} nats",
             }
         )
     )
@@ -224,7 +231,7 @@ def _write_finding(page: Report, diagnosis: Diagnosis, finding: Finding) -> None
     page.add(
         ReportTable(
             ["number", "meaning", "value", "90 % interval", "unit", "range"],
-            [_number_row(finding, n) for n in list_numbers(finding)],
+            [_number_row(diagnosis, finding, n) for n in list_numbers(finding)],
         )
     )
     if term is not None and term.curve:
@@ -274,10 +281,9 @@ def _explain_rivals(finding: Finding) -> str:
     )
 
 
-def _number_row(finding: Finding, n: FittedNumber) -> list[str]:
+def _number_row(diagnosis: Diagnosis, finding: Finding, n: FittedNumber) -> list[str]:
     meaning = look_up_parameter(n.name).meaning if is_in_catalogue(finding) else "-"
-    end = "at an end" if n.name in finding.at_range else ""
-    return [n.name.lstrip("~"), meaning, *n.spell(), end]
+    return [n.name.lstrip("~"), meaning, *n.spell(), spell_end(diagnosis, n.name)]
 
 
 def _list_recalibrated(diagnosis: Diagnosis) -> Iterator[Sequence[str]]:
@@ -288,7 +294,7 @@ def _list_recalibrated(diagnosis: Diagnosis) -> Iterator[Sequence[str]]:
             f"{diagnosis.start_value(n.name):.5g}",
             *n.spell(),
             f"{100.0 * off:+.2f} %" if off is not None else "-",
-            "at an end" if n.name in diagnosis.at_bound else "",
+            spell_end(diagnosis, n.name),
         ]
 
 

@@ -88,10 +88,16 @@ def spell_names(*names: str) -> str:
     spelled = []
     for name in (part for joined in names for part in joined.split(" and ")):
         is_label = " of " in name
-        named = label_term(name) if "~" in name else name
+        named = label_term(name) if "~" in name else _name_fault(name)
         is_key = is_label or name in UNITS
         spelled.append(named if is_key else named.replace("_", " ").replace(":", " of "))
     return " and ".join(spelled)
+
+
+def _name_fault(label: str) -> str:
+    """Return a fault of a column as a noun: `skew of position_m` is a late or early position_m."""
+    fault, _, column = label.partition(" of ")
+    return f"{_FAULTS[fault]} {column}" if fault in _FAULTS else label
 
 
 def label_term(name: str) -> str:
@@ -130,9 +136,10 @@ def list_candidates(finding: Finding) -> list[str]:
     return list(dict.fromkeys(label_hypothesis(h) for h in members))
 
 
-def spell_set(labels: Sequence[str]) -> str:
-    """Return `a, b or c`; of a long set the first ones."""
+def spell_set(labels: Sequence[str], first: str = "") -> str:
+    """Return `a, b or c`; of a long set the first ones. `first` is spelled already."""
     names = [*map(spell_names, labels[:MOST_IN_SENTENCE])]
+    names[:1] = [first or names[0]] if names else []
     if len(labels) > MOST_IN_SENTENCE:
         names.append("others")
     return " or ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
@@ -155,15 +162,27 @@ def is_in_catalogue(finding: Finding) -> bool:
 
 def spell_finding(diagnosis: Diagnosis, finding: Finding) -> str:
     """Return a finding as a noun, as far up as it is sure."""
-    hypothesis = finding.hypothesis
+    hypothesis, best = finding.hypothesis, spell_best(finding)
     if finding.level == "set":
-        return spell_set(list_candidates(finding))
+        return spell_set(list_candidates(finding), best)
     if finding.level in ("name", "rest", "unjudged"):
-        return spell_names(label_hypothesis(hypothesis))
+        return best
     if hypothesis.is_term and finding.level == "kind":
         return FreeTerm.read(diagnosis, finding).text
     what = spell_kind(hypothesis.kind) if finding.level == "kind" else "something"
-    return f"{what} in {spell_place(hypothesis.place)} ({spell_set(list_candidates(finding))})"
+    return (
+        f"{what} in {spell_place(hypothesis.place)} ({spell_set(list_candidates(finding), best)})"
+    )
+
+
+def spell_best(finding: Finding) -> str:
+    """Return what fits best as a noun; a time of a column in it: `position_m late by 4.4 ms`."""
+    kind, column = finding.hypothesis.setup or ("", "")
+    if finding.numbers and kind in ("skew", "filtered"):
+        value = finding.numbers[0].value
+        what = "smoothed over" if kind == "filtered" else f"{'late' if value > 0 else 'early'} by"
+        return f"{column} {what} {1e3 * abs(value):.3g} ms"
+    return spell_names(label_hypothesis(finding.hypothesis))
 
 
 # --- numbers -------------------------------------------------------------------------------------
@@ -359,6 +378,11 @@ _LABELS = {
     "plant_constant": "", "skew": "skew of ", "clock_rate": "clock of ", "filtered": "filter of ",
     "sign": "sign of ", "added": "atmosphere in ", "end_stop": "end stop of ",
 }  # fmt: skip
+_FAULTS = {
+    "skew": "a late or early", "clock": "another clock of", "filter": "a smoothed",
+    "sign": "a wrong sign of",
+}  # fmt: skip
+"""Nouns for the labels."""
 _CALLED = {
     "valve_v": "the command",
     "pressure_pa": "the pressure",

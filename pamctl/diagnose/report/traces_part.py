@@ -116,11 +116,13 @@ def write_traces(page: Report, diagnosis: Diagnosis) -> None:
         else "where the residual is largest"
     )
     use = "held-out" if diagnosis.holdout else "partly fitted"
+    is_windowed = diagnosis.evidence is not None and diagnosis.evidence.weigher.train.windowed
+    jumps = ", and jumps where a window begins anew from the readings" if is_windowed else ""
     page.add(
         Figure(
             [*close_up],
             f"The {use} record {run.name}, at most {STRETCH_S:g} s of it, {why}. A residual "
-            "breaks where samples do not count.",
+            f"breaks where samples do not count{jumps}.",
         )
     )
     page.add(

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import starmap
 from typing import NamedTuple
 
 from pamctl.diagnose.diagnosis import Diagnosis, HeldOutGap, Verdict
 from pamctl.diagnose.evidence.constants import LEFT_TIMES
+from pamctl.diagnose.evidence.ladder import Finding, stands_alone
 from pamctl.diagnose.evidence.pool import CHAIN
 from pamctl.diagnose.plant_numbers import FittedNumber
 from pamctl.diagnose.report.finding_words import (
+    label_hypothesis,
     list_ambiguous,
     list_faults,
     list_numbers,
+    spell_best,
     spell_finding,
     spell_names,
     spell_set,
@@ -72,11 +75,13 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
     names = spell_findings(diagnosis, "name")
     others = spell_findings(diagnosis, "kind", "place")
     gap, ended = describe_gap(diagnosis), describe_bounds(diagnosis)
-    predicts = "" if describe_left(diagnosis) else ", which predicts what was measured"
+    outside = describe_outside(diagnosis)
+    part = "what a plant file can hold of it" if outside else ""
+    predicts = "" if part or describe_left(diagnosis) else ", which predicts what was measured"
     chosen = diagnosis.deciding
     may_separate = chosen is None or chosen.promises
     separates = " Run the experiment that separates them." if may_separate else ""
-    parts = (describe_sizes(diagnosis), gap, describe_rest(diagnosis))
+    parts = (describe_sizes(diagnosis), gap, describe_rest(diagnosis), outside)
     body = " ".join(part for part in parts if part)
     match diagnosis.verdict:
         case Verdict.BAD_DATA:
@@ -103,7 +108,7 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
             what = "the set-up is not as it is said to be" if faults else "its numbers are off"
             return VerdictWords(
                 f"Nothing is missing from the model, but {what}{ended}",
-                f"Changed: {list_shifts(diagnosis)}. {gap}",
+                f"Changed: {list_shifts(diagnosis)}. {gap} {outside}".rstrip(),
                 "With other numbers the model explains the measurement. It needs no further "
                 "effect.",
                 ("Go on with plant.yaml: the same model with the new numbers.",),
@@ -121,12 +126,12 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
             return VerdictWords(
                 f"Missing from the model, and without a name: {others}{ended}",
                 body,
-                "No name is sure: either several laws of that place do as well, or a law without a "
-                "name does better than every effect of the catalogue. This says where and how "
+                f"No name is sure ({describe_unnamed(diagnosis)}). This says where and how "
                 "something acts. What it is, the rig must show.",
                 (
-                    "Look at the rig at that place. plant.yaml has the law that fits best"
-                    f"{predicts}. `pamctl run`, `tune`, `compare` and a next `diagnose` take it.",
+                    "Look at the rig at that place. plant.yaml has "
+                    f"{part or 'the law that fits best'}{predicts}. `pamctl run`, `tune`, "
+                    "`compare` and a next `diagnose` take it.",
                 ),
             )
         case Verdict.AMBIGUOUS:
@@ -138,7 +143,7 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
                 f"{ended}",
                 body,
                 "More than one explanation fits the measurement, at more than one place. "
-                f"plant.yaml has the first of them{predicts}. The cause stays open.",
+                f"plant.yaml has {part or 'the first of them'}{predicts}. The cause stays open.",
                 (f"Do not repair the rig on this evidence.{separates}",),
                 "note",
             )
@@ -151,8 +156,8 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
                 "sure, or place and kind. The numbers of what is named rest on the law that stands "
                 "for the rest.",
                 (
-                    "Look at the rig there. plant.yaml has all of it. The next diagnosis may start "
-                    f"from it: {_AGAIN} asks what else is missing.",
+                    f"Look at the rig there. plant.yaml has {part or 'all of it'}. The next "
+                    f"diagnosis may start from it: {_AGAIN} asks what else is missing.",
                 ),
                 "note",
             )
@@ -175,7 +180,8 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
             added = "what did best was added, and not compared with what looks like it"
             return VerdictWords(
                 f"Interrupted; found until then: {unjudged or 'nothing'}{ended}",
-                f"Nothing is sure: no rival was fitted, and more may be missing. {gap}",
+                "Nothing is sure: no rival was fitted, and more may be missing. "
+                f"{gap} {outside}".rstrip(),
                 "The search did not end. The numbers of the model were fitted; "
                 f"{added if unjudged else 'nothing was added yet'}.",
                 (
@@ -208,10 +214,9 @@ def advise_next_steps(diagnosis: Diagnosis) -> Iterator[str]:
 
 def _advise_after_naming(diagnosis: Diagnosis) -> tuple[str, ...]:
     plant = diagnosis.nominal
+    part = "what a plant file can hold of it" if describe_outside(diagnosis) else "what was found"
     if plant.actuator == "chamber" or (plant.actuator == "direct" and not plant.drive_n_per_v):
-        return (
-            f"Go on with plant.yaml, which has what was found: {_AGAIN} asks whether it holds.",
-        )
+        return (f"Go on with plant.yaml, which has {part}: {_AGAIN} asks whether it holds.",)
     tune = "`pamctl tune --plant plant.yaml --rig rig.yaml --experiment motion.yaml`"
     run = (
         "`pamctl run --controller gains.yaml --plant plant.yaml --rig rig.yaml "
@@ -221,8 +226,7 @@ def _advise_after_naming(diagnosis: Diagnosis) -> tuple[str, ...]:
         tune = "`pamctl tune --law qsmc --plant plant.yaml --out gains.yaml`"
         run = "`pamctl run --controller gains.yaml --plant plant.yaml`"
     go_on = (
-        "Go on with plant.yaml, which has what was found. In the folder of this page: "
-        f"{tune}, then {run}."
+        f"Go on with plant.yaml, which has {part}. In the folder of this page: {tune}, then {run}."
     )
     if runs_here(diagnosis) and any(f.name == "null_offset" for f in diagnosis.findings):
         null = "The null of the valve is measured by `pamctl calibrate valve --out rig.yaml`."
@@ -273,10 +277,20 @@ def describe_sizes(diagnosis: Diagnosis) -> str:
 def describe_bounds(diagnosis: Diagnosis) -> str:
     """Name the numbers at an end of their range, but of what only mends; empty where none is."""
     only_mends = {n.name for f in diagnosis.findings if f.level == "rest" for n in f.numbers}
-    ended = [n.removeprefix(CHAIN) for n in diagnosis.at_bound if n not in only_mends]
+    ended = [n for n in diagnosis.at_bound if n not in only_mends]
     if not ended:
         return ""
-    return f", with {join_words(ended)} at an end of {'its range' if len(ended) == 1 else 'ranges'}"
+    at = join_words([f"{n.removeprefix(CHAIN)} {spell_end(diagnosis, n)}" for n in ended])
+    return f", with {at} of {'its range' if len(ended) == 1 else 'their ranges'}"
+
+
+def spell_end(diagnosis: Diagnosis, name: str) -> str:
+    """Say at which end of its range a fitted number stands; empty where at none."""
+    if name not in diagnosis.at_bound or diagnosis.evidence is None:
+        return ""
+    m = diagnosis.evidence.model
+    ends = (v - n.low > n.high - v for n, v in zip(m.numbers, m.x, strict=True) if n.name == name)
+    return "at the high end" if next(ends, False) else "at the low end"
 
 
 def spell_gap(channel: str, gap: HeldOutGap) -> list[str]:
@@ -289,7 +303,8 @@ def spell_gap(channel: str, gap: HeldOutGap) -> list[str]:
 def describe_gap(diagnosis: Diagnosis) -> str:
     """Say what each model leaves of each channel, in plain units, and whether that is noise."""
     evidence, parts = diagnosis.evidence, []
-    begins = " and of each window's begin" if evidence and evidence.weigher.train.windowed else ""
+    is_windowed = evidence and evidence.weigher.train.windowed
+    begins = " and of the readings that windows begin from" if is_windowed else ""
     for name, unit, start, again, extended, noise in starmap(spell_gap, diagnosis.gap.items()):
         steps = [f"{start} {unit} by the start model", f"{again} {unit} recalibrated"]
         if diagnosis.findings:
@@ -323,6 +338,42 @@ def describe_rest(diagnosis: Diagnosis) -> str:
         return ""
     more = "One more law mends" if rest == 1 else "Further laws mend"
     return f"{more} what is left a little; too small to be a finding beside the first."
+
+
+def describe_outside(diagnosis: Diagnosis) -> str:
+    """Say what was found between the plant and the file: no key of plant.yaml holds it."""
+    outside = [
+        spell_finding(diagnosis, f)
+        for f in diagnosis.findings
+        if f.hypothesis.setup and f.hypothesis.setup[0] != "plant_constant"
+        and all(n.name.startswith(CHAIN) for n in f.numbers)
+    ]  # fmt: skip
+    if not outside:
+        return ""
+    knows = "what runs or tunes on that file knows nothing of it"
+    return f"No key of plant.yaml holds {join_words(outside)}: {knows}."
+
+
+def describe_unnamed(diagnosis: Diagnosis) -> str:
+    """Say of each finding without a name why it has none."""
+    found = [f for f in diagnosis.findings if f.level in ("kind", "place")]
+    return "; ".join(f"{spell_best(f)}: {explain_no_name(f, diagnosis.findings)}" for f in found)
+
+
+def explain_no_name(finding: Finding, found: Sequence[Finding]) -> str:
+    """Say why a finding has no sure name; `found` are all findings."""
+    even = [j.hypothesis for j in finding.judged if not (j.is_freer or j.is_beaten)]
+    if finding.hypothesis.is_term:
+        return "a law without a name fits best"
+    if even:
+        return f"{spell_set([*map(label_hypothesis, even)])} is not ruled out"
+    if any(j.is_freer and j.is_better for j in finding.judged):
+        return "a law without a name does better"
+    if finding.at_range:
+        return "a number of it stands at an end of its range"
+    if not stands_alone(finding, found):
+        return "a larger finding in the same signal has no name, and this may be a part of it"
+    return "it takes off little of what is left there, and may be a part of that"
 
 
 def relative_shift(diagnosis: Diagnosis, number: FittedNumber) -> float | None:

@@ -7,8 +7,11 @@ import pytest
 from diagnose.axis.test_cogging import positioned
 from support.made_records import ask_only, list_asked, numbers_of
 
-from pamctl.diagnose import Record, diagnose
+from pamctl.diagnose import Record, diagnose, report_diagnosis, sentence
+from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
 from pamctl.plant.model import PlantSettings
+from pamctl.report.html_page import write_html
+from pamctl.report.report import format_terminal
 
 LATE = 3
 """Samples of 1 ms."""
@@ -81,3 +84,11 @@ def test_a_late_position_is_found_where_each_window_begins_with_the_measured_sta
     assert late_s.value == pytest.approx(LATE * 1e-3, abs=3e-4)
     assert late_s.low < LATE * 1e-3 < late_s.high
     assert np.isclose(numbers["mass_kg"], 3.1, rtol=0.02)
+    by = f"position_m late by {1e3 * late_s.value:.3g} ms"
+    assert by in sentence(found)
+    told = "what runs or tunes on that file knows nothing of it"
+    html = write_html(build_diagnosis_page(found, late))
+    assert told in html
+    assert told in " ".join(format_terminal(report_diagnosis(found)).split())
+    assert "plant.yaml has all of it" not in html
+    assert "jumps where a window begins anew" in html

@@ -28,6 +28,7 @@ from pamctl.diagnose.report.traces_part import (
     ShownRun,
     find_telling_stretch,
 )
+from pamctl.diagnose.report.verdict_words import explain_no_name
 from pamctl.plant.model import PlantSettings
 from pamctl.report.html_page import write_html
 from pamctl.report.report import format_terminal, spell_figure
@@ -189,15 +190,47 @@ def test_a_number_at_its_range_stands_in_the_first_sentence(named: Diagnosis) ->
     ended = replace(first, at_range=("valve_deadband.fill_width_v",))
     found = replace(named, evidence=replace(named.evidence, findings=(ended,)))
     first_sentence = sentence(found).split(". ")[0]
-    assert first_sentence.endswith("with valve_deadband.fill_width_v at an end of its range")
+    assert first_sentence.endswith("with valve_deadband.fill_width_v at the low end of its range")
     assert build_diagnosis_document(found)["at_bound"] == ["valve_deadband.fill_width_v"]
     rows = format_terminal(report_diagnosis(found)).splitlines()
     (line,) = (row for row in rows if row.startswith("valve_deadband.fill"))
-    assert line.endswith("at an end")
+    assert line.endswith("at the low end")
     only_mends = replace(
         found, evidence=replace(named.evidence, findings=(replace(ended, is_rest=True),))
     )
-    assert "at an end" not in sentence(only_mends).split(". ")[0]
+    assert "at the low end" not in sentence(only_mends).split(". ")[0]
+
+
+def test_a_number_at_the_upper_end_of_its_range_says_so(named: Diagnosis) -> None:
+    assert named.evidence is not None
+    m, name = named.evidence.model, "valve_deadband.fill_width_v"
+    highest = np.where([n.name == name for n in m.numbers], [n.high for n in m.numbers], m.x)
+    (first,) = named.findings
+    ended = replace(first, at_range=(name,))
+    evidence = replace(named.evidence, findings=(ended,), model=replace(m, x=highest))
+    assert f"with {name} at the high end of its range" in sentence(
+        replace(named, evidence=evidence)
+    )
+
+
+def test_the_page_says_the_true_reason_why_no_name_is_sure(named: Diagnosis) -> None:
+    assert named.evidence is not None
+    (first,) = named.findings
+    judged = tuple(replace(j, is_beaten=True, is_better=False) for j in first.judged)
+    law = next(h for h in named.evidence.pool.values() if h.is_term)
+    small = replace(first, says_name=False, judged=judged)
+    larger = replace(small, hypothesis=law, gain_nats=2.0 * first.gain_nats)
+    evidence = replace(named.evidence, findings=(larger, small))
+    for finding, why in (
+        (small, "a larger finding in the same signal has no name"),
+        (larger, "a law without a name fits best"),
+        (replace(small, at_range=("valve_deadband.fill_width_v",)), "at an end of its range"),
+        (with_level(named, "kind").findings[0], "valve curve or curve of exhausting over command "
+         "is not ruled out"),
+    ):  # fmt: skip
+        assert why in explain_no_name(finding, evidence.findings)
+    described = replace(as_if(named, Verdict.DESCRIBED))
+    assert explain_no_name(described.findings[0], described.findings) in page(described)
 
 
 def test_a_wave_is_shown_as_amplitude_and_phase_with_their_intervals(named: Diagnosis) -> None:

@@ -76,7 +76,7 @@ class ProgramTrial:
         self._runs = Runs([record], weigher.base, weigher.train)
         self._keep = self._runs.find_kept(weigher.like.level)
         self._simulated: dict[str, tuple[ProgramRun, Array]] = {}
-        self._tangents: dict[str, Array] = {}
+        self._columns: dict[tuple[str, str], Array] = {}
 
     def run(self, e: Explanation) -> ProgramRun:
         """Return what the coupled plant of an explanation does."""
@@ -164,10 +164,11 @@ class ProgramTrial:
         """
         m, agrees = other.model, True
         change = to_haar(self._show(true) - self._show(other))
+        slope = self._find_tangent(other, is_own=steps > 0)
         moved = np.zeros(len(m.x))
         for _ in range(max(steps, 1)):
-            way = self._find_step(true, other, change, moved)
-            straight = change + (way @ self._find_tangent(other)).reshape(change.shape)
+            way = self._find_step(true, other, slope, change, moved)
+            straight = change + (way @ slope).reshape(change.shape)
             if not steps:
                 return straight, True
             d = to_haar(self._show(true) - self._simulate(other, moved + way))
@@ -179,16 +180,16 @@ class ProgramTrial:
         return change, agrees
 
     def _find_step(
-        self, true: Explanation, other: Explanation, change: Array, moved: Array
+        self, true: Explanation, other: Explanation, slope: Array, change: Array, moved: Array
     ) -> Array:
         """Return a Gauss-Newton step, in scales, on the records so far and the program's run."""
         m = other.model
         scales2 = self._find_scales2(true.model, self._mean_squares(change))
         weights = ((NU + 1.0) / (NU * scales2 + change**2) * self._keep).ravel()
-        slope = self._find_tangent(other)
-        both = other.known + (slope * weights) @ slope.T
+        weighed = slope * weights
+        both = other.known + weighed @ slope.T
         both += RIDGE * np.diag(np.diag(both))
-        pull = (slope * weights) @ change.ravel() + other.known @ moved
+        pull = weighed @ change.ravel() + other.known @ moved
         way = -np.linalg.pinv(both, hermitian=True) @ pull
         low, high, scale = (
             np.array([getattr(n, k) for n in m.numbers]) for k in ("low", "high", "scale")
@@ -196,16 +197,23 @@ class ProgramTrial:
         at = m.x + moved * scale
         return np.asarray(np.clip(way, (low - at) / scale, (high - at) / scale))
 
-    def _find_tangent(self, other: Explanation) -> Array:
-        """Return the change of an explanation's own residual for a scale of each number."""
-        if other.name not in self._tangents:
-            here, rows = self._show(other), []
-            for i in range(len(other.model.x)):
-                way = np.zeros(len(other.model.x))
-                way[i] = STEP
-                rows.append(to_haar(here - self._simulate(other, way)).ravel() / STEP)
-            self._tangents[other.name] = np.stack(rows)
-        return self._tangents[other.name]
+    def _find_tangent(self, other: Explanation, *, is_own: bool) -> Array:
+        """Return the change of an explanation's own residual for a scale of each number.
+
+        Not its own: a number moves what it moves under the first explanation with the same law.
+        """
+        columns = []
+        for number in other.laws.items():
+            alike = (e for e in self.explanations if number in e.laws.items())
+            columns.append(self._find_column(other if is_own else next(alike), number[0]))
+        return np.stack(columns)
+
+    def _find_column(self, e: Explanation, name: str) -> Array:
+        if (e.name, name) not in self._columns:
+            way = np.array([STEP * (n == name) for n in e.laws])
+            moves = self._show(e) - self._simulate(e, way)
+            self._columns[e.name, name] = to_haar(moves).ravel() / STEP
+        return self._columns[e.name, name]
 
     def _simulate(self, e: Explanation, moved: Array) -> Array:
         m = e.model

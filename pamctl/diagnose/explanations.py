@@ -38,10 +38,16 @@ class Explanation:
     weigher: Weigher
     nominal: PlantSettings
 
-    @property
+    @cached_property
     def values(self) -> dict[str, float]:
         """The model's numbers by flat name, those of the measuring chain included."""
         return {**self.weigher.base, **self.model.values}
+
+    @cached_property
+    def laws(self) -> dict[str, object]:
+        """The law that each number belongs to: None for those that every explanation has."""
+        found = {u.name: v.form for v in self.model.picked.values() for u in v.free}
+        return {n.name: found.get(n.name) for n in self.model.numbers}
 
     @cached_property
     def noise2(self) -> Array:

@@ -8,10 +8,14 @@ and in a replay.
 from __future__ import annotations
 
 import math
+from array import array
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from itertools import chain
+from typing import Any, NamedTuple, Protocol
+
+from pamctl.kernel.calls import machine
 
 MOST_TONES = 40
 """The tick evaluates every tone: some 0.4 us each."""
@@ -159,14 +163,18 @@ class Tones:
 
     def sample(self, step_s: float, count: int) -> list[float]:
         """Return the sum alone, at `count` times from 0 on."""
-        times_s = [i * step_s for i in range(count)]
-        values = [0.0] * count
-        for amplitude, w, phase in self.tones:
-            values = [
-                x + amplitude * math.sin(w * t_s + phase)
-                for x, t_s in zip(values, times_s, strict=True)
-            ]
-        return values
+        values = array("d", bytes(8 * count))
+        machine(add_tones)(array("d", chain.from_iterable(self.tones)), step_s, values)
+        return values.tolist()
+
+
+def add_tones(tones: Any, step_s: float, values: Any) -> None:
+    """Kernel: add to each value the tones at its time; `tones` holds three numbers of each."""
+    for k in range(len(values)):
+        x, t_s = values[k], k * step_s
+        for i in range(len(tones) // 3):
+            x += tones[3 * i] * math.sin(tones[3 * i + 1] * t_s + tones[3 * i + 2])
+        values[k] = x
 
 
 @dataclass(frozen=True, slots=True)

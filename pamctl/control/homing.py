@@ -104,6 +104,18 @@ class Homing:
         self.zero = self._take_zero(sample)
         return None
 
+    @property
+    def holds_until_s(self) -> float:
+        """Until when it asks for the same, whatever the sensors show."""
+        if self._filling:
+            return self._since_s + self._settings.fill_s
+        return self._blocks[-1].begin_s + 0.5 * self._settings.steady_s if self._blocks else 0.0
+
+    def take(self, sample: RawSample) -> None:
+        """Take a sample of a tick that did not ask, before `holds_until_s`."""
+        if not self._filling:
+            self._blocks[-1].take(sample)
+
     def _require_motion(self, sample: RawSample) -> None:
         """Check by the sensors that filling raised the pressure and contracted the muscle."""
         before, settings = self._before_fill, self._settings

@@ -9,13 +9,13 @@ ring in shared memory, and another process writes them to the log.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from hal.calibration import Zero
 from hal.rig import RawSample, Rig, RigError, open_rig
-from pamctl.control.homing import HomingError
+from pamctl.control.homing import Homing, HomingError
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.realtime.clock import Clock, Wake
 from pamctl.realtime.tick import TickSetup, first_state, rezero_state
@@ -31,6 +31,9 @@ class ManyTicks(Protocol):
 
     def run(self, tick: TickRunner, first_tick: int, ticks: int, journal: Journal) -> int:
         """Run at most so many ticks and put their rows; return how many there were."""
+
+    def samples(self, ticks: int) -> Iterator[RawSample]:
+        """Yield the samples of the ticks that were run last."""
 
 
 class Helm(Protocol):
@@ -67,6 +70,10 @@ class ReferenceSource(Protocol):
     @property
     def running(self) -> RunningCourse | None:
         """The course and its begin (s) while only the time decides the reference; else None."""
+
+    @property
+    def homing(self) -> Homing | None:
+        """The homing that goes on."""
 
     @property
     def next_cue_s(self) -> float:
@@ -189,16 +196,28 @@ class ControlLoop:
         return None
 
     def _run_many(self) -> bool:
-        """Run the ticks up to the next frozen state or cue at once, where that is possible."""
-        many, tick = self.many, self.tick
-        if many is None or not tick.follows:
+        """Run the ticks up to the next frozen state or cue at once, where that is possible.
+
+        Without a course, those for which the homing that goes on asks for the same.
+        """
+        many, tick, homing = self.many, self.tick, self.program.homing
+        if tick.follows:
+            due_s, homing = self.program.next_cue_s, None
+        elif homing is not None and self.helm.settled_setup is tick.setup:
+            due_s = homing.holds_until_s
+        else:
+            return False
+        if many is None:
             return False
         timing, period_s = tick.timing, self.clock.period_ns * 1e-9
-        ticks = KEYFRAME_TICKS - (timing.tick + 1) % KEYFRAME_TICKS
-        until_cue = (self.program.next_cue_s - timing.t_s) / period_s - 2.0
-        return (
-            many.run(tick, timing.tick + 1, int(min(ticks, max(until_cue, 0.0))), self.journal) > 0
-        )
+        until_frozen = KEYFRAME_TICKS - (timing.tick + 1) % KEYFRAME_TICKS
+        until_due = max((due_s - timing.t_s) / period_s - 2.0, 0.0)
+        ticks = int(min(until_frozen, until_due))
+        done = many.run(tick, timing.tick + 1, ticks, self.journal)
+        if homing is not None:
+            for sample in many.samples(done):
+                homing.take(sample)
+        return done > 0
 
     def _ask_and_run(self, wake: Wake, raw: RawSample) -> bool:
         """Ask program and helm, and run the tick; return False at the end of the program."""

@@ -37,7 +37,8 @@ class Program:
         course_begin_s: float | None = None,
     ) -> None:
         """Without homing the experiment begins at once, or began at `course_begin_s`."""
-        self._homing = homing
+        self.homing = homing
+        """The homing that goes on."""
         self._course = course
         self._safe_valve_v = safe_valve_v
         self._stop_ramp_s = stop_ramp_s
@@ -53,11 +54,11 @@ class Program:
         if self._stop_begin_s is not None:
             return self._ramp_to_safe(t_s), None
         zero = None
-        if self._homing is not None:
-            reference = self._homing.next_reference(t_s, sample)
+        if self.homing is not None:
+            reference = self.homing.next_reference(t_s, sample)
             if reference is not None:
                 return reference, None
-            zero, self._homing = self._homing.zero, None
+            zero, self.homing = self.homing.zero, None
         if self._course_begin_s is None:
             self._course_begin_s = t_s
         return self._course.at(t_s - self._course_begin_s), zero
@@ -72,7 +73,7 @@ class Program:
     def running(self) -> tuple[Course, float] | None:
         """The course and its begin (s) while only the time decides the reference; else None."""
         begin_s = self._course_begin_s
-        if begin_s is None or self._homing is not None or self._stop_begin_s is not None:
+        if begin_s is None or self._stop_begin_s is not None:
             return None
         return self._course, begin_s
 
@@ -104,6 +105,7 @@ class Program:
         if self._stop_begin_s is None:
             self._stop_begin_s = t_s
             self._stop_from_v = valve_v
+            self.homing = None
 
     def _ramp_to_safe(self, t_s: float) -> Reference | None:
         assert self._stop_begin_s is not None

@@ -41,6 +41,8 @@ class SteeredProgram(CuedHelm):
 
     _orders: OrderSlot
     _journal: SessionJournal
+    homing = None
+    """Of no use to a loop that runs tick by tick."""
 
     def __init__(
         self,

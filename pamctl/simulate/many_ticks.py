@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import math
 from array import array
+from collections.abc import Iterator
 from random import Random
 from typing import Any
 
+from hal.rig import RawSample
 from hal.sim import SimMoment, SimRig
 from pamctl.kernel.calls import machine, prepare
+from pamctl.kernel.layout import Block
 from pamctl.plant.simulated import LONGEST_STEP_S, SimulatedPlant
 from pamctl.realtime.clock import Clock, VirtualClock
 from pamctl.realtime.run_ticks import (
@@ -69,6 +72,7 @@ class SimulatedTicks:
         assert isinstance(plant, SimulatedPlant)
         self._rig, self._plant, self._clock = rig, plant, clock
         self._rows = make_rows(setup.compensation is not None, MOST_TICKS)
+        self._raw: Block[RawSample] = self._rows.block.find_part("record.raw")
         start = first_state(setup, self._chain.zero)
         table = array("d", (0.0,))
         self._call = prepare(
@@ -101,7 +105,8 @@ class SimulatedTicks:
     def run(self, tick: TickRunner, first_tick: int, ticks: int, journal: Journal) -> int:
         """Run at most so many ticks and put their rows; return how many there were.
 
-        `tick` must follow a course. It is in the state after the last of these ticks.
+        `tick` must follow a course, or goes on with the reference of its last tick. It is in the
+        state after the last of these ticks.
         """
         call, random = self._call, self._random
         ticks = min(ticks, MOST_TICKS)
@@ -136,3 +141,8 @@ class SimulatedTicks:
             self._clock.skip_to(first_tick + done - 1)
             journal.put_rows(memoryview(self._rows.buffer)[: done * ROW_BYTES])
         return done
+
+    def samples(self, ticks: int) -> Iterator[RawSample]:
+        """Yield the samples of the ticks that were run last."""
+        rows = memoryview(self._rows.buffer)
+        return (self._raw.read(rows[k * ROW_BYTES :]) for k in range(ticks))

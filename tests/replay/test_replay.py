@@ -49,7 +49,6 @@ from pamctl.signals import TICK_FIELDS, Phase
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 NAMES = sorted(path.stem for path in GOLDEN.glob("*.mcap"))
-CLOSED_LOOP = [name for name in NAMES if name not in ("steps", "readonly")]
 
 
 @pytest.fixture(scope="session")

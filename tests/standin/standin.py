@@ -29,7 +29,6 @@ COMEDI_SONAME = "libcomedi.so.0"
 KERNEL_SONAME = "libcomedikernel.so.0"
 """Preloaded below the real libcomedi, this one is the kernel."""
 _DRIVERS = {SONAME: "daqmx.c", COMEDI_SONAME: "comedi.c", KERNEL_SONAME: "comedi_kernel.c"}
-SERIAL = 0xDECAF
 PERMIT = "PAMCTL_PERMIT_STAND_IN"
 """Set by tests, and by nobody else: without it `pamctl` refuses this card."""
 

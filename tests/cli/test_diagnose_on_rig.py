@@ -21,11 +21,7 @@ from pamctl.exit_codes import ExitCode
     ],
 )
 def test_one_clear_error_and_nothing_is_written(
-    words: list[str],
-    said: str,
-    code: ExitCode,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    words: list[str], said: str, code: ExitCode, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     result = CliRunner().invoke(app, ["diagnose", "--out", "out", *words])

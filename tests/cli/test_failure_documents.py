@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from support.command_line import build_command
-from support.patience import PATIENCE_S
+from support.command_line import build_command, run_process
 
 from pamctl.__main__ import main
 from pamctl.cli import orders
@@ -178,7 +176,7 @@ main()
 
 def test_ctrl_c_during_the_start_is_an_exit_code_and_no_traceback() -> None:
     command = [sys.executable, "-c", IMPATIENT, "status"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    done = run_process(command)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
 

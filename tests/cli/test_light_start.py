@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from support.command_line import run_process
 from support.small_log import write_small
 from typer.testing import CliRunner
 
@@ -26,9 +26,7 @@ finally:
 
 
 def list_heavy_imports(*arguments: str) -> set[str]:
-    done = subprocess.run(
-        [sys.executable, "-c", SHOW_IMPORTS, *arguments], capture_output=True, text=True, timeout=60
-    )
+    done = run_process([sys.executable, "-c", SHOW_IMPORTS, *arguments])
     assert "Traceback" not in done.stderr
     return HEAVY & set(done.stderr.rpartition("imported:")[2].split())
 
@@ -57,8 +55,6 @@ def test_the_help_of_the_whole_says_what_each_verb_says_of_itself() -> None:
 
 
 def test_a_verb_after_the_end_of_options_is_carried_out() -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "pamctl", "--", "manual"], capture_output=True, text=True, timeout=60
-    )
+    done = run_process([sys.executable, "-m", "pamctl", "--", "manual"])
     assert done.returncode == 0
     assert "first-run" in done.stdout

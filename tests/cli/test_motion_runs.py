@@ -18,10 +18,7 @@ from pamctl.signals import Phase
 
 NO_HOMING = ("--set", "rig.homing.enabled=false")
 
-SHORT: dict[str, list[str]] = {
-    "sine": ["cycles=1", "frequency_hz=2"],
-    "valve-sine": ["cycles=2"],
-}
+SHORT: dict[str, list[str]] = {"sine": ["cycles=1", "frequency_hz=2"], "valve-sine": ["cycles=2"]}
 
 
 def fast_run(log: Path, *arguments: str) -> Result:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import signal
-import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,7 +12,7 @@ from types import SimpleNamespace
 import openpyxl
 import pytest
 from mcap.reader import make_reader
-from support.patience import PATIENCE_S
+from support.command_line import run_process
 from typer.testing import CliRunner
 
 import pamctl.log
@@ -179,9 +178,7 @@ for verb in sys.argv[2:]:
 
 def run_elsewhere(system: str, folder: Path, *verbs: str) -> None:
     command = [sys.executable, "-c", ELSEWHERE, system, *verbs]
-    done = subprocess.run(
-        command, cwd=folder, capture_output=True, text=True, timeout=10 * PATIENCE_S, check=False
-    )
+    done = run_process(command, cwd=folder)
     assert done.returncode == 0, done.stderr
 
 

@@ -193,13 +193,7 @@ def test_only_a_failure_to_write_is_kept_until_the_result_is_printed(tmp_path: P
         raise KeyError
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        "log info {}",
-        "run --fast --duration 0.3 --log new.mcap",
-    ],
-)
+@pytest.mark.parametrize("words", ["log info {}", "run --fast --duration 0.3 --log new.mcap"])
 def test_standard_output_on_a_full_disk_is_an_error_after_the_work(
     words: str, tmp_path: Path
 ) -> None:

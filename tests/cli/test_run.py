@@ -17,8 +17,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.command_line import run_pamctl
+from support.command_line import run_pamctl, run_process, start_process
 from support.patience import BUSY_PC, PATIENCE_S
+from support.processes.children import await_children
 from support.processes.rings import await_phase, await_tick
 from typer.testing import CliRunner
 
@@ -60,34 +61,14 @@ def fast_run(cwd: Path, *arguments: str, log: str = "run.mcap") -> tuple[dict[st
 @contextmanager
 def running(cwd: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
     """Run in real time until the block ends."""
-    front = subprocess.Popen(
-        [PAMCTL, "run", "--quiet", "--log", "run.mcap", *ON_OUR_DEVICE, *arguments],
-        cwd=cwd,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
+    front = start_process(
+        [PAMCTL, "run", "--quiet", "--log", "run.mcap", *ON_OUR_DEVICE, *arguments], cwd=cwd
     )
     with front:
         try:
             yield front
         finally:
             front.kill()
-
-
-def children(front: subprocess.Popen[str]) -> dict[str, int]:
-    """Return the process ids of a front's children, once all are there."""
-    deadline = time.monotonic() + PATIENCE_S
-    while time.monotonic() < deadline:
-        found = {}
-        for pid in Path(f"/proc/{front.pid}/task/{front.pid}/children").read_text().split():
-            command = Path(f"/proc/{pid}/cmdline").read_text()
-            for name in ("loop_main", "recording.recorder", "guardian_main"):
-                if name in command:
-                    found[name] = int(pid)
-        if len(found) == 3:
-            return found
-        time.sleep(0.02)
-    raise AssertionError("the front did not start its processes")
 
 
 def await_ticks(front: subprocess.Popen[Any], ticks: int) -> None:
@@ -231,9 +212,8 @@ def test_in_real_time_ticks_lie_on_the_grid_until_sigterm_stops_the_run_smoothly
 @pytest.mark.long
 def test_a_recorder_frozen_for_good_ends_the_run_and_loses_nothing(tmp_path: Path) -> None:
     with running(tmp_path) as front:
-        pids = children(front)
         await_ticks(front, 300)
-        os.kill(pids["recording.recorder"], signal.SIGSTOP)
+        os.kill(await_children(front.pid, "recorder")["recorder"], signal.SIGSTOP)
         _, said = front.communicate(timeout=PATIENCE_S)
     assert front.returncode == 1
     assert "finished from the ring" in said
@@ -282,11 +262,7 @@ def test_a_rehearsed_fault_ends_the_run_with_its_exit_code_and_reason(tmp_path: 
     ],
 )
 def test_bad_input_gets_one_clear_error_and_changes_nothing(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    arguments: list[str],
-    code: int,
-    complaint: str,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], code: int, complaint: str
 ) -> None:
     (tmp_path / "there-already.mcap").write_bytes(b"precious")
     monkeypatch.chdir(tmp_path)
@@ -300,11 +276,8 @@ def test_bad_input_gets_one_clear_error_and_changes_nothing(
 
 def test_without_a_run_json_still_prints_one_document(tmp_path: Path) -> None:
     # In a process of its own: other tests load the stand-in driver into this one.
-    no_driver = subprocess.run(
-        [sys.executable, "-m", "pamctl", "run", "--backend", "nidaq", "--json"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
+    no_driver = run_process(
+        [sys.executable, "-m", "pamctl", "run", "--backend", "nidaq", "--json"], cwd=tmp_path
     )
     assert "install NI-DAQmx" in no_driver.stderr
     assert "Traceback" not in no_driver.stderr
@@ -334,9 +307,7 @@ def test_a_bad_line_of_a_file_is_named_with_its_place(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_a_log_on_a_full_disk_ends_the_run_and_is_complete_to_its_last_tick(
-    tmp_path: Path,
-) -> None:
+def test_a_log_on_a_full_disk_ends_the_run_and_is_complete_to_its_last_tick(tmp_path: Path) -> None:
     if os.geteuid():
         pytest.skip("mounting a small file system needs root")
     small = tmp_path / "small"
@@ -363,7 +334,7 @@ def test_the_mode_require_fails_if_real_time_scheduling_is_refused(tmp_path: Pat
     drop = ["setpriv", "--bounding-set", "-sys_nice,-ipc_lock", "--inh-caps", "-all"]
     options = ["--rt", "require", "--log", "run.mcap", "--quiet", *ON_OUR_DEVICE]
     command = [*drop, PAMCTL, "run", *options]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = run_process(command, cwd=tmp_path)
     assert done.returncode == 69
     assert "fifo: " in done.stderr
 
@@ -415,7 +386,7 @@ def test_the_second_of_fifty_ctrl_c_stops_at_once_and_leaves_the_summary_whole(
 def test_a_limit_of_open_files_that_is_too_low_is_one_line(tmp_path: Path) -> None:
     most = 16
     command = f"ulimit -n {most} && exec {sys.executable} -m pamctl run --log {tmp_path}/run.mcap"
-    done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, cwd=tmp_path)
+    done = run_process(["sh", "-c", command], cwd=tmp_path)
     assert done.returncode == 69
     assert done.stderr.count("\n") == 1
     assert f"may open only {most} files" in done.stderr

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from standin.standin import Card, here
 from support.benches import Reversed, Unsupplied, bench_of, card_rig
 from support.card_rigs import use_card
-from support.command_line import run_pamctl
+from support.command_line import run_pamctl, start_process
 from support.patience import PATIENCE_S
 from support.runs import MS
 from typer.testing import CliRunner
@@ -34,11 +34,7 @@ from pamctl.commissioning.calibrations import (
     calibrate_valve,
     slope,
 )
-from pamctl.commissioning.guided import (
-    CalibrationError,
-    CalibrationOutcome,
-    PreparedAnswers,
-)
+from pamctl.commissioning.guided import CalibrationError, CalibrationOutcome, PreparedAnswers
 from pamctl.commissioning.rig_file_text import RigValue, insert_values
 from pamctl.kernel.calls import prepare
 from pamctl.plant.model import plant_parameters
@@ -114,8 +110,7 @@ def assert_found(value: RigValue, hidden: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("zero_v", "gain", "points_kpa"),
-    [(0.19, 0.93, (250.0,)), (0.38, 1.08, (80.0, 160.0, 240.0))],
+    ("zero_v", "gain", "points_kpa"), [(0.19, 0.93, (250.0,)), (0.38, 1.08, (80.0, 160.0, 240.0))]
 )
 def test_a_wrong_zero_and_gain_of_the_sensor_are_found(
     zero_v: float, gain: float, points_kpa: tuple[float, ...]
@@ -497,13 +492,8 @@ def test_options_that_make_no_sense_are_refused_before_anything_moves(
 @pytest.mark.long
 def test_a_signal_while_a_pressure_is_held_leaves_the_valve_safe(tmp_path: Path) -> None:
     """A death: `test_doctor.py`."""
-    with subprocess.Popen(
-        command("pressure", "--yes"),
-        cwd=tmp_path,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
+    with start_process(
+        command("pressure", "--yes"), cwd=tmp_path, stdin=subprocess.PIPE
     ) as process:
         assert process.stderr is not None
         asked = ""

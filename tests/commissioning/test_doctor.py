@@ -16,8 +16,8 @@ import pytest
 from standin.standin import Card, here
 from support.benches import Reversed, Unsupplied, bench_of, card_rig
 from support.card_rigs import READ_VOLTS, use_card
-from support.command_line import run_pamctl
-from support.patience import PATIENCE_S
+from support.command_line import run_pamctl, run_process, start_process
+from support.patience import PATIENCE_S, await_true
 from support.runs import AO_STEP_V, MS, parts, run_settings
 
 from hal.backend import report_check
@@ -525,15 +525,7 @@ def command(*arguments: str, backend: str = "sim") -> list[str]:
 def run(
     *arguments: str, cwd: Path, backend: str = "sim", env: dict[str, str] | None = None
 ) -> tuple[int, dict[str, Problem]]:
-    done = subprocess.run(
-        command(*arguments, "--json", backend=backend),
-        cwd=cwd,
-        env=env,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    done = run_process(command(*arguments, "--json", backend=backend), cwd=cwd, env=env)
     told = json.loads(done.stdout)
     assert told["exit_code"] == done.returncode, done.stderr
     assert "Traceback" not in done.stderr
@@ -580,14 +572,11 @@ def test_at_a_terminal_the_carriage_is_moved_by_hand_to_see_the_encoder_alive(
     here()  # for the compiler
     own = own_card(tmp_path)
     keyboard, terminal = pty.openpty()
-    with subprocess.Popen(
+    with start_process(
         command("--set", f"rig.nidaq.device={own.name}", backend="nidaq"),
         cwd=tmp_path,
         env=dict(own.environment()),
         stdin=terminal,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
     ) as process:
         assert process.stderr is not None
         asked = ""
@@ -634,10 +623,7 @@ def test_a_watchman_closes_the_valve_of_a_process_that_dies_in_the_middle_of_a_p
             assert time.monotonic() < deadline_s, "the valve was never opened"
             time.sleep(0.01)
         process.kill()
-    deadline_s = time.monotonic() + PATIENCE_S
-    while peek_v(ao_path(device())) != 0.0:
-        assert time.monotonic() < deadline_s, "the valve was left open"
-        time.sleep(0.005)
+    await_true(lambda: peek_v(ao_path(device())) == 0.0, "the valve was left open")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])

@@ -210,9 +210,7 @@ def test_random_motion_stays_in_its_band_and_follows_its_seed() -> None:
     assert power[: round(2.2 * 20)].sum() > 0.999 * power.sum()
 
 
-@given(
-    st.lists(st.tuples(st.floats(0.01, 2.0), st.floats(0, 20)), min_size=2, max_size=12),
-)
+@given(st.lists(st.tuples(st.floats(0.01, 2.0), st.floats(0, 20)), min_size=2, max_size=12))
 def test_a_table_goes_through_its_points_with_continuous_jerk(
     steps: list[tuple[float, float]],
 ) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.command_line import run_pamctl
+from support.command_line import run_pamctl, run_process
 from support.patience import PATIENCE_S
 from support.processes.daemons import (
     SQUARE,
@@ -291,7 +291,7 @@ def test_an_impossible_request_is_refused_with_the_reason(up: Daemon) -> None:
 def test_a_second_daemon_on_the_device_is_refused(up: Daemon, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "pamctl", "daemon", "--logs", str(tmp_path)]
     command += ["--socket", str(tmp_path / "s"), "--set", f"rig.sim.device={up.device}"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    done = run_process(command)
     assert done.returncode == 69
     assert "is held by process" in done.stderr
     assert up.state() in ("idle", "ready")

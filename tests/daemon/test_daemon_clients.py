@@ -160,9 +160,7 @@ def test_a_silent_client_and_one_with_half_a_message_disturb_nobody(held: Daemon
             assert b"result" in client.makefile("rb").readline()
 
 
-def test_a_client_may_vanish_within_a_message_or_before_its_answer(
-    held: Daemon,
-) -> None:
+def test_a_client_may_vanish_within_a_message_or_before_its_answer(held: Daemon) -> None:
     with unaffected(held) as answered:
         for sent in (request("stop")[:-5], request("status")):
             client = connected(held)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.patience import PATIENCE_S
-from support.processes.children import await_gone
+from support.processes.children import await_gone, list_children
 from support.processes.daemons import (
     NOT_HOMED,
     SQUARE,
@@ -152,19 +152,13 @@ def test_a_daemon_that_is_killed_leaves_the_valve_safe_and_the_next_one_knows_it
         assert Latch(ao_path(again.device).with_suffix(".fault")).reason == ""
 
 
-def children_of(daemon: int) -> list[int]:
-    """Return the processes that any thread of a daemon has started, its guardian among them."""
-    lists = [path.read_text() for path in Path(f"/proc/{daemon}/task").glob("*/children")]
-    return [int(pid) for text in lists for pid in text.split()]
-
-
 @pytest.mark.long
 def test_the_next_start_after_all_were_killed_finishes_the_log_and_stays_small(
     tmp_path: Path,
 ) -> None:
     with daemon(tmp_path, "own", NOT_HOMED) as made:
         log = holding(made)
-        kill_as_one(made.process.pid, *children_of(made.process.pid))
+        kill_as_one(made.process.pid, *list_children(made.process.pid))
         made.process.wait()
     with pytest.raises(LogError):
         read(log)

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.patience import PATIENCE_S
+from support.patience import PATIENCE_S, await_true
 from support.processes import flood
 from support.processes.daemons import NOT_HOMED, Daemon, daemon
 
@@ -67,10 +67,7 @@ def retry(work: Callable[[], object]) -> None:
 
 def leave_safe_voltage(made: Daemon) -> None:
     retry(lambda: made.ask("start", experiment=VALVE_CLOSED, name="closed"))
-    deadline_s = time.monotonic() + PATIENCE_S
-    while made.is_safe():
-        assert time.monotonic() < deadline_s, "the output stays at the safe voltage"
-        time.sleep(1e-3)
+    await_true(lambda: not made.is_safe(), "the output stays at the safe voltage", 1e-3)
 
 
 def measure_s(stop: Callable[[], object], is_stopped: Callable[[], bool]) -> float:

@@ -12,11 +12,11 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from support.patience import BUSY_PC, PATIENCE_S
+from support.command_line import run_process
+from support.patience import BUSY_PC, PATIENCE_S, await_true
 from support.processes.daemons import QUICK
 
 from pamctl.daemon.client import Client
@@ -43,9 +43,7 @@ def test_systemd_accepts_the_unit(tmp_path: Path) -> None:
     program.chmod(0o755)
     there = tmp_path / "pamctl.service"
     there.write_text(UNIT.read_text().replace(INSTALLED, str(program)))
-    done = subprocess.run(
-        [analyze, "verify", "--man=no", str(there)], capture_output=True, text=True
-    )
+    done = run_process([analyze, "verify", "--man=no", str(there)])
     assert (done.returncode, done.stdout + done.stderr) == (0, "")
 
 
@@ -58,9 +56,7 @@ def test_the_unit_does_not_restart_after_a_trip_or_a_wrong_setting() -> None:
 
 def test_the_command_after_its_end_drives_the_safe_voltage(tmp_path: Path) -> None:
     device = f"test-post-{os.getpid()}"
-    done = subprocess.run(
-        _command(unit()["ExecStopPost"], tmp_path, device), capture_output=True, text=True
-    )
+    done = run_process(_command(unit()["ExecStopPost"], tmp_path, device))
     ao_path(device).unlink(missing_ok=True)
     ao_path(device).with_suffix(".lock").unlink(missing_ok=True)
     assert done.returncode == 0, done.stderr
@@ -95,9 +91,7 @@ class Manager:
         return lines
 
     def wait_for(self, line: str) -> None:
-        deadline_s = time.monotonic() + PATIENCE_S
-        while line not in self.heard(0.1):
-            assert time.monotonic() < deadline_s, f"no {line}"
+        await_true(lambda: line in self.heard(0.1), f"no {line}", 0.0)
 
     def close(self) -> None:
         self._socket.close()
@@ -119,12 +113,12 @@ def test_it_is_ready_when_it_answers_and_the_loops_progress_feeds_the_watchdog(
             assert client.call("status")["state"] == "idle"
             manager.wait_for("WATCHDOG=1")  # idle is no fault
             client.call("goto", {"position_m": 5e-3, "within_s": 0.5})
-            _await(lambda: client.call("status")["state"] == "ready")
+            await_true(lambda: client.call("status")["state"] == "ready")
             manager.wait_for("WATCHDOG=1")
             loop = client.call("status")["pids"]["loop"]
             os.kill(loop, signal.SIGSTOP)
             # The daemon lives, its loop does not.
-            _await(lambda: "WATCHDOG=1" not in manager.heard(1.0))
+            await_true(lambda: "WATCHDOG=1" not in manager.heard(1.0))
             os.kill(loop, signal.SIGCONT)
             manager.wait_for("WATCHDOG=1")
         process.send_signal(signal.SIGTERM)
@@ -136,10 +130,3 @@ def test_it_is_ready_when_it_answers_and_the_loops_progress_feeds_the_watchdog(
         manager.close()
         for suffix in (".ao", ".lock", ".fault"):
             ao_path(device).with_suffix(suffix).unlink(missing_ok=True)
-
-
-def _await(holds: Callable[[], bool]) -> None:
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not holds():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.02)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from support.command_line import run_process
 from typer.testing import CliRunner
 
 from pamctl.cli.app import app
@@ -27,8 +27,6 @@ def test_the_example_runs_unchanged(tmp_path: Path) -> None:
     )
     script = tmp_path / "example.py"
     script.write_text(example)
-    done = subprocess.run(
-        [sys.executable, script], cwd=tmp_path, capture_output=True, text=True, timeout=300
-    )
+    done = run_process([sys.executable, script], cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "nothing is missing" in done.stdout.lower()

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import signal
-import subprocess
 import sys
 from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.command_line import start_process
 from support.made_records import ask_only, measured, names_of
 
 from pamctl.diagnose import DiagnosisInterrupted, Record, Verdict, diagnose
@@ -84,7 +84,7 @@ def test_a_signal_writes_the_folder_and_says_so(
     csv, out = tmp_path / "run.csv", tmp_path / "out"
     np.savetxt(csv, rows, delimiter=",", header="t_s,valve_v,pressure_pa,position_m", comments="")
     command = [sys.executable, "-m", "pamctl", "diagnose", str(csv), "--out", str(out)]
-    verb = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    verb = start_process(command)
     assert verb.stderr is not None
     said = ""
     while "recalibrated" not in said:

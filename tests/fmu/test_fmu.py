@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import pytest
 from fmpy import extract, read_model_description
 from fmpy.fmi3 import FMU3Slave, fmi3LogMessageCallback
 from fmpy.validation import validate_fmu
+from support.command_line import run_process
 from typer.testing import CliRunner
 
 from hal.calibration import Converter, calibration, output_v, quantise_v, valve_v
@@ -25,12 +25,7 @@ from pamctl.plant.model import PlantSettings, plant_parameters, settings_of
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.resolve import resolve
-from pamctl.simulate.closed_loop import (
-    BatchRun,
-    draw_sensor_noise,
-    simulate,
-    tabulate_references,
-)
+from pamctl.simulate.closed_loop import BatchRun, draw_sensor_noise, simulate, tabulate_references
 
 PERIOD_S = 1e-3
 POSITION, PRESSURE, TRUE_POSITION, VELOCITY = 2, 3, 4, 5
@@ -191,7 +186,7 @@ def test_the_same_plant_gives_the_same_unit_and_its_sources_compile_without_a_wa
         command = ["cc", "-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wno-unused-parameter"]
         command += [] if gnu else ["-Wno-unused-function", "-Wno-unused-variable"]
         command += ["-Werror", "-fsyntax-only", "fmi3_interface.c"]
-        done = subprocess.run(command, cwd=plant.parent, capture_output=True, text=True)
+        done = run_process(command, cwd=plant.parent)
         assert done.returncode == 0, done.stderr[:2000]
 
 

@@ -9,10 +9,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from standin.standin import COMEDI_SONAME, Card, here_behind_comedi, library
 from support.card_rigs import make_and_close, use_card
-from support.runs import (
-    AO_STEP_V,
-    MS,
-)
+from support.runs import AO_STEP_V, MS
 
 from hal.comedi import libcomedi
 from hal.comedi.comedi_backend import ComediSettings

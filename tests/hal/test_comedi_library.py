@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 from standin.standin import KERNEL_SONAME, Card, library, require_compiler
+from support.command_line import run_process
 from support.installing import alone, apt_install
-from support.patience import PATIENCE_S
 
 from hal.comedi import libcomedi
 
@@ -77,12 +77,8 @@ def environment(tmp_path: Path) -> dict[str, str]:
 def test_the_rig_works_through_the_real_library(
     environment: dict[str, str], tmp_path: Path
 ) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", DRIVE, str(tmp_path / "registers.calibration")],
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
+    done = run_process(
+        [sys.executable, "-c", DRIVE, str(tmp_path / "registers.calibration")], env=environment
     )
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout.splitlines()[-1])

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from standin.standin import HERE, require_compiler
+from support.command_line import run_process
 from support.installing import alone, apt_install
 
 from hal.comedi import libcomedi
@@ -48,7 +49,7 @@ def compute(tmp_path: Path, expressions: list[str]) -> list[int]:
     )
     program = tmp_path / "numbers"
     subprocess.run(["gcc", "-o", str(program), str(source)], check=True, timeout=60)
-    told = subprocess.run([str(program)], check=True, timeout=10, capture_output=True, text=True)
+    told = run_process([str(program)], check=True)
     return [int(line) for line in told.stdout.split()]
 
 

@@ -13,8 +13,10 @@ from pathlib import Path
 
 import pytest
 from standin.standin import COMEDI_SONAME, Card, library, require_compiler
+from support.command_line import run_process, start_process
 from support.patience import BUSY_PC, PATIENCE_S
 from support.processes.card_runs import await_writes
+from support.processes.children import await_children
 from support.runs import AO_STEP_V
 
 from pamctl.log.reader import read
@@ -46,13 +48,10 @@ def start(own: Card, *command: str, **environment: str | None) -> subprocess.Pop
         *BUSY_PC,
     ]
     changed = {**own.environment(), **environment}
-    return subprocess.Popen(
+    return start_process(
         [PAMCTL, *command, "--backend", "comedi", *(p for one in options for p in ("--set", one))],
         cwd=own.path.parent / "cwd",
         env={name: value for name, value in changed.items() if value is not None},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
     )
 
 
@@ -76,13 +75,7 @@ def test_a_run_is_complete_ends_at_the_safe_voltage_and_replays_to_the_bit(own: 
     assert identity["reads_in_one_call"]
 
     # On a PC without the library and without the card.
-    replayed = subprocess.run(
-        [PAMCTL, "replay", "run.mcap"],
-        cwd=own.path.parent / "cwd",
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-    )
+    replayed = run_process([PAMCTL, "replay", "run.mcap"], cwd=own.path.parent / "cwd")
     assert replayed.returncode == 0, replayed.stderr
     assert "equal" in replayed.stdout
 
@@ -90,12 +83,7 @@ def test_a_run_is_complete_ends_at_the_safe_voltage_and_replays_to_the_bit(own: 
 def test_when_the_loop_dies_the_guardian_takes_the_card_over(own: Card) -> None:
     process = start(own, *RUN)
     await_writes(own, process, 700)
-    loop = next(
-        int(pid)
-        for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-        if "loop_main" in Path(f"/proc/{pid}/cmdline").read_text()
-    )
-    os.kill(loop, signal.SIGKILL)
+    os.kill(await_children(process.pid, "loop_main")["loop_main"], signal.SIGKILL)
     _, complaints = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 1
     assert "the guardian drove the safe voltage" in complaints

@@ -8,10 +8,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from standin.standin import Card, here, library
 from support.card_rigs import READ_COUNT, READ_VOLTS, WRITE, make_and_close, use_card
-from support.runs import (
-    AO_STEP_V,
-    MS,
-)
+from support.runs import AO_STEP_V, MS
 
 from hal.nidaq.card_settings import NidaqSettings
 from hal.rig import RigError, open_rig

@@ -16,8 +16,8 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 import pytest
-from support.command_line import run_pamctl
-from support.patience import BUSY_PC, PATIENCE_S
+from support.command_line import run_pamctl, run_process
+from support.patience import BUSY_PC
 from support.processes.daemons import QUICK
 from support.runs import run_settings
 
@@ -146,15 +146,7 @@ def outside(tmp_path_factory: pytest.TempPathFactory) -> Outside:
 def pamctl_with(
     environment: dict[str, str], *arguments: str, cwd: Path
 ) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [PAMCTL, *arguments],
-        cwd=cwd,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    return run_process([PAMCTL, *arguments], cwd=cwd, env=environment)
 
 
 @pytest.fixture(scope="module")
@@ -262,13 +254,8 @@ def test_it_is_known_by_its_keys_and_a_package_that_does_not_load_harms_no_other
         "run --backend torn",
         "config schema",
     )
-    done = subprocess.run(
-        [sys.executable, "-c", ASK_ALL, *verbs],
-        cwd=tmp_path,
-        env=outside.environment,
-        capture_output=True,
-        text=True,
-        check=True,
+    done = run_process(
+        [sys.executable, "-c", ASK_ALL, *verbs], cwd=tmp_path, env=outside.environment, check=True
     )
     keys, torn, schema = json.loads(done.stdout)
     assert keys[0] == 78

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import os
-import subprocess
 import sys
 from importlib.metadata import packages_distributions
 from pathlib import Path
@@ -12,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.io
-from support.patience import BUSY_PC, PATIENCE_S
+from support.command_line import run_process
+from support.patience import BUSY_PC
 
 import hal
 import pamctl
@@ -48,7 +48,7 @@ def sprung(traps: Path) -> str:
 
 
 def run_verb(*words: str) -> str:
-    done = subprocess.run([PAMCTL, *words], capture_output=True, text=True, timeout=PATIENCE_S)
+    done = run_process([PAMCTL, *words])
     assert done.returncode == 0, done.stderr
     return done.stderr
 
@@ -87,7 +87,7 @@ def test_a_process_runs_the_code_of_the_one_that_started_it(tmp_path: Path) -> N
         "subprocess.run(child_command('pamctl.who'), check=True)"
     )
     front = [sys.executable, "-m", "pamctl.front"]
-    done = subprocess.run(front, cwd=tmp_path, capture_output=True, text=True, check=True)
+    done = run_process(front, cwd=tmp_path, check=True)
     assert done.stdout.strip() == str(tmp_path / "pamctl/who.py")
 
 

@@ -58,10 +58,7 @@ def test_a_table_says_how_it_was_measured(monkeypatch: pytest.MonkeyPatch) -> No
 
 @pytest.mark.parametrize(
     ("name", "words"),
-    [
-        ("tracking_table", ("`qsmc`", "`smc`", "`pid`")),
-        ("interval_coverage", ("intervals",)),
-    ],
+    [("tracking_table", ("`qsmc`", "`smc`", "`pid`")), ("interval_coverage", ("intervals",))],
 )
 def test_each_measured_table_has_one_place(name: str, words: tuple[str, ...]) -> None:
     page = find_page(name).read_text(encoding="utf-8")

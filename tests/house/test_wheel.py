@@ -10,6 +10,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from support.command_line import run_process
 
 pytest.importorskip("hatchling", reason="the build backend is not installed")
 
@@ -44,6 +45,6 @@ def test_elsewhere_a_run_finds_its_configuration_in_the_wheel(
 ) -> None:
     command = [sys.executable, "-m", "pamctl", "run", "--dry-run", "--json"]
     alone = {**os.environ, "PYTHONPATH": str(installed)}
-    done = subprocess.run(command, cwd=tmp_path, env=alone, capture_output=True, text=True)
+    done = run_process(command, cwd=tmp_path, env=alone)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["controller"]["law"] == "qsmc"

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 import small_kernels
+from support.command_line import start_process
 from support.patience import PATIENCE_S
 
 import pamctl
@@ -54,13 +55,8 @@ class Place:
 
     def start(self, code: str = "", **more: str) -> subprocess.Popen[str]:
         given = ["-c", code] if code else ["-m", "small_kernels"]
-        return subprocess.Popen(
-            [sys.executable, *given],
-            env={**self.environment, **more},
-            cwd=self.folder,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
+        return start_process(
+            [sys.executable, *given], env={**self.environment, **more}, cwd=self.folder
         )
 
     def run(self, code: str = "", **more: str) -> tuple[str, str]:

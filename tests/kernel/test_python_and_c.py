@@ -7,7 +7,6 @@ import linecache
 import math
 import os
 import struct
-import subprocess
 import sys
 from array import array
 from collections.abc import Callable
@@ -15,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from support.command_line import run_process
 
 from pamctl.kernel.calls import machine, prepare
 from pamctl.kernel.expressions import NotInC
@@ -547,11 +547,11 @@ def test_machine_code_is_that_of_the_numbers_and_the_modules_that_it_uses(monkey
     (tmp_path / "outer.py").write_text("from inner import g\ndef f(x):\n    return g(x)\n")
     for factor in ("2.0", "3.0"):
         (tmp_path / "inner.py").write_text(f"def g(x):\n    return {factor} * x\n")
-        done = subprocess.run(
+        done = run_process(
             [sys.executable, "-B", "-c", program],
             env=os.environ | {"PYTHONPATH": str(tmp_path)},
-            capture_output=True, text=True, check=True,
-        )  # fmt: skip
+            check=True,
+        )
         assert done.stdout.strip() == factor
 
 

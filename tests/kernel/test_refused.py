@@ -266,8 +266,7 @@ def test_a_function_that_is_more_than_its_source_is_refused(body: str, why: str)
 
 
 @pytest.mark.parametrize(
-    "value",
-    ["text", [1.0], {"a": 1.0}, 1j, object(), np.zeros(3, np.float32), np.zeros((2, 2, 2))],
+    "value", ["text", [1.0], {"a": 1.0}, 1j, object(), np.zeros(3, np.float32), np.zeros((2, 2, 2))]
 )
 def test_data_that_no_kernel_takes_are_refused_with_their_place(value: Any) -> None:
     with pytest.raises(NotKernelData, match=r"^add_to\.x: .* is not a float, int, bool"):

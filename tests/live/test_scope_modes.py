@@ -13,14 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.chromium import Page
-from support.processes.daemons import (
-    TRACKING,
-    Daemon,
-    as_root,
-    nobody,
-    parked,
-    run_to_its_end,
-)
+from support.processes.daemons import TRACKING, Daemon, as_root, nobody, parked, run_to_its_end
 from support.processes.watch_pages import Served, set_input, shown, tab, up
 
 from pamctl.daemon.client import DaemonDeclinedError

@@ -7,7 +7,6 @@ import os
 import re
 import signal
 import socket
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -17,7 +16,8 @@ from typing import Any
 
 import pytest
 from support.chromium import Page, page
-from support.patience import PATIENCE_S
+from support.command_line import run_process
+from support.patience import PATIENCE_S, await_true
 from support.processes.daemons import Daemon, daemon
 from support.processes.watch_pages import Served, served
 
@@ -233,9 +233,8 @@ def test_news_are_those_since_the_look_that_is_named(controlled: Served) -> None
 
     controlled.daemon.ask("goto", position_m=8e-3, within_s=1.0)
     controlled.daemon.wait_until(lambda status: status["tick"] is not None)
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not (first := news(""))["ticks"]:
-        assert time.monotonic() < deadline_s
+    await_true(lambda: news("")["ticks"])
+    first = news("")
     later = news(f"server={first['server']}&after={first['look']}")
     assert all(row[0] > first["ticks"][-1][0] for row in later["ticks"])
     for query in ("after=99", "server=x&after=99", f"server={first['server']}&after=" + "9" * 400):
@@ -279,7 +278,7 @@ def test_a_taken_port_is_one_clear_line(up: Daemon) -> None:
         taken.listen()
         port = str(taken.getsockname()[1])
         command = [sys.executable, "-m", "pamctl", "watch", "--web", "--port", port]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+        done = run_process(command)
     assert done.returncode == 69
     assert done.stderr.startswith(f"error: port {port}:")
     assert "--port" in done.stderr

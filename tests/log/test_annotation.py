@@ -19,12 +19,7 @@ from typer.testing import CliRunner
 
 from pamctl.cli.app import app
 from pamctl.log import LogError, info
-from pamctl.log.annotation import (
-    ANNOTATION,
-    Annotation,
-    AnnotationError,
-    make_annotation,
-)
+from pamctl.log.annotation import ANNOTATION, Annotation, AnnotationError, make_annotation
 from pamctl.log.check import check_log
 from pamctl.log.edit import append_metadata, cut_log, read_annotation, write_annotation
 from pamctl.log.framing import map_log_file

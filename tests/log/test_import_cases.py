@@ -104,10 +104,7 @@ def test_a_clock_of_any_common_form_is_read(tmp_path, form):
     ("times", "told"),
     [
         (clock_rows(lambda t: f"week 13, {t:%H.%M}"), "words, no numbers"),
-        (
-            [*clock_rows(CLOCKS["plain iso"])[:59], "12:00:00"],
-            ":61: Time is '12:00:00', but",
-        ),
+        ([*clock_rows(CLOCKS["plain iso"])[:59], "12:00:00"], ":61: Time is '12:00:00', but"),
         (clock_rows(lambda t: f"{t:%H:%M}"), "may be hours and minutes, or minutes and seconds"),
         (["3/4/2026 12:00:00"] * 30 + ["5/7/2026 12:00:00"] * 30, "does not tell day from month"),
     ],

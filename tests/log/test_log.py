@@ -6,7 +6,6 @@ import json
 import math
 import os
 import shutil
-import subprocess
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -19,16 +18,9 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.decoder import DecoderFactory
+from support.command_line import run_process
 from support.installing import alone
-from support.made_up import (
-    START_MONO_NS,
-    START_WALL_NS,
-    columns,
-    log_run,
-    meta,
-    recording,
-    tick,
-)
+from support.made_up import START_MONO_NS, START_WALL_NS, columns, log_run, meta, recording, tick
 from support.patience import PATIENCE_S
 from support.small_log import write_small
 
@@ -201,13 +193,13 @@ def foreign_reader(request) -> Callable[..., list[dict[str, Any]]]:
         shutil.copy(FOREIGN / name, home)
     command = ["npm", "install", "--no-package-lock", "--no-audit", "--no-fund", "--prefer-offline"]
     with alone():
-        installed = subprocess.run(command, cwd=home, capture_output=True, text=True, timeout=300)
+        installed = run_process(command, cwd=home)
     if installed.returncode != 0:
         missing(f"npm install failed: {installed.stderr[-500:]}")
 
     def read_foreign(*paths: Path) -> list[dict[str, Any]]:
         command = ["node", "validate.mjs", *map(str, paths)]
-        ran = subprocess.run(command, cwd=home, capture_output=True, text=True, timeout=PATIENCE_S)
+        ran = run_process(command, cwd=home)
         assert ran.returncode == 0, ran.stderr
         return [json.loads(line) for line in ran.stdout.splitlines()]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import zlib
 from pathlib import Path
@@ -14,6 +13,7 @@ import zstandard
 from mcap.opcode import Opcode
 from mcap.records import Chunk, DataEnd, Footer
 from mcap.writer import MCAP0_MAGIC
+from support.command_line import run_process
 from support.small_log import CHUNK_TICKS, CHUNKS, write_small
 
 from pamctl.log import LogError, info, read
@@ -86,7 +86,7 @@ def test_a_chunk_that_hides_much_memory_is_damage_and_costs_nothing(tmp_path):
         assert logs[-1].stat().st_size < 4 << 20
     python = [sys.executable, "-c"]
     command = [*python, _STARTER, *python, _MEASURE, *map(str, logs)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    done = run_process(command, check=True)
     *told, peak_kb = done.stdout.split()
     assert told == ["False", "False"] * len(logs)
     assert int(peak_kb) < COSTS_MB << 10
@@ -122,10 +122,7 @@ def _make_message(channel: int, body: bytes) -> bytes:
 
 @pytest.mark.parametrize(
     "content",
-    [
-        FRAME.pack(128, 0) * 6_000,
-        (_make_message(2, b"{}") + _make_message(2, b"{ }")) * 3_000,
-    ],
+    [FRAME.pack(128, 0) * 6_000, (_make_message(2, b"{}") + _make_message(2, b"{ }")) * 3_000],
 )
 def test_countless_tiny_records_in_a_small_file_are_refused(content, tmp_path, monkeypatch):
     monkeypatch.setattr("pamctl.log.record_walk.MOST_PARTS", 5_000)

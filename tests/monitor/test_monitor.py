@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
-import time
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support.patience import PATIENCE_S
 from support.processes.daemons import NOT_HOMED, TRACKING, daemon
 
 from pamctl.log import read
@@ -191,10 +189,7 @@ def test_beside_a_daemon_it_follows_the_run_and_its_death_harms_nothing(tmp_path
         status = up.wait_until(lambda s: bool(s["monitor"]["blocks"]) or not s["run"])
         assert {b["block"] for b in status["monitor"]["blocks"]} == {PRESSURE, MECHANICS}
         os.kill(status["pids"]["monitor"], signal.SIGKILL)
-        deadline_s = time.monotonic() + PATIENCE_S
-        while (status := up.ask("status"))["monitor"]["alive"]:
-            assert time.monotonic() < deadline_s
-            time.sleep(0.05)
+        status = up.wait_until(lambda s: not s["monitor"]["alive"])
         assert "ended" in status["monitor"]["sentence"]
         assert status["run"] == "watched"
         up.ask("stop")

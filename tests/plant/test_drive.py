@@ -10,12 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pamctl.plant import drive
-from pamctl.plant.drive import (
-    Restarts,
-    drive_coupled,
-    drive_mechanics,
-    drive_pressure,
-)
+from pamctl.plant.drive import Restarts, drive_coupled, drive_mechanics, drive_pressure
 from pamctl.plant.model import PlantSettings, plant_parameters, settings_of, values_of
 from pamctl.plant.paper import mechanics_step, middle_pressure_pa
 from pamctl.plant.parameters import parameters_of, vented_state

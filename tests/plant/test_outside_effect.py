@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from support.command_line import run_process
 
 import pamctl
 
@@ -157,13 +157,10 @@ def used(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     (site / "mine.yaml").write_text(PLANT_FILE)
     house = Path(pamctl.__file__).parents[1]
     paths = [str(site), str(house), str(house / "tests")]
-    run = subprocess.run(
+    run = run_process(
         [sys.executable, "-c", USE],
         env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
         cwd=site,
-        capture_output=True,
-        text=True,
-        check=False,
     )
     assert run.returncode == 0, run.stderr
     found: dict[str, Any] = json.loads(run.stdout)

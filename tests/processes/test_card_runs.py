@@ -18,15 +18,7 @@ from standin.standin import PERMIT, Card, here, library
 from support.card_rigs import READ_VOLTS
 from support.command_line import run_pamctl
 from support.patience import PATIENCE_S
-from support.processes.card_runs import (
-    AT_ONCE,
-    OWN_SAFE_V,
-    RUN,
-    await_writes,
-    log_of,
-    own,
-    start,
-)
+from support.processes.card_runs import AT_ONCE, OWN_SAFE_V, RUN, await_writes, log_of, own, start
 from support.processes.children import await_children
 from support.processes.daemons import QUICK
 from support.runs import AO_STEP_V

@@ -169,10 +169,7 @@ CASES = [
 
 
 def ran(
-    bench: str,
-    fault: str,
-    settings: RunSettings,
-    supervisor: ScriptedSupervisor | None = None,
+    bench: str, fault: str, settings: RunSettings, supervisor: ScriptedSupervisor | None = None
 ) -> tuple[Ending, MemoryJournal, float]:
     """Run with a fault; return how it ended, what is on record, and what is on the output."""
     made, journal = BENCHES[bench](settings, fault), MemoryJournal()

@@ -6,12 +6,11 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from support.patience import BUSY_PC, PATIENCE_S
+from support.patience import BUSY_PC, PATIENCE_S, await_true
 from support.runs import run_settings
 from typer.testing import CliRunner
 
@@ -29,13 +28,6 @@ from pamctl.settings.config_files import DEFAULT_NAMES
 DEVICE = f"testmarks{os.getpid()}"
 
 
-def await_run(log: Path) -> None:
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not (log.exists() and list_running_runs()):
-        assert time.monotonic() < deadline_s
-        time.sleep(0.05)
-
-
 def test_a_mark_reaches_the_log_of_a_run_without_a_daemon(tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
     settings = [f"rig.sim.device={DEVICE}", "rig.homing.enabled=false", *BUSY_PC]
@@ -43,8 +35,7 @@ def test_a_mark_reaches_the_log_of_a_run_without_a_daemon(tmp_path: Path) -> Non
     command += [part for setting in settings for part in ("--set", setting)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as front:
         try:
-            await_run(log)
-            (run,) = list_running_runs()
+            (run,) = await_true(lambda: log.exists() and list_running_runs())
             assert run.log == log
             mark_run(run, "load on")
             marked = CliRunner().invoke(app, ["mark", "\x1b[31mload\noff", "--log", str(log)])

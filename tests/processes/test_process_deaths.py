@@ -20,8 +20,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from support.command_line import run_pamctl
-from support.patience import BUSY_PC, PATIENCE_S
+from support.command_line import run_pamctl, start_process
+from support.patience import BUSY_PC, PATIENCE_S, await_true
 from support.processes.children import PARTS, await_children, await_gone
 from support.processes.killing import kill_as_one
 from support.processes.rings import age_ring, await_ring, await_tick, ring_left
@@ -61,10 +61,7 @@ class Run(NamedTuple):
         return peek_v(ao_path(self.device))
 
     def await_safe(self) -> None:
-        deadline_s = time.monotonic() + PATIENCE_S
-        while abs(self.output_v - SAFE_V) > AO_STEP_V:
-            assert time.monotonic() < deadline_s, f"still {self.output_v} V"
-            time.sleep(1e-3)
+        await_true(lambda: abs(self.output_v - SAFE_V) <= AO_STEP_V, "not safe", 1e-3)
 
 
 def run_command(device: str, *arguments: str) -> list[str]:
@@ -78,13 +75,7 @@ def run_command(device: str, *arguments: str) -> list[str]:
 @contextmanager
 def running(cwd: Path, device: str, log: str = "run.mcap") -> Iterator[Run]:
     """Run in real time until the block ends; whatever is left then is killed."""
-    front = subprocess.Popen(
-        run_command(device, "--quiet", "--log", log),
-        cwd=cwd,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    front = start_process(run_command(device, "--quiet", "--log", log), cwd=cwd)
     run = Run(front, {"front": front.pid}, device, cwd / log)
     try:
         run.pids.update(await_children(front.pid, *PARTS))
@@ -268,10 +259,7 @@ def test_runs_without_a_clock_share_a_device_and_the_next_one_finishes_the_log_o
     short = run_command(device, "--fast", "--duration", "0.1", "--quiet")[3:]
     run = subprocess.Popen(run_command(device, "--fast", "--quiet", "--log", str(log)))
     try:
-        deadline_s = time.monotonic() + PATIENCE_S
-        while not log.exists() or log.stat().st_size < 1 << 20:
-            assert time.monotonic() < deadline_s
-            time.sleep(0.01)
+        await_true(lambda: log.exists() and log.stat().st_size >= 1 << 20)
         assert run_pamctl(*short, "--log", "beside.mcap", cwd=tmp_path).returncode == 0
         assert run.poll() is None
         assert not ao_path(device).exists()

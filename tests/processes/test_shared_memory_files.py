@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from standin.standin import Card
-from support.patience import PATIENCE_S
+from support.command_line import run_process
 from support.processes.card_runs import OWN_SAFE_V, of, own
 from support.processes.daemons import AO_STEP_V, as_root
 
@@ -46,14 +46,14 @@ def shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def run_verb(*words: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([PAMCTL, *words], capture_output=True, text=True, timeout=PATIENCE_S)
+    return run_process([PAMCTL, *words])
 
 
 def run_safe_in_full_memory(
     place: Path, before: str = "", options: tuple[str, ...] = ON_DEVICE
 ) -> subprocess.CompletedProcess[str]:
     command = ["unshare", "-rm", "sh", "-c", FULL.format(before), place, PAMCTL, "safe"]
-    done = subprocess.run([*command, *options], capture_output=True, text=True, timeout=PATIENCE_S)
+    done = run_process([*command, *options])
     if "unshare" in done.stderr or "mount" in done.stderr:
         pytest.skip("this PC lets nobody mount")
     return done

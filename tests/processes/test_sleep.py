@@ -8,15 +8,14 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from standin.standin import Card
 from support.made_up import meta
-from support.patience import BUSY_PC, PATIENCE_S
+from support.patience import BUSY_PC, PATIENCE_S, await_true
 from support.processes.card_runs import AT_ONCE, OWN_SAFE_V, await_writes, log_of, own, start
-from support.processes.children import PARTS, await_children
+from support.processes.children import PARTS, await_children, list_children
 from support.processes.daemons import AO_STEP_V, NOT_HOMED, SAFE_V, daemon
 from support.processes.rings import await_tick
 from support.processes.sleeping import SleepingPc
@@ -83,7 +82,7 @@ def test_a_daemon_forbids_sleep_while_it_holds_and_a_sleep_is_a_fault_to_acknowl
     monkeypatch.chdir(tmp_path)
 
     def count_holders() -> int:
-        children = children_of(made.process.pid)
+        children = list_children(made.process.pid)
         return sum(Path(f"/proc/{child}/comm").read_text() == "cat\n" for child in children)
 
     with daemon(tmp_path, "asleep", NOT_HOMED) as made:
@@ -91,18 +90,13 @@ def test_a_daemon_forbids_sleep_while_it_holds_and_a_sleep_is_a_fault_to_acknowl
         made.ask("goto", position_m=8e-3, within_s=0.5)
         made.wait_until(lambda s: s["state"] == "ready" and not made.is_safe())
         assert count_holders() == 1
-        pc.sleep([made.process.pid, *children_of(made.process.pid)], SLEEP_S)
+        pc.sleep([made.process.pid, *list_children(made.process.pid)], SLEEP_S)
         made.wait_safe()
         assert "the PC slept for 1." in made.wait_for("fault")["fault"]
         with pytest.raises(DaemonDeclinedError, match="acknowledge"):
             made.ask("goto", position_m=8e-3, within_s=0.5)
         made.wait_until(lambda s: not s["pids"])
         assert count_holders() == 0
-
-
-def children_of(pid: int) -> list[int]:
-    lists = [path.read_text() for path in Path(f"/proc/{pid}/task").glob("*/children")]
-    return [int(child) for text in lists for child in text.split()]
 
 
 class StillRig:
@@ -167,13 +161,6 @@ def put_inhibit(folder: Path, then: str) -> dict[str, str]:
     return {**os.environ, "PATH": f"{program.parent}:{os.environ['PATH']}"}
 
 
-def await_lines(path: Path, holds: Callable[[list[str]], bool]) -> None:
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not (path.exists() and holds(path.read_text().splitlines())):
-        assert time.monotonic() < deadline_s, path.exists() and path.read_text()
-        time.sleep(0.02)
-
-
 def test_a_run_forbids_sleep_until_it_ends_however_it_ends(tmp_path: Path) -> None:
     environment = put_inhibit(tmp_path, "cat")
     with start_run(tmp_path, environment) as front:
@@ -183,7 +170,7 @@ def test_a_run_forbids_sleep_until_it_ends_however_it_ends(tmp_path: Path) -> No
         assert "--mode=block" in line
         front.kill()
         front.communicate(timeout=PATIENCE_S)
-    await_lines(tmp_path / "inhibited", lambda lines: lines[-1] == "released")
+    await_true(lambda: (tmp_path / "inhibited").read_text().endswith("released\n"))
 
 
 @pytest.fixture

@@ -7,13 +7,13 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from support.made_up import meta
-from support.patience import PATIENCE_S
+from support.patience import await_true
 
 from pamctl.processes.guardian import CpuBooks, Silence
 from pamctl.recording.ring import LoopStage, Ring
@@ -41,13 +41,6 @@ def starved() -> Iterator[int]:
     idle = f"{pin}; os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))"
     with process(BUSY.format(setup=idle)) as pid, process(BUSY.format(setup=pin)):
         yield pid
-
-
-def await_true(holds: Callable[[], bool]) -> None:
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not holds():
-        assert time.monotonic() < deadline_s
-        time.sleep(5e-3)
 
 
 def judge_after(pid: int, seconds: float) -> bool:
@@ -93,11 +86,7 @@ def silent_ring(tmp_path: Path) -> Iterator[Ring]:
 
 def find_fault(silence: Silence) -> str:
     """Look as often as a guardian does, until there is something to say."""
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not (fault := silence.find_fault()):
-        assert time.monotonic() < deadline_s
-        time.sleep(5e-3)
-    return fault
+    return await_true(silence.find_fault, every_s=5e-3)
 
 
 def test_a_starved_loop_is_given_time_and_then_called_starved(silent_ring: Ring) -> None:

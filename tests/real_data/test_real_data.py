@@ -71,8 +71,7 @@ def test_rows_near_a_reversal_are_not_steady() -> None:
 
 
 @pytest.mark.parametrize(
-    ("term", "words"),
-    [("__import__('os')", "__import__"), ("v.real", "may hold"), ("q", "lacks")],
+    ("term", "words"), [("__import__('os')", "__import__"), ("v.real", "may hold"), ("q", "lacks")]
 )
 def test_a_term_that_is_no_expression_of_the_record_is_refused(term: str, words: str) -> None:
     with pytest.raises(ValueError, match=words):

@@ -66,9 +66,7 @@ def fake() -> FakeTime:
 
 
 @given(
-    time_ns=st.integers(0, 10**12),
-    point_ns=st.integers(0, 10**12),
-    period_ns=st.integers(1, 10**9),
+    time_ns=st.integers(0, 10**12), point_ns=st.integers(0, 10**12), period_ns=st.integers(1, 10**9)
 )
 def test_the_grid_points_before_and_after_a_time_enclose_it(
     time_ns: int, point_ns: int, period_ns: int

@@ -25,14 +25,7 @@ from pamctl.realtime.tick import first_state, freeze_state, keyframe_fields, tha
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.known_effects import STEEPEST, build_compensation, list_undoable
 from pamctl.settings.resolve import RunSettings, resolve
-from pamctl.signals import (
-    COMPENSATION_FIELDS,
-    TICK_FIELDS,
-    Command,
-    Compensated,
-    Phase,
-    Reference,
-)
+from pamctl.signals import COMPENSATION_FIELDS, TICK_FIELDS, Command, Compensated, Phase, Reference
 
 VALVES: dict[str, dict[str, dict[str, float]]] = {
     "dead band": {"valve_deadband": {"fill_width_v": 0.25, "exhaust_width_v": 0.15}},
@@ -91,11 +84,7 @@ def test_the_inverse_of_a_dead_band_is_its_width_added_and_steep_only_at_null() 
 TABLES = {name: compensation_of(effects) for name, effects in VALVES.items()}
 
 
-@given(
-    st.sampled_from(sorted(VALVES)),
-    st.floats(-12.0, 12.0),
-    st.floats(-12.0, 12.0),
-)
+@given(st.sampled_from(sorted(VALVES)), st.floats(-12.0, 12.0), st.floats(-12.0, 12.0))
 def test_the_command_is_bounded_continuous_and_never_falls(
     valve: str, one_v: float, other_v: float
 ) -> None:
@@ -140,11 +129,7 @@ def test_sensors_are_corrected_by_a_line() -> None:
         (("stribeck",), {}, "stribeck cannot be undone within a tick"),
         (("valve_hysteresis",), {}, "valve_hysteresis cannot be undone within a tick"),
         (("valve_deadband",), {}, "the plant file does not have valve_deadband"),
-        (
-            ("valve_curve",),
-            {"valve_curve": {"curvature_per_v": -0.15, "exponent": 0.5}},
-            "",
-        ),
+        (("valve_curve",), {"valve_curve": {"curvature_per_v": -0.15, "exponent": 0.5}}, ""),
     ],
 )
 def test_what_cannot_be_undone_is_refused_with_the_reason(

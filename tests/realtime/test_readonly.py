@@ -47,9 +47,7 @@ def test_the_law_computes_all_the_same_and_its_command_is_on_record(looked_on: R
     assert max(commands) > 1.0
 
 
-def test_every_tick_says_that_the_output_was_pinned_and_the_run_is_complete(
-    looked_on: Run,
-) -> None:
+def test_every_tick_says_that_the_output_was_pinned_and_the_run_is_complete(looked_on: Run) -> None:
     assert {record.decision.verdicts for record in looked_on.journal.ticks} == {PINNED}
     assert looked_on.ending.code == ExitCode.OK
 

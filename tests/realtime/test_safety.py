@@ -48,15 +48,7 @@ from pamctl.safety import (
     explain_verdicts,
 )
 from pamctl.settings.build import build_tick_setup
-from pamctl.signals import (
-    Command,
-    Decision,
-    Estimate,
-    Measurement,
-    Phase,
-    Reference,
-    Timing,
-)
+from pamctl.signals import Command, Decision, Estimate, Measurement, Phase, Reference, Timing
 
 NAN = math.nan
 CLIPS = ENVELOPE | SLEW
@@ -212,11 +204,7 @@ AT_ONCE = {
     "command inf": (COMMAND_NOT_FINITE, Seen(), Seen(command_v=math.inf)),
     "pressure NaN": (MEASUREMENT_NOT_FINITE, Seen(), Seen(pressure_pa=NAN)),
     "position NaN": (MEASUREMENT_NOT_FINITE | STROKE_LIMIT, Seen(), Seen(position_m=NAN)),
-    "pressure": (
-        PRESSURE_LIMIT,
-        Seen(pressure_pa=250e3),
-        Seen(pressure_pa=250.001e3),
-    ),
+    "pressure": (PRESSURE_LIMIT, Seen(pressure_pa=250e3), Seen(pressure_pa=250.001e3)),
     "stroke up": (
         STROKE_LIMIT,
         Seen(position_m=0.0101, dt_s=0.01),

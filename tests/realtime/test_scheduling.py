@@ -5,12 +5,12 @@ from __future__ import annotations
 import gc
 import json
 import os
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from support.command_line import run_process
 
 from pamctl.realtime import scheduling
 from pamctl.realtime.scheduling import PreparationStep, SchedulingError, prepare
@@ -25,13 +25,7 @@ root_only = pytest.mark.skipif(
 
 def in_fresh_process(script: str) -> Any:
     """The JSON that a script prints: real steps would change the test process for good."""
-    run = subprocess.run(
-        [sys.executable, "-c", PREAMBLE + script],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=30,
-    )
+    run = run_process([sys.executable, "-c", PREAMBLE + script], cwd=ROOT)
     assert run.returncode == 0, run.stderr
     return json.loads(run.stdout)
 

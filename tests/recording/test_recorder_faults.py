@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from mcap.opcode import Opcode
 from support.made_up import START_MONO_NS, columns, end, meta, put, recording, tick
-from support.patience import PATIENCE_S
+from support.patience import PATIENCE_S, await_true
 
 from hal.child import child_command
 from pamctl.exit_codes import Ending, ExitCode
@@ -29,12 +29,7 @@ from pamctl.log.record_walk import find_records
 from pamctl.log.recover import recover_file, resume_log
 from pamctl.recording.drain import record_run
 from pamctl.recording.recorded_run import ProcessRecordedRun
-from pamctl.recording.recorder import (
-    RecorderError,
-    await_recorder,
-    finish_orphans,
-    spawn_recorder,
-)
+from pamctl.recording.recorder import RecorderError, await_recorder, finish_orphans, spawn_recorder
 from pamctl.recording.ring import RecorderFlag, Ring
 
 LONG_AGO_NS = 1
@@ -271,10 +266,8 @@ def test_the_recorder_ignores_the_signals_that_end_everyone_else(log):
 
 def test_the_recorder_shows_that_it_lives_while_there_is_nothing_to_do(log):
     with new_ring(log) as ring, recording(ring):
-        beats, deadline_s = ring.recorder_beats + 3, time.monotonic() + PATIENCE_S
-        while ring.recorder_beats < beats:
-            assert time.monotonic() < deadline_s
-            time.sleep(0.01)
+        beats = ring.recorder_beats + 3
+        await_true(lambda: ring.recorder_beats >= beats)
 
 
 def test_the_recorder_beats_while_a_slow_disk_takes_the_last_rows(log, monkeypatch):
@@ -305,10 +298,7 @@ def test_the_recorder_beats_while_a_slow_disk_takes_the_last_rows(log, monkeypat
 def test_a_tick_does_not_wait_for_the_next_one_to_be_in_the_file(log):
     with new_ring(log) as ring, recording(ring):
         put_with_events(ring, range(20))
-        deadline_s = time.monotonic() + PATIENCE_S
-        while ring.pending:
-            assert time.monotonic() < deadline_s
-            time.sleep(0.01)
+        await_true(lambda: not ring.pending)
         assert info(log)["ticks"] == 20
 
 

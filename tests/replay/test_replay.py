@@ -322,11 +322,7 @@ def test_another_libm_is_within_the_tolerances_for_other_cpus_and_not_equal(
     assert exact.differences[0].place.stage == "estimate"
 
 
-@given(
-    st.floats(),
-    st.floats(),
-    st.floats(0, 1e3) | st.just(0.0),
-)
+@given(st.floats(), st.floats(), st.floats(0, 1e3) | st.just(0.0))
 def test_two_values_differ_unless_they_are_the_same_bits_both_nan_or_within_the_tolerance(
     logged: float, replayed: float, absolute: float
 ) -> None:

@@ -8,15 +8,7 @@ import pytest
 
 from pamctl.report.html_page import write_html
 from pamctl.report.progress_line import WorkProgress
-from pamctl.report.report import (
-    Facts,
-    Points,
-    Report,
-    ReportTable,
-    Section,
-    Text,
-    format_terminal,
-)
+from pamctl.report.report import Facts, Points, Report, ReportTable, Section, Text, format_terminal
 
 
 def test_terminal_and_page_say_the_same_and_the_terminal_in_ascii() -> None:

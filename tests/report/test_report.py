@@ -60,10 +60,7 @@ def square(folder: Path) -> Path:
 def imported(folder: Path) -> Path:
     t_s = np.arange(3000) * 1e-3
     write_imported(
-        folder / "imported.mcap",
-        t_s,
-        {"pressure_pa": 2e5 + 1e4 * np.sin(t_s)},
-        {"source": HOSTILE},
+        folder / "imported.mcap", t_s, {"pressure_pa": 2e5 + 1e4 * np.sin(t_s)}, {"source": HOSTILE}
     )
     return folder / "imported.mcap"
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from support.command_line import run_process
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -70,7 +70,7 @@ def test_a_strict_script_has_no_error_and_a_wrong_one_has_each(tmp_path: Path) -
     # With the house's own settings, which are strict, its cache serves here too.
     settings = ["--config-file", str(ROOT / "pyproject.toml"), "--strict"]
     command = [sys.executable, "-m", "mypy", *settings, str(right), str(wrong)]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+    done = run_process(command, cwd=ROOT)
     lines = [line for line in done.stdout.splitlines() if ": error:" in line]
     assert not [line for line in lines if "right.py" in line], done.stdout
     found = {int(line.split(":")[1]) for line in lines if "wrong.py" in line}

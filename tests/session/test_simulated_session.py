@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.command_line import run_process
 from support.patience import PATIENCE_S
 from support.processes.daemons import QUICK
 from support.runs import COUNT_M
@@ -151,7 +152,7 @@ with pamctl.simulate(logs={str(tmp_path)!r}, overrides={QUICK!r}) as rig:
     rig.run(pamctl.Sine(offset_mm=10, amplitude_mm=1, frequency_hz=1, cycles=20_000))
 """
     command = [sys.executable, "-c", program]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    done = run_process(command)
     assert "KeyboardInterrupt" in done.stderr
     (log,) = tmp_path.glob("*.mcap")
     assert pamctl.Run.open(log).ending.reason in {"interrupted", "the session ended"}
@@ -237,9 +238,7 @@ def test_the_code_of_a_fault_is_not_that_of_the_one_before_it(
     assert second.value.exit_code == ExitCode.SAFETY_TRIP
 
 
-def test_a_session_that_does_not_end_well_is_a_fault_and_not_idle(
-    rig: pamctl.SimulatedRig,
-) -> None:
+def test_a_session_that_does_not_end_well_is_a_fault_and_not_idle(rig: pamctl.SimulatedRig) -> None:
     rig.goto(5e-3, within_s=0.5)
     loop_of(rig).stop_now()
     with pytest.raises(pamctl.PamctlError, match="emergency stop") as ended:
@@ -361,7 +360,7 @@ def test_importing_pamctl_loads_nothing_and_the_room_stays_a_room() -> None:
         "assert merit.STEADY_S and callable(pamctl.simulate) and pamctl.aio.connect\n"
         "assert 'Sine' in dir(pamctl)"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    done = run_process([sys.executable, "-c", program])
     assert done.returncode == 0, done.stderr
 
 

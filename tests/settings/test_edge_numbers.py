@@ -19,13 +19,7 @@ from pamctl.processes.backends import SHARED_MEMORY
 from pamctl.settings import envelope
 from pamctl.settings.build import build_program, build_tick_setup
 from pamctl.settings.envelope import find_excesses
-from pamctl.settings.resolve import (
-    RUN,
-    RawSettings,
-    resolve,
-    settings_to_data,
-    validate_settings,
-)
+from pamctl.settings.resolve import RUN, RawSettings, resolve, settings_to_data, validate_settings
 
 EDGES = ("1e-320", "1e308", "-1e308", "-0.0", ".nan", "99999999999999999999")
 PLANTS = {"plant": ("paper", "paper-valve109")}

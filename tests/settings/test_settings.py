@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from collections.abc import Iterator
 from functools import cache
@@ -15,6 +14,7 @@ from hypothesis import given
 from hypothesis import settings as examples
 from hypothesis import strategies as st
 from pydantic import BaseModel, Field, TypeAdapter, ValidationError, model_validator
+from support.command_line import run_process
 from typer.testing import CliRunner
 
 from hal.calibration import Configured
@@ -463,7 +463,7 @@ def test_a_plant_file_with_a_correction_table_is_refused_with_what_to_do() -> No
 def test_settings_load_without_the_heavy_packages() -> None:
     heavy = ["numpy", "scipy", "matplotlib", "mcap", "nidaqmx"]
     code = f"import sys, pamctl.settings.resolve; print([m for m in {heavy} if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = run_process([sys.executable, "-c", code], check=True)
     assert done.stdout.strip() == "[]"
 
 

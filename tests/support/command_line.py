@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from functools import cache
 from pathlib import Path
@@ -19,6 +20,7 @@ from typer.main import get_command
 
 from pamctl.__main__ import main
 from pamctl.cli.app import app
+from support.patience import PATIENCE_S
 
 
 @cache
@@ -67,6 +69,19 @@ def run_pamctl(
                 signal.signal(number, handler)
     said, complained = (stream.buffer.getvalue().decode() for stream in (out, err))  # type: ignore[attr-defined]
     return subprocess.CompletedProcess(arguments, code, said, complained)
+
+
+def run_process(command: Sequence[str | Path], **how: Any) -> subprocess.CompletedProcess[str]:
+    """Run a command as a process of its own to its end; return what it said."""
+    return subprocess.run(
+        command, **{"capture_output": True, "text": True, "timeout": 10 * PATIENCE_S, **how}
+    )
+
+
+def start_process(command: Sequence[str | Path], **how: Any) -> subprocess.Popen[str]:
+    """Start a command as a process of its own, whose words can be read."""
+    out = subprocess.PIPE
+    return subprocess.Popen(command, stdout=out, stderr=out, text=True, **how)
 
 
 def _type_ahead(text: str) -> IO[str]:

@@ -16,7 +16,7 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
-from support.command_line import run_pamctl
+from support.command_line import run_pamctl, run_process
 
 from pamctl.control.experiment import plan_experiment
 from pamctl.control.law import respond
@@ -27,14 +27,7 @@ from pamctl.report.report import format_terminal
 from pamctl.settings.resolve import check_config_file, resolve, settings_to_data
 from pamctl.signals import Estimate, Phase, Reference
 from pamctl.simulate.closed_loop import simulate_run
-from pamctl.tune import (
-    BestGains,
-    GainsSearch,
-    GainsTrial,
-    Jury,
-    Member,
-    draw_ensemble,
-)
+from pamctl.tune import BestGains, GainsSearch, GainsTrial, Jury, Member, draw_ensemble
 from pamctl.tune.gains_search import compute_cost, find_space
 from pamctl.tune.gains_trial import (
     MOVING,
@@ -46,12 +39,7 @@ from pamctl.tune.gains_trial import (
     GainsVerdict,
     holds_the_farthest_point,
 )
-from pamctl.tune.tune_gains import (
-    TuningTask,
-    format_gains_file,
-    report_gains,
-    summarise_verdicts,
-)
+from pamctl.tune.tune_gains import TuningTask, format_gains_file, report_gains, summarise_verdicts
 
 PID = resolve(controller="pid").controller
 PAPER = [Member("paper", resolve().plant)]
@@ -460,7 +448,5 @@ def test_a_signal_keeps_the_best_gains_so_far(tmp_path: Path) -> None:
 
 
 def _children_of(pid: int) -> list[str]:
-    listed = subprocess.run(
-        ["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True, text=True
-    )
+    listed = run_process(["ps", "-o", "pid=", "--ppid", str(pid)])
     return listed.stdout.split()

@@ -7,11 +7,7 @@ import pytest
 from support.made_records import COUNT_M, PERIOD_S, ask_only
 
 from pamctl.diagnose import Record, diagnose
-from pamctl.diagnose.drawn_programs import (
-    make_program,
-    make_repeated_part,
-    sample_commands,
-)
+from pamctl.diagnose.drawn_programs import make_program, make_repeated_part, sample_commands
 from pamctl.plant.drive import drive_coupled
 from pamctl.plant.model import PlantSettings
 from pamctl.plant.parameters import parameters_of

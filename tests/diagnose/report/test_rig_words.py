@@ -17,10 +17,7 @@ from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
 from pamctl.diagnose.report.finding_words import FreeTerm
 from pamctl.diagnose.report.next_experiment import MOTIONS, runs_here, write_advice
-from pamctl.diagnose.report.verdict_words import (
-    advise_next_steps,
-    sentence,
-)
+from pamctl.diagnose.report.verdict_words import advise_next_steps, sentence
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.drive import drive_coupled
 from pamctl.plant.model import PlantSettings, plant_parameters

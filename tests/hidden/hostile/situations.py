@@ -154,10 +154,7 @@ def set_up_situations() -> Iterator[Situation]:
         "atmosphere_gauge_sensor",
         "set_up",
         _two(true_atmosphere_pa=(94e3, 80e3), sensor_is_gauge=(True, True)),
-        _with(
-            _set_up("plant_constant", place),
-            beside=frozenset({"pressure_sensor_gain"}),
-        ),
+        _with(_set_up("plant_constant", place), beside=frozenset({"pressure_sensor_gain"})),
     )
     yield Situation(
         "atmosphere_absolute_sensor",

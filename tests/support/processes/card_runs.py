@@ -14,6 +14,7 @@ import pytest
 from standin.standin import Card, here
 
 from pamctl.processes.backends import SHARED_MEMORY
+from support.command_line import start_process
 from support.patience import BUSY_PC, PATIENCE_S
 
 PAMCTL = str(Path(sys.executable).with_name("pamctl"))
@@ -40,13 +41,10 @@ def of(own: Card) -> tuple[str, str]:
 
 
 def start(own: Card, *arguments: str, **environment: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
+    return start_process(
         [*RUN, *of(own), "--set", f"rig.safe_volts={OWN_SAFE_V}", *arguments],
         cwd=own.path.parent / "cwd",
         env={**own.environment(), **environment},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
     )
 
 

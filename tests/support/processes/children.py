@@ -2,30 +2,34 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
-from support.patience import PATIENCE_S
+from support.patience import await_true
 
 PARTS = ("loop_main", "guardian_main", "recorder")
 
 
 def await_children(front: int, *names: str) -> dict[str, int]:
     """Wait until a front has a child for each of the modules named; return their process ids."""
-    deadline_s = time.monotonic() + PATIENCE_S
     found: dict[str, int] = {}
-    while len(found) < len(names):
-        assert time.monotonic() < deadline_s, f"of {names} the front started only {found}"
-        time.sleep(0.02)
-        for pid in Path(f"/proc/{front}/task/{front}/children").read_text().split():
+
+    def find_all() -> bool:
+        for pid in list_children(front):
             command = Path(f"/proc/{pid}/cmdline").read_text()
-            found |= {name: int(pid) for name in names if f".{name}\0" in command}
+            found.update({name: pid for name in names if f".{name}\0" in command})
+        return len(found) == len(names)
+
+    await_true(find_all, f"the front did not start all of {names}")
     return found
+
+
+def list_children(pid: int) -> list[int]:
+    """Return the processes that any thread of a process has started."""
+    lists = [path.read_text() for path in Path(f"/proc/{pid}/task").glob("*/children")]
+    return [int(child) for text in lists for child in text.split()]
 
 
 def await_gone(*pids: int) -> None:
     """Wait until none of the processes is left."""
-    deadline_s = time.monotonic() + PATIENCE_S
-    while any(Path(f"/proc/{pid}").exists() for pid in pids):
-        assert time.monotonic() < deadline_s, "a process was left behind"
-        time.sleep(0.02)
+    left = [Path(f"/proc/{pid}") for pid in pids]
+    await_true(lambda: not any(map(Path.exists, left)), "a process was left behind")

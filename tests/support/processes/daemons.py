@@ -18,7 +18,7 @@ import pytest
 from hal.sim import peek_v
 from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
 from pamctl.processes.backends import ao_path
-from support.patience import BUSY_PC, PATIENCE_S
+from support.patience import BUSY_PC, PATIENCE_S, await_true
 
 AO_STEP_V = 20.0 / 65536.0
 SAFE_V = 0.0
@@ -106,10 +106,7 @@ class Daemon:
         return volts is not None and abs(volts - SAFE_V) <= AO_STEP_V
 
     def wait_safe(self) -> None:
-        deadline_s = time.monotonic() + PATIENCE_S
-        while not self.is_safe():
-            assert time.monotonic() < deadline_s
-            time.sleep(1e-3)
+        await_true(self.is_safe, every_s=1e-3)
 
     def finished_logs(self) -> list[Path]:
         return sorted(self.logs.glob("*.mcap"))

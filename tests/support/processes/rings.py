@@ -5,12 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from pamctl.processes.backends import SHARED_MEMORY
 from pamctl.recording.ring import Ring
 from pamctl.signals import Phase
-from support.patience import PATIENCE_S
+from support.patience import PATIENCE_S, await_true
 
 
 def ring_left(front: int) -> Path | None:
@@ -19,11 +19,7 @@ def ring_left(front: int) -> Path | None:
 
 
 def await_ring(front: int) -> Path:
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not (path := ring_left(front)):
-        assert time.monotonic() < deadline_s, "the front made no ring"
-        time.sleep(0.02)
-    return path
+    return cast(Path, await_true(lambda: ring_left(front), "the front made no ring"))
 
 
 def age_ring(path: Path) -> None:

@@ -46,7 +46,7 @@ def test_positions_runs_gains_and_marks_are_those_of_the_simulation(up: Daemon) 
     assert np.all(np.diff(newest) > 0)
     assert [text for _, text in run.marks] == ["from Python"]
     assert run.settings["experiment"]["kind"] == "sequence"
-    assert np.nanmax(run["reference_m"]) == pytest.approx(5e-3, abs=1e-5)
+    assert np.nanmax(run["reference_m"]) == pytest.approx(5e-3, rel=0.03)  # ticks may be missed
     assert replay_log(run.log).is_equal
     assert up.is_safe()
 

@@ -359,8 +359,14 @@ def _import_beside(path: Path, imported: Path, column_map: ImportMap | None) -> 
             "\nA map says what a column holds: write it to MAP.yaml and add --map MAP.yaml, or "
             f"`pamctl log import {quote(str(path))} OUT.mcap --map MAP.yaml` once"
         )
-        wants_map = isinstance(error, MapWanted) and column_map is None
-        raise pamctl.log.LogError(f"{named}{error}{way_on if wants_map else ''}") from error
+        if not isinstance(error, MapWanted) or column_map is not None:
+            way_on = ""
+        if column_map is not None and "there is no column" in str(error):
+            way_on = (
+                "; --map is for all files of the call: where they name columns otherwise, "
+                f"`pamctl log import {quote(str(path))} OUT.mcap --map MAP.yaml` each with its own"
+            )
+        raise pamctl.log.LogError(f"{named}{error}{way_on}") from error
     read_as = ", ".join(f"{c.name} as {c.read_as}" for c in done.columns if c.read_as)
     unused = ", ".join(f"{c.name} ({c.left_out})" for c in done.columns if c.left_out)
     notes = [f"imported: {read_as}", *([f"not used: {unused}"] if unused else [])]

@@ -117,3 +117,17 @@ def test_a_frozen_sensor_of_a_measured_file_is_told_once(tmp_path: Path) -> None
     said = run_pamctl("plant", "new", "--from", table, *value, "--out", tmp_path / "rig.yaml")
     assert said.returncode == 0, said.stderr
     assert said.stderr.count("it is frozen") == 1
+
+
+def test_a_map_that_fits_one_file_of_a_call_names_the_way_for_the_others(
+    table: Path, tmp_path: Path
+) -> None:
+    other = tmp_path / "other.csv"
+    other.write_text(table.read_text().replace("Zeit_ms", "Time"))
+    map_path = table.with_name("map.yaml")
+    made = ["plant", "new", "--actuator", "direct", "--map", map_path]
+    done = run_pamctl(*made, "--from", table, "--from", other, "--out", tmp_path / "a.yaml")
+    assert done.returncode == 65
+    assert "there is no column 'Zeit_ms'" in done.stderr
+    assert "--map is for all files of the call" in done.stderr
+    assert "pamctl log import" in done.stderr

@@ -143,6 +143,10 @@ def choose_by_header(table: MeasuredTable) -> ChosenColumns:
             keys[KEYS[quantity]] = _read_as(table, first, doubts, warnings)
     if not doubts and TIME in columns and not columns.keys() & {"pressure_pa", "position_m"}:
         doubts.append("no column is a pressure or a position by its name")
+        for column in table.columns:
+            if column.header.others and column.header.measures in ("pressure_pa", "position_m"):
+                word = quote(min(column.header.others))
+                doubts.append(f"{quote(column.name)} is left out for the word {word} in it")
     if doubts or TIME not in columns:
         settled = {q: key for q in columns if (key := keys[KEYS[q]]).get("gauge", 0) is not None}
         raise MapWanted(_refuse(table, doubts, settled, found))
@@ -251,7 +255,8 @@ def _read_as(
         lowest_pa = _find_lowest_pa(column)
         if lowest_pa < NEVER_ABSOLUTE_PA:
             keys["gauge"] = True
-            sense = f"gauge, as an absolute one does not fall to {lowest_pa:.4g} Pa"
+            least_pa = _find_lowest_pa(column, share=0.0)
+            sense = f"gauge, as an absolute one does not fall to {least_pa:.5g} Pa"
         elif OF_THE_AIR_PA[0] <= lowest_pa <= OF_THE_AIR_PA[1]:
             keys["gauge"] = False
             sense = f"absolute, as it falls to {lowest_pa:.4g} Pa, the atmosphere's"
@@ -263,9 +268,10 @@ def _read_as(
     return keys
 
 
-def _find_lowest_pa(column: TableColumn) -> float:
+def _find_lowest_pa(column: TableColumn, share: float = 0.001) -> float:
+    """Return what all but this share of the values are above."""
     values = column.values[np.isfinite(column.values)]
-    lowest = float(np.quantile(values, 0.001)) if len(values) else np.nan
+    lowest = float(np.quantile(values, share)) if len(values) else np.nan
     return lowest * UNITS["pressure_pa"][column.header.unit]
 
 
@@ -354,9 +360,14 @@ def _propose_others(
         open_ones = _EXAMPLES.keys() - known - {column.header.quantity for column in guessed}
         listed = ", ".join(quote(column.name) for column in others[:20])
         yield f"# other columns: {listed}" + ("; such as" if open_ones else "")
-        for quantity in _EXAMPLES:
-            if quantity in open_ones:
-                keys = {"column": table.name_of(others[0]), **_EXAMPLES[quantity]}
+        for quantity, example in _EXAMPLES.items():
+            # What states a unit of its own is of that quantity, if of any.
+            free = [c for c in others if c.header.measures in ("", quantity)]
+            fits = [c for c in free if c.header.measures or not c.header.said_unit]
+            fits = fits or (free if "gain" in example else [])
+            if quantity in open_ones and fits:
+                unit = fits[0].header.unit if fits[0].header.measures else example["unit"]
+                keys = {"column": table.name_of(fits[0]), **example, "unit": unit}
                 yield f"# {write_key(KEYS[quantity], keys)}"
 
 
@@ -377,6 +388,8 @@ def _propose(table: MeasuredTable, column: TableColumn, *, is_first: bool) -> st
             keys["gauge"] = _find_lowest_pa(column) < NEVER_ABSOLUTE_PA
             remark = f"or gauge: {str(not keys['gauge']).lower()}; the file does not say"
     line = write_key(KEYS[header.quantity], keys, remark)
+    if radians := RADIANS.get(header.said_unit.lower()):
+        return f"# {line}  # an angle: add gain, the radius in m times {radians:g}"
     if not header.unit:
         per = f" per {header.said_unit}" if header.said_unit else ""
         return f"# {line}  # its unit is not known: write unit, or gain ({unit}{per}) and offset"

@@ -13,7 +13,7 @@ from enum import IntEnum
 from functools import cache
 from typing import NamedTuple
 
-from pamctl.log.importing.column_map import TIME, UNITS, SaidQuantity, parse_column_name
+from pamctl.log.importing.column_map import RADIANS, TIME, UNITS, SaidQuantity, parse_column_name
 
 
 class Certainty(IntEnum):
@@ -44,6 +44,8 @@ class Header(NamedTuple):
     """What stands in the place of the unit."""
     others: frozenset[str] = frozenset()
     """The words by which it says that it is another thing."""
+    measures: str = ""
+    """The quantity that has the stated unit, whatever the words say."""
 
 
 NAMES: Mapping[str, frozenset[str]] = {
@@ -181,9 +183,10 @@ def read_header(name: str, called: str = "", unit: str = "") -> Header:
         if found and found.quantity in (named or [found.quantity]):
             gauge = tell_gauge(found, words)
             return Header(found.quantity, found.unit, gauge, Certainty.GUESS, said)
-        if named:
-            return Header(named[0], "", None, Certainty.GUESS, said)
-    return Header("", "", None, Certainty.NOTHING, said, others)
+        if named or said.lower() in RADIANS:
+            return Header((*named, "position_m")[0], "", None, Certainty.GUESS, said)
+    stated, measures = (found.unit, found.quantity) if found else ("", "")
+    return Header("", stated, None, Certainty.NOTHING, said, others, measures)
 
 
 def split_words(label: str) -> set[str]:

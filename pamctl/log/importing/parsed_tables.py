@@ -174,7 +174,13 @@ def parse_lvm(path: Path, hints: TextHints) -> MeasuredTable:
     import lvm_read
 
     # Its cache beside the file is a pickle, which may be anybody's.
-    content = lvm_read.read(str(path), read_from_pickle=False, dump_file=False)
+    try:
+        content = lvm_read.read(str(path), read_from_pickle=False, dump_file=False)
+    except KeyError as error:
+        raise ImportRefused(
+            f"{path} is not a complete LVM file: no line of names begins with X_Value; save what "
+            "is below its head as a .txt of its own, names first"
+        ) from error
     segments = [content[index] for index in range(content["Segments"])]
     parts = [_read_lvm_segment(path, segment) for segment in segments]
     units = [segment.get("Y_Unit_Label", []) for segment in segments]

@@ -24,6 +24,7 @@ from pamctl.log.importing.column_map import (
     TIME,
     UNITS,
     ImportMap,
+    TimeMap,
     write_map,
 )
 from pamctl.log.importing.column_roles import (
@@ -98,9 +99,7 @@ def import_log(
     require_place(destination)
     found = _Import(read_table(source, import_map), import_map)
     found.convert_to_si()
-    found.judge()
-    if accept_units:
-        found.findings.soften("unit")
+    found.judge(is_accepted=accept_units)
     columns = found.describe_columns()
     written = not found.findings.any(Severity.ERROR)
     if written:
@@ -188,8 +187,11 @@ class _Import:
             rows = len(next(iter(self.quantities.values())))
             self.t_s = np.arange(rows) / self.map.time.rate_hz
 
-    def judge(self) -> None:
-        """Report what is wrong with the measurement, and what a reader of the log must know."""
+    def judge(self, *, is_accepted: bool) -> None:
+        """Report what is wrong with the measurement, and what a reader of the log must know.
+
+        `is_accepted`: a unit may look wrong.
+        """
         findings, air_pa = self.findings, self.map.atmospheric_pressure_pa
         pressure = self.map.pressure
         if pressure and pressure.gauge and air_pa != ATMOSPHERIC_PRESSURE_PA:
@@ -203,9 +205,16 @@ class _Import:
         time_name = self.chosen.columns[TIME].name if TIME in self.chosen.columns else "rate_hz"
         judge_record(self.t_s, self.quantities, self.rows, findings, time_name)
         if findings.any(Severity.ERROR):
+            self._replace_time()
             return
         judge_clock(self.t_s, findings, time_name)
-        self.better_map = judge_units(self.chosen, self.quantities, findings, has_map=self.has_map)
+        self.better_map = judge_units(
+            self.chosen,
+            {TIME: self.t_s, **self.quantities},
+            findings,
+            has_map=self.has_map,
+            is_accepted=is_accepted,
+        )
         there = self.quantities.keys()
         if not {"pressure_pa", "position_m"} & there:
             findings.error(
@@ -214,6 +223,15 @@ class _Import:
         elif not there >= _OF_A_MECHANISM and (missing := _MISSED - there):
             listed = ", ".join(sorted(missing))
             findings.warning("columns", f"no {listed}: no analysis that needs them is possible")
+
+    def _replace_time(self) -> None:
+        """Put a rate into the better map where times are missing or there twice, and none falls."""
+        kinds = {f.key for f in self.findings.all if f.level == Severity.ERROR}
+        step_s = np.diff(self.t_s)
+        rises, falls = step_s[step_s > 0.0], (step_s < 0.0).any()
+        if kinds <= {"missing", "duplicated"} and len(rises) and not falls:
+            rate = TimeMap(rate_hz=float(f"{1.0 / float(np.median(rises)):.6g}"))
+            self.better_map = self.map.model_copy(update={"time": rate})
 
     def _judge_own_time(self) -> None:
         """Report what is wrong with the file's own time, which a rate in the map would hide."""
@@ -233,7 +251,8 @@ class _Import:
         """Return the map that may mend an error, or may read what no header names; or nothing."""
         keys = write_map(self.better_map.as_keys(), {})
         if self.findings.any(Severity.ERROR):
-            return keys
+            is_new = self.better_map != self.map
+            return keys if is_new else f"# as it was read: change what is wrong\n{keys}"
         misses = not self.has_map and any(f.key == "columns" for f in self.findings.all)
         lines = propose_missing(self.table, self.chosen) if misses else []
         return "\n".join([keys, *lines]) if lines else ""

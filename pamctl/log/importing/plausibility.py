@@ -13,7 +13,7 @@ import numpy as np
 
 from pamctl.json_text import to_json
 from pamctl.log.check import LogFindings
-from pamctl.log.importing.column_map import KEYS, UNITS, ColumnMap, ImportMap, ValveMap
+from pamctl.log.importing.column_map import KEYS, UNITS, ColumnMap, ImportMap, TimeMap, ValveMap
 from pamctl.log.importing.column_roles import (
     NEVER_ABSOLUTE_PA,
     OF_THE_AIR_PA,
@@ -34,7 +34,8 @@ LONGEST_PERIOD_S = 0.5
 _WAYS_ON = {
     "backwards": "where a second recording begins, import each part: `lines: {{first: 1, last: "
     "{before}}}` and `lines: {{first: {row}}}` in the map",
-    "duplicated": "export more digits of the time, or keep one of the rows",
+    "duplicated": "export more digits of the time, or keep one of the rows, or say "
+    "`time: {{rate_hz: RATE}}` in the map if they are even",
     "missing": "repair these rows, or say `time: {{rate_hz: RATE}}` in the map if they are even",
     "reversed": "sort the rows by their time",
     "jitter": "--resample puts the rows on an even grid",
@@ -49,7 +50,8 @@ def judge_record(
     columns = measured_columns(quantities)
     for problem in find_record_problems(t_s, columns, f"the time ({time_name})"):
         text = problem.describe(rows)
-        if problem.column not in quantities and problem.kind in _WAYS_ON:
+        is_told = problem.column in quantities or problem.text.endswith("keep it once")
+        if problem.kind in _WAYS_ON and not is_told:
             at = problem.stretches[0][0]
             names = {"row": rows[at], "before": rows[max(at - 1, 0)]}
             text += f"; {_WAYS_ON[problem.kind].format(**names)}"
@@ -70,26 +72,29 @@ def judge_clock(t_s: Floats, findings: LogFindings, time_name: str) -> None:
     elif period_s < SHORTEST_PERIOD_S:
         detail = f"rows are {period_s:.6g} s apart; a log's clock counts ns"
         findings.error("time", f"the time ({time_name}) has another unit: {detail}")
-    elif period_s > LONGEST_PERIOD_S:
-        findings.error("unit", f"a row every {period_s:.6g} s: is the time in ms?")
 
 
 def judge_units(
-    chosen: ChosenColumns, quantities: Mapping[str, Floats], findings: LogFindings, *, has_map: bool
+    chosen: ChosenColumns,
+    quantities: Mapping[str, Floats],
+    findings: LogFindings,
+    *,
+    has_map: bool,
+    is_accepted: bool,
 ) -> ImportMap:
     """Report values that no rig has; return the map as it might be better.
 
-    Beside a map of the user's, the unit that a column's name states counts; without one, another
-    name is a way on too.
+    `quantities` are those of the map, and the time. Beside a map of the user's, the unit that a
+    column's name states counts; without one, another name is a way on too.
     """
     import_map = chosen.map
     for quantity, column in quantities.items():
         values = column[np.isfinite(column)]
-        part = import_map.parts()[quantity]
+        part: ColumnMap = getattr(import_map, KEYS[quantity])
         for text, name, change in _doubt(part, values) if len(values) else ():
             span = f"{values.min():.6g} to {values.max():.6g}"
-            named = has_map and names_quantity(chosen.columns[quantity], quantity)
-            said = named and chosen.columns[quantity].header.unit
+            named = chosen.columns.get(quantity) if has_map else None
+            said = named and names_quantity(named, quantity) and named.header.unit
             if said and "unit" in change and said != part.unit:
                 text, change = f"is this {said}, as the column's name says?", {"unit": said}
             if name:
@@ -97,7 +102,11 @@ def judge_units(
                 said = to_json(value).decode().strip('"')
                 rename = f", or call it {name}" if not has_map else ""
                 text += f" Then say `{key}: {said}` in the map{rename}"
-            findings.error("unit", f"{quantity} is {span}: {text}")
+            if is_accepted:
+                findings.warning("unit", f"{quantity} is {span}: {text}")
+            else:
+                right = "if it is right, `pamctl log import FILE OUT.mcap --accept-units` takes it"
+                findings.error("unit", f"{quantity} is {span}: {text}; {right}")
             better = part.model_copy(update=change)
             import_map = import_map.model_copy(update={KEYS[quantity]: better})
     judge_sign(quantities, findings)
@@ -156,19 +165,24 @@ _Doubt = tuple[str, str, dict[str, Any]]
 def _doubt(part: ColumnMap, values: Floats) -> Iterator[_Doubt]:
     """Yield what is doubtful of values in SI, at most once."""
     low, high = float(values.min()), float(values.max())
-    if isinstance(part, ValveMap):
+    if isinstance(part, TimeMap):
+        every_s = nominal_period_s(values)
+        if every_s > LONGEST_PERIOD_S and part.rate_hz:
+            yield f"is rate_hz in Hz, with a row every {every_s:.6g} s?", "", {}
+        elif every_s > LONGEST_PERIOD_S:
+            yield f"is the time in ms, with a row every {every_s:.6g} s?", "time_ms", {"unit": "ms"}
+    elif isinstance(part, ValveMap):
         yield from _doubt_valve(part, values, low, high)
     elif part.quantity == "position_m" and max(-low, high) > 0.5:
         unit = "mm" if max(-low, high) < 1e3 else "um"
         yield f"is this {unit}?", f"position_{unit}", {"unit": unit}
-    elif part.quantity == "pressure_pa" and low >= NEVER_ABSOLUTE_PA:
-        if high > 2e6:
-            yield "above 20 bar; is the unit right?", "", {}
+    elif part.quantity == "pressure_pa" and high > 2e6:
+        yield "above 20 bar; is the unit right, and is it air? pamctl models no oil", "", {}
     elif part.quantity == "pressure_pa" and high < 2e3:
         unit = "bar" if low > 0.0 and high < 20.0 else "kPa"
         names = f"pressure_{unit.lower()}, or pressure_gauge_{unit.lower()}"
         yield f"is this {unit}?", names, {"unit": unit}
-    elif part.quantity == "pressure_pa":
+    elif part.quantity == "pressure_pa" and low < NEVER_ABSOLUTE_PA:
         below = "below the atmosphere's; is this gauge pressure?"
         yield below, "pressure_gauge_...", {"gauge": True}
 
@@ -182,7 +196,7 @@ def _doubt_valve(part: ValveMap, values: Floats, low: float, high: float) -> Ite
             "",
             {},
         )
-    elif low >= -0.05 and (high > 5.05 or 4.0 < np.median(values) < 6.0):
+    elif low >= -0.05 and high < 10.5 and (high > 5.05 or 4.0 < np.median(values) < 6.0):
         yield (
             "are these the driver's 0..10 V, where 5 V closes and more fills? The command is "
             "-5..5 V; map it with offset: -5.0",
@@ -190,7 +204,8 @@ def _doubt_valve(part: ValveMap, values: Floats, low: float, high: float) -> Ite
             {"offset": part.offset - 5.0 / UNITS["valve_v"][part.unit]},
         )
     elif max(-low, high) > 5.05:
-        yield "the command is within -5..5 V; gain and offset in the map turn it into that", "", {}
+        within = "the command is within -5..5 V; gain and offset in the map turn it into that"
+        yield f"{within}, or another column is the command", "", {}
 
 
 def is_switched(volts: Floats) -> bool:

@@ -1,0 +1,121 @@
+"""What a refused import advises helps the one who follows it: stumbles of new users, one each."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_log_import import GOOD, POSITION_M, T_S, VALVE_V, Outcome, changed, with_one, write_csv
+
+MAP = """\
+time: {{column: 'Time [ms]', unit: {unit}}}
+pressure: {{column: pressure_pa, unit: Pa, gauge: false}}
+position: {{column: position_m, unit: m}}
+"""
+ACCEPT = "--accept-units` takes it"
+
+
+def import_names(path: Path, head: str, *columns: Any) -> Outcome:
+    """Import a table of these names; a comma parts them."""
+    return Outcome(write_csv(path, dict(zip(head.split(","), columns, strict=True))))
+
+
+def follow(done: Outcome, source: Path) -> Outcome:
+    """Import again, with the map that the refusal shows."""
+    map_path = source.with_name("map.yaml")
+    map_path.write_text(done.report["map_text"])
+    return Outcome(source, "--map", str(map_path))
+
+
+def test_a_long_axis_in_metres_has_a_way_on_beside_the_map(tmp_path):
+    source = write_csv(tmp_path / "a.csv", changed(position_m=POSITION_M * 100.0))
+    refused = Outcome(source)
+    assert ACCEPT in refused.said["error", "unit"]
+    done = Outcome(source, "--accept-units")
+    assert ACCEPT not in done.said["warning", "unit"]
+    np.testing.assert_array_equal(done.signals.position_m, POSITION_M * 100.0)
+
+
+@pytest.mark.parametrize("unit", ["s", "min"])
+def test_milliseconds_that_a_map_takes_for_seconds_get_a_map_that_does_not(tmp_path, unit):
+    columns = {"Time [ms]": T_S * 1e3, **{k: v for k, v in GOOD.items() if k != "t_s"}}
+    source = write_csv(tmp_path / "a.csv", columns)
+    (tmp_path / "wrong.yaml").write_text(MAP.format(unit=unit))
+    refused = Outcome(source, "--map", str(tmp_path / "wrong.yaml"))
+    assert "is this ms, as the column's name says?" in refused.said["error", "unit"]
+    np.testing.assert_allclose(follow(refused, source).signals.t_s, T_S, atol=1e-9)
+
+
+@pytest.mark.parametrize("time", [T_S[9], np.nan])
+def test_a_time_that_is_missing_or_there_twice_gets_a_map_that_counts_the_rows(tmp_path, time):
+    source = write_csv(tmp_path / "a.csv", changed(t_s=with_one(T_S, 10, time)))
+    refused = Outcome(source)
+    assert "`time: {rate_hz: RATE}` in the map if they are even" in refused.stderr + str(
+        refused.report["findings"]
+    )
+    np.testing.assert_allclose(follow(refused, source).signals.t_s, T_S, atol=1e-9)
+
+
+def test_a_record_that_is_there_twice_gets_no_rate_that_would_join_its_copies(tmp_path):
+    columns = {name: np.tile(column, 2) for name, column in GOOD.items()}
+    refused = Outcome(write_csv(tmp_path / "a.csv", columns))
+    told = refused.said["error", "duplicated"]
+    assert "keep it once" in told
+    assert "rate_hz" not in told + refused.report["map_text"]
+
+
+def test_a_map_that_changes_nothing_says_so(tmp_path):
+    source = write_csv(tmp_path / "a.csv", changed(pressure_pa=np.full_like(T_S, 8e6) + T_S))
+    refused = Outcome(source)
+    assert "is it air? pamctl models no oil" in refused.said["error", "unit"]
+    assert refused.report["map_text"].startswith("# as it was read: change what is wrong")
+
+
+def test_a_pressure_in_the_place_of_a_command_gets_no_advice_of_an_offset(tmp_path):
+    source = write_csv(tmp_path / "a.csv", changed(valve_v=40.0 + 36.0 * np.sin(9.0 * T_S)))
+    refused = Outcome(source)
+    assert "or another column is the command" in refused.said["error", "unit"]
+    assert "offset: -5.0" not in str(refused.report)
+
+
+def test_a_displacement_in_the_place_of_a_pressure_is_not_called_a_gauge_one(tmp_path):
+    columns = {"t_s": T_S, "valve_v": VALVE_V, "p [bar abs]": 38.0 + 38.03 * np.sin(9.0 * T_S)}
+    refused = Outcome(write_csv(tmp_path / "a.csv", columns))
+    assert "above 20 bar" in refused.said["error", "unit"]
+    assert "gauge pressure?" not in refused.said["error", "unit"]
+
+
+def test_the_pressure_that_shows_a_gauge_is_the_lowest_of_the_table(tmp_path):
+    kilopascal = 100.0 + 100.0 * np.sin(9.0 * T_S)
+    kilopascal[7] = -1.7094
+    done = import_names(tmp_path / "a.csv", "t_s,Druck [kPa]", T_S, np.maximum(kilopascal, -1.7094))
+    assert done.report["columns"][1]["lowest"] == -1.7094
+    assert "does not fall to -1709.4 Pa" in done.said["warning", "gauge"]
+
+
+def test_a_word_that_rules_a_column_out_is_said_and_its_unit_kept_in_the_map(tmp_path):
+    done = import_names(tmp_path / "a.csv", "t_s,Tank pressure (psig)", T_S, 40.0 + T_S)
+    assert "'Tank pressure (psig)' is left out for the word 'tank' in it" in done.stderr
+    assert "# pressure: {column: 'Tank pressure (psig)', unit: psi, gauge: true}" in done.stderr
+    assert "# position: {column: 'Tank" not in done.stderr
+
+
+def test_angles_of_joints_are_shown_as_positions_and_torques_are_not(tmp_path):
+    torque, angle = np.sin(T_S), 30.0 * np.cos(T_S)
+    head = "t [s],tau1 [Nm],q1 [deg],q2 [deg]"
+    done = import_names(tmp_path / "a.csv", head, T_S, torque, angle, angle)
+    shown = re.findall(r"# position: \{column: '(.*?)'.*# (an angle)", done.stderr)
+    assert shown == [("q1 [deg]", "an angle"), ("q2 [deg]", "an angle")]
+    assert "position: {column: 'tau1" not in done.stderr
+
+
+def test_an_lvm_head_above_another_table_is_refused_with_what_to_save(tmp_path):
+    head = "LabVIEW Measurement\nWriter_Version\t2\nSeparator\tTab\n***End_of_Header***\n\n"
+    rows = "".join(f"{0.001 * k:g}\t{k % 7}\n" for k in range(50))
+    whole = "Time [s]\tPosition [mm]\n" + rows
+    (tmp_path / "a.lvm").write_text(f"{head}Channels\t2\n***End_of_Header***\n{whole}")
+    refused = Outcome(tmp_path / "a.lvm")
+    assert "no line of names begins with X_Value; save what is below its head" in refused.stderr
+    (tmp_path / "a.txt").write_text(whole)
+    assert Outcome(tmp_path / "a.txt").code == 0

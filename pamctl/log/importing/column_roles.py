@@ -388,7 +388,8 @@ def _propose(table: MeasuredTable, column: TableColumn, *, is_first: bool) -> st
             keys["gauge"] = _find_lowest_pa(column) < NEVER_ABSOLUTE_PA
             remark = f"or gauge: {str(not keys['gauge']).lower()}; the file does not say"
     line = write_key(KEYS[header.quantity], keys, remark)
-    if radians := RADIANS.get(header.said_unit.lower()):
+    radians = RADIANS.get(header.said_unit.lower())
+    if radians and header.quantity == "position_m":
         return f"# {line}  # an angle: add gain, the radius in m times {radians:g}"
     if not header.unit:
         per = f" per {header.said_unit}" if header.said_unit else ""

@@ -297,10 +297,12 @@ def remove_hum(values: Array, period_s: float, command: Array | None) -> tuple[A
     too_short = len(centres) < 2 * FEWEST_WINDOWS or period_s * MAINS_HZ[-1] > 0.4
     if too_short or np.ptp(values) == 0.0:
         return values, found
+    parts = [slice(c - length // 2, c - length // 2 + length) for c in centres]
+    windows = _flatten_parts(values, parts)
     for mains_hz in MAINS_HZ:
-        line = _measure_phasors(values, centres, length, period_s * mains_hz)
+        line = _measure_phasors(windows, parts, period_s * mains_hz)
         beside = [
-            np.abs(_measure_phasors(values, centres, length, period_s * (mains_hz + side)))
+            np.abs(_measure_phasors(windows, parts, period_s * (mains_hz + side)))
             for side in (-BESIDE_HZ, BESIDE_HZ)
         ]
         # Mains are off by some tenths of a hertz: the phasor turns from window to window.
@@ -322,30 +324,34 @@ def remove_hum(values: Array, period_s: float, command: Array | None) -> tuple[A
         if np.any(off > np.where(quiet < 0.5 * size, np.maximum(ELSEWHERE * size, 2 * quiet), inf)):
             continue
         if command is not None and np.ptp(command) > 0.0:
-            asked = np.abs(_measure_phasors(command, centres, length, period_s * mains_hz))
+            commanded = _flatten_parts(command, parts)
+            asked = np.abs(_measure_phasors(commanded, parts, period_s * mains_hz))
             if float(np.median(asked)) > COMMANDED * float(np.ptp(command)):
                 continue
         index = np.arange(len(values), dtype=np.float64)
         phase = np.angle(mean) + turn * (index - centres[0]) / (centres[1] - centres[0])
         values = values - size * np.cos(2.0 * np.pi * period_s * mains_hz * index + phase)
+        windows = _flatten_parts(values, parts)
         found.append(Hum(mains_hz, size))
     return values, found
 
 
-def _measure_phasors(values: Array, centres: NDArray[np.intp], length: int, share: float) -> Any:
-    """Return the phasor at a frequency, in cycles a sample, around each centre; complex."""
-    taper = np.hanning(length)
-    wave = np.exp(-2j * np.pi * share * np.arange(len(values)))
-    parts = [slice(c - length // 2, c - length // 2 + length) for c in centres]
-    curved = [_flatten_part(values[part]) for part in parts]
+def _measure_phasors(windows: Sequence[Array], parts: Sequence[slice], share: float) -> Any:
+    """Return the phasor at a frequency, in cycles a sample, in each window; complex."""
+    taper = np.hanning(len(windows[0]))
+    wave = np.exp(-2j * np.pi * share * np.arange(parts[-1].stop))
     return np.array(
         [2.0 * np.sum(taper * v * wave[part]) / taper.sum()
-         for v, part in zip(curved, parts, strict=True)]
+         for v, part in zip(windows, parts, strict=True)]
     )  # fmt: skip
 
 
+def _flatten_parts(values: Array, parts: Sequence[slice]) -> list[Array]:
+    """Return each window without its slow motion, which would leak into a line."""
+    return [_flatten_part(values[part]) for part in parts]
+
+
 def _flatten_part(part: Array) -> Array:
-    """Return a window without its slow motion, which would leak into a line."""
     at = np.linspace(-1.0, 1.0, len(part))
     return part - np.polynomial.chebyshev.Chebyshev.fit(at, part, 5)(at)
 

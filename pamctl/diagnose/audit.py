@@ -37,8 +37,9 @@ from pamctl.plant.model import PlantSettings, plant_parameters, settings_of
 
 INERT = 1e-12
 """An effect with a smaller power changes nothing: it is no part of another actuator."""
-BLOCKS_OF = {"direct": ("mechanics", "sensors"), "chamber": ("pressure", "sensors")}
-"""The blocks that an actuator has; a muscle has all. What it lacks is no blind spot."""
+WHOLE = ("muscle", "cylinder")
+"""Actuators with valve and motion: records may drive a part of them. What another one's records do
+not drive it does not have."""
 SINGULAR = 1e-9
 ROOM = 1e-6
 """Scales; a number at its range has a little room, or there would be no range."""
@@ -175,7 +176,10 @@ def audit_model(weigher: Weigher, m: WeighedModel, *, pairs: bool = True) -> Aud
     blind += [
         BlindSpot(n, "these records do not drive its block", e.best_experiment, None)
         for n, e in CATALOGUE.items()
-        if _is_part_of(n, plant) and n not in {*asked, *has_already} and not e.unidentifiable
+        if plant.actuator in WHOLE
+        and plant.actuator in e.actuators
+        and n not in {*asked, *has_already}
+        and not e.unidentifiable
     ]
     alike = []
     if pairs:
@@ -280,6 +284,10 @@ def _describe_blind_spot(
     effect, size = CATALOGUE[hypothesis.family], hypothesis.variants[0].sizes[0]
     number = size.name.rpartition(".")[2]
     p = next((p for p in effect.parameters if p.name == number), effect.parameters[0])
+    same = effect.same_as.get(plant.actuator, ())
+    if same and not {*same} & {*plant.known}:
+        why = f"no record shows it: it does the same as another {' and '.join(same)}"
+        return BlindSpot(effect.name, why, "", None)
     unit = "" if p.unit == "1" else p.unit
     dose = f"{size.smallest:g} {unit}".rstrip()
     if size.neutral:
@@ -296,15 +304,9 @@ def _describe_blind_spot(
     return BlindSpot(effect.name, why, effect.best_experiment, (needed, unit), 1.0 / sqrt(power))
 
 
-def _is_part_of(name: str, plant: PlantSettings) -> bool:
-    effect = CATALOGUE[name]
-    there = BLOCKS_OF.get(plant.actuator, (effect.block,))
-    return plant.actuator in effect.actuators and effect.block in there
-
-
 def _explain_unasked(name: str, plant: PlantSettings, has_already: set[str]) -> str:
     """Say why an effect is neither among those that show nor among the blind spots."""
-    if not _is_part_of(name, plant):
+    if plant.actuator not in CATALOGUE[name].actuators:
         return f"it is no part of a plant with `actuator: {plant.actuator}`"
     return "the model has it already" if name in has_already else "it changes nothing here"
 

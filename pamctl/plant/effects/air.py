@@ -65,6 +65,7 @@ DEAD_VOLUME = EffectDescription(
     signature="the simulated pressure changes too fast, most where the volume is smallest",
     best_experiment="slow-ramps",
     entries=(EffectEntry("volume", add_dead_volume_m3),),
+    same_as={"chamber": ("valve_gain_m2_per_v",), "cylinder": ("cylinder_volume_m3",)},
     as_terms=(AsTerm("volume", "constant"),),
 )  # fmt: skip
 

@@ -137,6 +137,7 @@ ENCODER_SCALE = EffectDescription(
         EffectEntry("position_reading", scale_position_m, after=("encoder_backlash",),
                     undo=undo_scale_m),
     ),
+    same_as={"direct": ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")},
     as_terms=(AsTerm("encoder", "gain", "position"),),
 )  # fmt: skip
 

@@ -145,6 +145,8 @@ def make_plant(asked: NewPlantOptions) -> None:
     fitted = ", ".join(names) or "nothing"
     texts = {name: f"given as {text}" for name, text in texts.items()}
     texts |= {name: f"guessed, {guess.how}" for name, guess in guesses.items()}
+    papers = _list_papers(actuator, texts)
+    texts |= dict.fromkeys(papers, "of the paper's muscle")
     write_files({out: format_new_plant(actuator, values, texts, fitted)})
     document = {"plant": str(out), "actuator": actuator, "numbers": values, "fitted": names}
     lines = []
@@ -153,6 +155,11 @@ def make_plant(asked: NewPlantOptions) -> None:
         if asked.actuator is None:
             lines.append(f"by the columns: actuator {actuator}")
     lines += [f"guessed: {name} = {g.value:.4g}, {g.how}" for name, g in guesses.items()]
+    if records and papers:
+        lines.append(
+            f"of the paper's muscle, as none was given: {', '.join(papers)}; `pamctl diagnose` "
+            "takes them as they are, so measure yours and give each with --value"
+        )
     column_map = ["--map", asked.map_path] if asked.map_path else []
     measured = [str(path) for path in asked.measured] or ["LOG"]
     words = ["pamctl", "diagnose", *measured, *column_map, "--plant", out, "--out", "DIR"]
@@ -163,6 +170,12 @@ def make_plant(asked: NewPlantOptions) -> None:
         f"next: {shlex.join(map(str, words))}",
     ]
     print_result(document, "\n".join(lines), as_json=asked.as_json)
+
+
+def _list_papers(actuator: str, texts: dict[str, str]) -> list[str]:
+    """Return the sizes of a muscle that are the paper's: neither given nor guessed."""
+    sizes = ("rest_length_m", "braid_length_m", "braid_turns") if actuator == "muscle" else ()
+    return [name for name in sizes if name not in texts]
 
 
 def _tell_unfit(records: list[Record], plant: PlantSettings) -> None:

@@ -151,6 +151,8 @@ def _guess_mechanics(
             if actuator == "muscle":
                 continue
             how = f"hardly seen: {100 * LEAST_SHARE:g} % of the force"
+        if name == "stiffness_n_per_m" and actuator != "muscle":
+            how += "; write 0 if there is no spring"
         found[name] = Guess(float(max(amount, least) / size), how)
     return found
 

@@ -81,8 +81,16 @@ def test_a_muscle_and_a_cylinder_have_the_same_columns_so_one_is_asked_for(tmp_p
     assert asked.returncode == 2
     assert "--actuator muscle or --actuator cylinder" in asked.stderr
     assert not out.exists()
-    said = run_pamctl("plant", "new", "--actuator", "muscle", "--from", table, "--out", out)
+    made = ["plant", "new", "--actuator", "muscle", "--from", table]
+    said = run_pamctl(*made, "--out", out)
     assert said.returncode == 0, said.stderr
+    papers = "of the paper's muscle, as none was given: "
+    assert f"{papers}rest_length_m, braid_length_m, braid_turns" in said.stdout
+    assert out.read_text().count("; of the paper's muscle") == 3
+    given = run_pamctl(
+        *made, "--value", "rest_length_m=210 mm", "--out", out.with_name("other.yaml")
+    )
+    assert f"{papers}braid_length_m, braid_turns;" in given.stdout
 
 
 def test_with_a_map_they_make_a_plant_file_and_a_diagnosis(table: Path) -> None:
@@ -90,6 +98,9 @@ def test_with_a_map_they_make_a_plant_file_and_a_diagnosis(table: Path) -> None:
     made = run_pamctl("plant", "new", "--from", table, "--map", column_map, "--out", plant)
     assert made.returncode == 0, made.stderr
     assert f"next: pamctl diagnose '{table}' --map {column_map} --plant {plant}" in made.stdout
+    assert "write 0 if there is no spring" not in made.stdout.split("stiffness")[0]
+    assert "write 0 if there is no spring" in made.stdout
+    assert "write 0 if there is no spring" in plant.read_text()
     out = table.with_name("found")
     done = run_pamctl("diagnose", table, "--map", column_map, "--plant", plant, "--out", out)
     assert done.returncode == 0, done.stderr

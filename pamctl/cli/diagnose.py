@@ -61,7 +61,10 @@ class DiagnoseOptions(DataOptions):
     )
     map_path: Path | None = MAP
     without: list[str] = option(
-        "--without EFFECT", "Effect not to ask; can be repeated", shown="none"
+        "--without EFFECT",
+        "Effect not to ask, or law without a name, such as 'curve of force over time', or all "
+        "laws of force; can be repeated",
+        shown="none",
     )
     jobs: int | None = JOBS
     interactive: bool = INTERACTIVE
@@ -92,7 +95,7 @@ def diagnose(asked: DiagnoseOptions) -> None:
     elif not asked.dry_run:
         raise typer.BadParameter("name a folder for the results", param_hint="--out")
     plant = asked.read_plant()
-    _require_known(asked.without)
+    without = [name for word in asked.without for name in _find_left_out(word, plant)]
     if asked.on_rig:
         require_linux()
         diagnose_on_rig(asked, plant)
@@ -109,6 +112,8 @@ def diagnose(asked: DiagnoseOptions) -> None:
     stated = asked.read_noise()
     records = read_records([*asked.logs, *asked.holdout], asked.map_path)
     train, held = records[: len(asked.logs)], records[len(asked.logs) :]
+    if asked.plant is None:
+        tell("no --plant: the start model is the paper's muscle and valve")
     if not held:
         tell("no --holdout: two stretches of each log are held out")
     code = ExitCode.OK
@@ -118,7 +123,7 @@ def diagnose(asked: DiagnoseOptions) -> None:
                 train,
                 held,
                 plant,
-                without=asked.without,
+                without=without,
                 accept=accepted,
                 noise=stated,
                 jobs=asked.jobs,
@@ -155,15 +160,19 @@ def _require_one_kind(asked: DiagnoseOptions) -> None:
         )
 
 
-def _require_known(names: Sequence[str]) -> None:
-    from pamctl.plant.catalogue import CATALOGUE
+def _find_left_out(word: str, plant: PlantSettings) -> list[str]:
+    """Return the hypotheses that a word names: an effect, or laws as a verdict has them."""
+    from pamctl.diagnose.report.finding_words import call_hypotheses
 
-    for name in names:
-        if name not in CATALOGUE:
-            hint = hint_at_nearest(name, CATALOGUE)
-            raise typer.BadParameter(
-                f"there is no effect {name} in the catalogue{hint}", param_hint="--without"
-            )
+    called = call_hypotheses(plant.actuator)
+    if word not in called:
+        raise typer.BadParameter(
+            f"there is no effect or law {word}{hint_at_nearest(word, called)}; what can be left "
+            "out are effects, laws as a verdict has them ('curve of force over time'), and all "
+            "laws without a name of a place such as force",
+            param_hint="--without",
+        )
+    return called[word]
 
 
 # --- on the rig -------------------------------------------------------------------------------
@@ -265,7 +274,10 @@ def audit(asked: AuditOptions) -> None:
     record = _make_record(asked.what, asked.plant)
     found = audit_run(record, plant)
     runs_here = plant.actuator == "muscle" and not record.is_imported
-    advise = partial(write_advice, actuator=plant.actuator, runs_here=runs_here)
+    has_pressure = record.pressure_pa is not None
+    advise = partial(
+        write_advice, actuator=plant.actuator, runs_here=runs_here, has_pressure=has_pressure
+    )
     print_report(report_audit(found, advise, verbose=asked.verbose), as_json=asked.as_json)
 
 

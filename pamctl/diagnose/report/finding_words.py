@@ -14,9 +14,13 @@ import numpy as np
 
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.evidence.ladder import Finding, JudgedRival
-from pamctl.diagnose.evidence.pool import CHAIN, Hypothesis
+from pamctl.diagnose.evidence.measuring_chain import list_of_chain
+from pamctl.diagnose.evidence.pool import CHAIN, PAPER_SCALES, Hypothesis
+from pamctl.diagnose.evidence.pool import list_terms as list_terms_of
 from pamctl.diagnose.plant_numbers import UNITS, FittedNumber, unit_of
 from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.effects.description import Actuator
+from pamctl.plant.model import PlantSettings, values_of
 from pamctl.plant.terms import (
     DRIVER_UNITS,
     DRIVERS,
@@ -108,6 +112,24 @@ def label_term(name: str) -> str:
     location, _, rest = name.partition("~")
     operator, _, driver = rest.rstrip(")").partition("(")
     return f"{operator} of {_COLUMNS.get(location, location)} over {driver}"
+
+
+def call_hypotheses(actuator: Actuator) -> dict[str, list[str]]:
+    """Return the names of hypotheses by the words that call them.
+
+    An effect by its name, a law and a fault also by its label, all laws of a location by its name.
+    """
+    reach = dict.fromkeys(DRIVERS, (0.0, 1.0))
+    laws = [*list_terms_of(actuator, reach, PAPER_SCALES)]
+    plant = {**values_of(PlantSettings()), "stroke_m": 1.0}
+    chain = list_of_chain([*_CALLED], plant, 1e-3, actuator, reach)
+    called = {name: [name] for name in CATALOGUE}
+    for h in (*laws, *chain):
+        for word in (h.name, label_hypothesis(h)):
+            called.setdefault(word, [h.name])
+    for h in laws:
+        called.setdefault(h.name.partition("~")[0], []).append(h.name)
+    return called
 
 
 def label_hypothesis(hypothesis: Hypothesis) -> str:

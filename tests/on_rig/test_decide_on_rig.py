@@ -138,6 +138,7 @@ def test_imported_records_get_a_table_of_commands_to_play(
     entry = choose_next_experiment(found)
     assert entry is not None
     assert entry["do"].startswith("play next-experiment.csv, ")
+    assert "each row holds until the next" in entry["do"]
     names = write_diagnosis(found, tmp_path / "out", ["one.csv"], imported)
     assert "next-experiment.yaml" not in names
     at_s, level_v = np.loadtxt(

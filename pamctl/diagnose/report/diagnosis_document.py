@@ -24,6 +24,7 @@ from pamctl.diagnose.report.finding_words import (
     spell_names,
 )
 from pamctl.diagnose.report.next_experiment import (
+    advise_own_plant,
     choose_next_experiment,
     list_blind_spots,
 )
@@ -175,7 +176,9 @@ def report_diagnosis(diagnosis: Diagnosis) -> Report:
     notes = [*masked, *describe_noise(diagnosis), *accepted]
     if notes:
         report.add(Section("about the data"), Points(notes))
-    experiment = choose_next_experiment(diagnosis)
+    experiment, own = choose_next_experiment(diagnosis), advise_own_plant(diagnosis)
+    if own:
+        report.add(Text(f"first: {own}"))
     if experiment:
         report.add(Text(f"next: {experiment['do']}  # {experiment['why']}"))
     return report

@@ -11,8 +11,10 @@ from pamctl.diagnose.audit import find_separating_experiment, find_showing_exper
 from pamctl.diagnose.deciding_program import DecidingProgram, Separation
 from pamctl.diagnose.diagnosis import Diagnosis, Verdict
 from pamctl.diagnose.drawn_programs import sample_commands
+from pamctl.diagnose.evidence.constants import LEFT_TIMES
 from pamctl.diagnose.report.finding_words import list_ambiguous, spell_names
 from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.model import PlantSettings
 from pamctl.settings.yaml12 import dump_yaml
 
 _SQUARES = (
@@ -28,11 +30,11 @@ MOTIONS: Mapping[str, tuple[str, str]] = {
         "one long record with steps of several sizes, slow ramps, holds and a sine of rising "
         "frequency of the command",
         "one long record with motions at several speeds both ways, reversals, holds and a sine of "
-        "rising frequency, at several pressures where there is a pressure",
+        "rising frequency",
     ),
     "fill-and-hold": (
         "fill to several pressures, close the valve, and wait some 10 s each time",
-        "hold the axis still at several loads or pressures, some 10 s each time",
+        "hold the axis still at several loads, some 10 s each time",
     ),
     "long-holds": (
         "steps of the pressure, each held for a minute",
@@ -56,20 +58,24 @@ MOTIONS: Mapping[str, tuple[str, str]] = {
 """What to record instead of an experiment: behind a valve, and on a mechanism without one."""
 
 
-def describe_motion(experiment: str, actuator: str) -> str:
+def describe_motion(experiment: str, actuator: str, *, has_pressure: bool = False) -> str:
     """Say what to record where pamctl does not run the rig; empty for no experiment."""
     if not experiment:
         return ""
     named = f"a run like the experiment {experiment}"
     behind_valve, on_axis = MOTIONS.get(experiment, (named, named))
-    return on_axis if actuator == "direct" else behind_valve
+    if actuator != "direct":
+        return behind_valve
+    return f"{on_axis}; at several pressures" if has_pressure else on_axis
 
 
-def write_advice(experiment: str, actuator: str, *, runs_here: bool) -> str:
+def write_advice(
+    experiment: str, actuator: str, *, runs_here: bool, has_pressure: bool = False
+) -> str:
     """Write the command that runs an experiment, or what to record where pamctl does not run it."""
     if runs_here or not experiment:
         return write_command(experiment)
-    return f"record: {describe_motion(experiment, actuator)}"
+    return f"record: {describe_motion(experiment, actuator, has_pressure=has_pressure)}"
 
 
 def write_command(experiment: str, *, by_daemon: bool = False) -> str:
@@ -100,7 +106,10 @@ def choose_next_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
     if diagnosis.deciding is not None:
         run = advise_experiment(diagnosis, f"{NEXT_EXPERIMENT}.yaml")
         if not runs_here(diagnosis):
-            run = f"play {NEXT_COMMANDS}, the valve's command over time, and record as before"
+            run = (
+                f"play {NEXT_COMMANDS}, the valve's command over time, of which each row holds "
+                "until the next, and record as before"
+            )
         return {**_describe_program(diagnosis.deciding), "do": run}
     experiment = _choose_experiment(diagnosis)
     if experiment is None:
@@ -240,4 +249,21 @@ def advise_experiment(diagnosis: Diagnosis, experiment: str) -> str:
     """Write the command for an experiment, or what to record on a rig that pamctl does not run."""
     if diagnosis.is_of_daemon:
         return write_command(experiment, by_daemon=True)
-    return write_advice(experiment, diagnosis.nominal.actuator, runs_here=runs_here(diagnosis))
+    return write_advice(
+        experiment,
+        diagnosis.nominal.actuator,
+        runs_here=runs_here(diagnosis),
+        has_pressure=all(record.pressure_pa is not None for record in diagnosis.train),
+    )
+
+
+def advise_own_plant(diagnosis: Diagnosis) -> str:
+    """Advise a plant file where the paper's muscle does not explain another's records."""
+    left = diagnosis.evidence.left_over_noise if diagnosis.evidence else {}
+    is_papers = diagnosis.nominal == PlantSettings()
+    if runs_here(diagnosis) or not is_papers or max(left.values(), default=0.0) <= LEFT_TIMES:
+        return ""
+    return (
+        "the start model was the paper's muscle; if your rig is another, first write its plant "
+        "file, `pamctl plant new --from FILE --out rig.yaml`, and give it with --plant"
+    )

@@ -23,6 +23,7 @@ from pamctl.diagnose.report.finding_words import (
 )
 from pamctl.diagnose.report.next_experiment import (
     NEXT_COMMANDS,
+    advise_own_plant,
     choose_next_experiment,
     runs_here,
     words_of_rig,
@@ -39,6 +40,10 @@ _BY_BLOCKS = (
     "to, against all others that could stand in its place."
 )
 _AGAIN = "`pamctl diagnose next.mcap --plant plant.yaml --out next`, in the folder of this page,"
+_AGAIN_ELSEWHERE = (
+    "`pamctl diagnose FILE --plant plant.yaml --out next`, in the folder of this page, with your "
+    "next record for FILE, and with your `--map` if it needs one,"
+)
 
 
 class VerdictWords(NamedTuple):
@@ -81,18 +86,19 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
     chosen = diagnosis.deciding
     may_separate = chosen is None or chosen.promises
     separates = " Run the experiment that separates them." if may_separate else ""
+    again = _AGAIN if runs_here(diagnosis) else _AGAIN_ELSEWHERE
     parts = (describe_sizes(diagnosis), gap, describe_rest(diagnosis), outside)
     body = " ".join(part for part in parts if part)
     match diagnosis.verdict:
         case Verdict.BAD_DATA:
-            again = f": `{_RECORD}`." if runs_here(diagnosis) else "."
+            record = f": `{_RECORD}`." if runs_here(diagnosis) else "."
             return VerdictWords(
                 "These data cannot be diagnosed",
                 diagnosis.reason,
                 "Nothing was fitted, and nothing is concluded. The reason:",
                 (
                     "Repair what the reason names. `pamctl log check LOG` examines a log.",
-                    f"Or record again, starting {words_of_rig(diagnosis).begin}{again}",
+                    f"Or record again, starting {words_of_rig(diagnosis).begin}{record}",
                 ),
                 "bad",
             )
@@ -120,7 +126,7 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
                 "The model does not explain the measurement, not even with those values of its own "
                 f"numbers that fit best. With {names} it does, and nothing else that was asked "
                 f"does as well. {_BY_BLOCKS}",
-                _advise_after_naming(diagnosis),
+                _advise_after_naming(diagnosis, again),
             )
         case Verdict.DESCRIBED:
             return VerdictWords(
@@ -157,7 +163,7 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
                 "for the rest.",
                 (
                     f"Look at the rig there. plant.yaml has {part or 'all of it'}. The next "
-                    f"diagnosis may start from it: {_AGAIN} asks what else is missing.",
+                    f"diagnosis may start from it: {again} asks what else is missing.",
                 ),
                 "note",
             )
@@ -194,6 +200,8 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
 
 def advise_next_steps(diagnosis: Diagnosis) -> Iterator[str]:
     """Say what to do next, the first thing first."""
+    own = advise_own_plant(diagnosis)
+    yield from [f"{own[:1].upper()}{own[1:]}."] if own else []
     yield from choose_words(diagnosis).advice
     yield from (f"Set-up: {fault.how_to_mend}." for fault in list_faults(diagnosis))
     experiment, is_command = choose_next_experiment(diagnosis), runs_here(diagnosis)
@@ -212,11 +220,11 @@ def advise_next_steps(diagnosis: Diagnosis) -> Iterator[str]:
         yield f"The experiment `diagnosis` contains them all: `{_RECORD}`."
 
 
-def _advise_after_naming(diagnosis: Diagnosis) -> tuple[str, ...]:
+def _advise_after_naming(diagnosis: Diagnosis, again: str) -> tuple[str, ...]:
     plant = diagnosis.nominal
     part = "what a plant file can hold of it" if describe_outside(diagnosis) else "what was found"
     if plant.actuator == "chamber" or (plant.actuator == "direct" and not plant.drive_n_per_v):
-        return (f"Go on with plant.yaml, which has {part}: {_AGAIN} asks whether it holds.",)
+        return (f"Go on with plant.yaml, which has {part}: {again} asks whether it holds.",)
     tune = "`pamctl tune --plant plant.yaml --rig rig.yaml --experiment motion.yaml`"
     run = (
         "`pamctl run --controller gains.yaml --plant plant.yaml --rig rig.yaml "

@@ -304,6 +304,7 @@ def test_diagnose_writes_page_and_document_for_bad_data_too(tmp_path: Path):
     CliRunner().invoke(app, ["log", "import", str(tmp_path / "lab.csv"), str(log)])
     result = CliRunner().invoke(app, ["diagnose", str(log), "--out", str(out)])
     assert result.exit_code == 65, result.output
+    assert "no --plant: the start model is the paper's muscle and valve" in result.stderr
     reason = json.loads((out / "diagnosis.json").read_text())["reason"]
     assert reason.split(":")[0] in (out / "report.html").read_text()
 

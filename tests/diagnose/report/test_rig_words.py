@@ -16,7 +16,12 @@ from pamctl.diagnose.plant_numbers import FittedNumber
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
 from pamctl.diagnose.report.finding_words import FreeTerm
-from pamctl.diagnose.report.next_experiment import MOTIONS, runs_here, write_advice
+from pamctl.diagnose.report.next_experiment import (
+    MOTIONS,
+    advise_experiment,
+    runs_here,
+    write_advice,
+)
 from pamctl.diagnose.report.verdict_words import advise_next_steps, sentence
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.drive import drive_coupled
@@ -94,6 +99,33 @@ def test_no_word_of_a_mechanism_speaks_of_air(
     ).lower()
     assert [word for word in AIR if word in told] == []
     assert not {"valve_leak", "moving_mass"} & {spot["name"] for spot in document["blind_spots"]}
+    assert "next.mcap" not in told
+
+
+def test_an_axis_without_a_pressure_is_told_nothing_of_a_pressure(found: Diagnosis) -> None:
+    spots = {spot["name"] for spot in build_diagnosis_document(found)["blind_spots"]}
+    assert not {name for name in spots if "pressure" in name or name == "piston"}
+    assert "encoder_scale" not in json.dumps(build_diagnosis_document(found)["next_experiment"])
+    for experiment in MOTIONS:
+        assert "pressure" not in advise_experiment(found, experiment)
+    shown = [replace(r, pressure_pa=np.full(len(r), 2e5)) for r in found.train]
+    with_pressure = replace(found, train=tuple(shown))
+    assert "at several pressures" in advise_experiment(with_pressure, "diagnosis")
+
+
+def test_who_diagnoses_another_rig_with_the_papers_muscle_is_told_to_describe_his(
+    found: Diagnosis,
+) -> None:
+    assert found.evidence is not None
+    far = {c: 2000.0 * noise for c, noise in found.evidence.noise_rms.items()}
+    evidence = replace(found.evidence, gap={**found.evidence.gap, "extended": far})
+    lost = replace(found, nominal=PlantSettings(), evidence=evidence)
+    first = next(advise_next_steps(lost))
+    told = " ".join(format_terminal(report_diagnosis(lost)).split())
+    for said in (first, told):
+        assert "pamctl plant new --from FILE --out rig.yaml" in said
+    assert "plant new" not in " ".join(advise_next_steps(replace(lost, nominal=AXIS)))
+    assert "plant new" not in " ".join(advise_next_steps(found))
 
 
 def test_a_refused_record_of_a_mechanism_is_not_to_be_vented(records: list[Record]) -> None:
@@ -157,6 +189,11 @@ def test_a_chamber_of_constant_volume_is_diagnosed_without_a_position() -> None:
     assert "pamctl run" not in told
     document = build_diagnosis_document(found)
     assert not {"creep", "moving_mass"} & {spot["name"] for spot in document["blind_spots"]}
+    spots = {spot["name"]: spot for spot in document["blind_spots"]}
+    assert spots["dead_volume"]["experiment"] == ""
+    assert "it does the same as another valve_gain_m2_per_v" in spots["dead_volume"]["why"]
+    assert not {"encoder_scale", "encoder_backlash"} & {*spots}
+    assert "dead_volume" not in json.dumps(document["next_experiment"])
 
 
 def chamber_record(seed: int, truth: PlantSettings) -> Record:

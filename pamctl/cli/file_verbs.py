@@ -157,8 +157,8 @@ def make_plant(asked: NewPlantOptions) -> None:
     lines += [f"guessed: {name} = {g.value:.4g}, {g.how}" for name, g in guesses.items()]
     if records and papers:
         lines.append(
-            f"of the paper's muscle, as none was given: {', '.join(papers)}; `pamctl diagnose` "
-            "takes them as they are, so measure yours and give each with --value"
+            f"of the paper's muscle, as none was given: {', '.join(papers)}; no fit finds the "
+            "sizes of another: measure yours, and give each with --value"
         )
     column_map = ["--map", asked.map_path] if asked.map_path else []
     measured = [str(path) for path in asked.measured] or ["LOG"]

@@ -168,8 +168,10 @@ def audit_model(weigher: Weigher, m: WeighedModel, *, pairs: bool = True) -> Aud
     powers = {name: beside.find_power(doses) for name, (_, doses) in asked.items()}
     not_fitted = {h.family for h in mere}
     sees = tuple(n for n, power in powers.items() if power > 1.0 and n not in not_fitted)
+    free = {number.name for number in m.numbers}
+    held = {name for name, value in weigher.base.items() if value and name not in free}
     blind = [
-        _describe_blind_spot(h, powers[n], plant, is_fitted=n not in not_fitted)
+        _describe_blind_spot(h, powers[n], plant, held, is_fitted=n not in not_fitted)
         for n, (h, _) in asked.items()
         if n not in sees and (plant.actuator == "muscle" or powers[n] > INERT)
     ]
@@ -191,7 +193,7 @@ def audit_model(weigher: Weigher, m: WeighedModel, *, pairs: bool = True) -> Aud
         ]
     told = {*sees, *(spot.name for spot in blind)}
     unasked = tuple(
-        (n, _explain_unasked(n, plant, has_already)) for n in CATALOGUE if n not in told
+        (n, _explain_unasked(n, plant, has_already, asked)) for n in CATALOGUE if n not in told
     )
     return Audit(sees, tuple(blind), tuple(alike), unasked)
 
@@ -279,13 +281,13 @@ def _advise_pair(pair: tuple[str, str], *without: str) -> Inseparable:
 
 
 def _describe_blind_spot(
-    hypothesis: Hypothesis, power: float, plant: PlantSettings, *, is_fitted: bool
+    hypothesis: Hypothesis, power: float, plant: PlantSettings, held: set[str], *, is_fitted: bool
 ) -> BlindSpot:
     effect, size = CATALOGUE[hypothesis.family], hypothesis.variants[0].sizes[0]
     number = size.name.rpartition(".")[2]
     p = next((p for p in effect.parameters if p.name == number), effect.parameters[0])
     same = effect.same_as.get(plant.actuator, ())
-    if same and not {*same} & {*plant.known}:
+    if same and not {*same} & held:
         why = f"no record shows it: it does the same as another {' and '.join(same)}"
         return BlindSpot(effect.name, why, "", None)
     unit = "" if p.unit == "1" else p.unit
@@ -304,11 +306,17 @@ def _describe_blind_spot(
     return BlindSpot(effect.name, why, effect.best_experiment, (needed, unit), 1.0 / sqrt(power))
 
 
-def _explain_unasked(name: str, plant: PlantSettings, has_already: set[str]) -> str:
+def _explain_unasked(
+    name: str, plant: PlantSettings, has_already: set[str], asked: Collection[str]
+) -> str:
     """Say why an effect is neither among those that show nor among the blind spots."""
     if plant.actuator not in CATALOGUE[name].actuators:
         return f"it is no part of a plant with `actuator: {plant.actuator}`"
-    return "the model has it already" if name in has_already else "it changes nothing here"
+    if name in has_already:
+        return "the model has it already"
+    if name in asked:
+        return "it changes nothing here"
+    return "this plant and its records have nothing that it acts on"
 
 
 def find_separating_experiment(

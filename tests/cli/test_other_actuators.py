@@ -106,6 +106,9 @@ def test_an_audit_has_a_word_for_every_effect_of_the_catalogue(plant, folder):
     ]
     assert sorted(told) == sorted(CATALOGUE)
     assert all(spot["why"] for spot in audit["unasked"])
+    elsewhere = {"chamber": "coulomb_friction", "axis": "chamber_leak"}[plant]
+    (why,) = (spot["why"] for spot in audit["unasked"] if spot["name"] == elsewhere)
+    assert why == "this plant and its records have nothing that it acts on"
 
 
 @pytest.fixture(scope="module")

@@ -312,7 +312,7 @@ def describe_gap(diagnosis: Diagnosis) -> str:
     """Say what each model leaves of each channel, in plain units, and whether that is noise."""
     evidence, parts = diagnosis.evidence, []
     is_windowed = evidence and evidence.weigher.train.windowed
-    begins = " and of the readings that windows begin from" if is_windowed else ""
+    begins = ", and of the readings that windows begin from," if is_windowed else ""
     for name, unit, start, again, extended, noise in starmap(spell_gap, diagnosis.gap.items()):
         steps = [f"{start} {unit} by the start model", f"{again} {unit} recalibrated"]
         if diagnosis.findings:

@@ -205,8 +205,8 @@ class EffectDescription:
     unidentifiable: Callable[[PaperParameters], str] | None = None
     """Says why `diagnose` does not fit its size, from the plant's numbers; None where it does."""
     same_as: Mapping[Actuator, tuple[str, ...]] = field(default_factory=dict)
-    """By actuator, numbers of the plant that do the same together: unless one of them is known, no
-    record shows the effect."""
+    """By actuator, numbers of the plant that do the same together: unless one of them is known and
+    not 0, no record shows the effect."""
     as_terms: tuple[AsTerm, ...] = ()
     """The terms that say it without its name."""
     actuators: tuple[Actuator, ...] = ACTUATORS

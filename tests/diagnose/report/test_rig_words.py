@@ -12,6 +12,7 @@ import pytest
 from support.made_records import ask_only, list_asked, names_of
 
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, report_diagnosis
+from pamctl.diagnose.audit import audit_run
 from pamctl.diagnose.plant_numbers import FittedNumber
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
@@ -194,6 +195,9 @@ def test_a_chamber_of_constant_volume_is_diagnosed_without_a_position() -> None:
     assert "it does the same as another valve_gain_m2_per_v" in spots["dead_volume"]["why"]
     assert not {"encoder_scale", "encoder_backlash"} & {*spots}
     assert "dead_volume" not in json.dumps(document["next_experiment"])
+    known = PlantSettings.model_validate({**base, "known": ["valve_gain_m2_per_v"]})
+    told = audit_run(records[0], known).as_dict()
+    assert "does the same" not in json.dumps(told)
 
 
 def chamber_record(seed: int, truth: PlantSettings) -> Record:

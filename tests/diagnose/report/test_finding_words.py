@@ -2,9 +2,10 @@
 
 import pytest
 
-from pamctl.diagnose.evidence.ladder import JudgedRival
+from pamctl.diagnose.evidence.ladder import Finding, JudgedRival
 from pamctl.diagnose.evidence.measuring_chain import list_of_chain
-from pamctl.diagnose.report.finding_words import describe_standing
+from pamctl.diagnose.plant_numbers import FittedNumber
+from pamctl.diagnose.report.finding_words import describe_standing, spell_best, spell_names
 
 LATE = next(list_of_chain(["position_m"], {}, 1e-3, "direct", {}))
 
@@ -25,3 +26,29 @@ def test_a_rival_is_behind_or_ahead_and_never_a_negative_number_behind(
         LATE, behind_nats, ends, 0.9, is_beaten, is_freer=False, is_better=False, model=None
     )
     assert describe_standing(rival) == words
+
+
+@pytest.mark.parametrize(
+    ("name", "value_s", "words"),
+    [
+        ("position_late", 4.45e-3, "position_m late by 4.45 ms"),
+        ("position_late", -2e-3, "position_m early by 2 ms"),
+        ("position_smoothed", 12e-3, "position_m smoothed over 12 ms"),
+    ],
+)
+def test_a_late_or_smoothed_column_is_said_with_its_milliseconds(
+    name: str, value_s: float, words: str
+) -> None:
+    chain = {h.name: h for h in list_of_chain(["position_m"], {}, 1e-3, "direct", {})}
+    number = FittedNumber("~", value_s, value_s, value_s, "s")
+    ends = 90.0, 110.0
+    finding = Finding(
+        chain[name], True, True, False, 100.0, ends, 0.5, (number,), (), 0, False, ()
+    )  # fmt: skip
+    assert spell_best(finding) == words
+
+
+def test_a_rival_of_the_measuring_chain_is_said_in_words() -> None:
+    assert spell_names("skew of position_m") == "a late or early position_m"
+    assert spell_names("filter of position_m") == "a smoothed position_m"
+    assert spell_names("curve of position_m over time") == "curve of position_m over time"

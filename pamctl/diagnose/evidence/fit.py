@@ -7,7 +7,8 @@ only fine residuals decide.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -129,6 +130,22 @@ class Weigher:
             one[:] = 0.0
             one[c] = -1.0
             self._zeros[f"{CHAIN}zero.{channel}"] = to_haar(one)
+
+    @contextmanager
+    def apart(self) -> Iterator[None]:
+        """Simulate each block by the other's measured signal, until this is left."""
+        parts = [runs for runs in (self.train, self.held_out) if runs is not None]
+        try:
+            self._set_apart(parts, True)
+            yield
+        finally:
+            self._set_apart(parts, False)
+
+    def _set_apart(self, parts: Sequence[Runs], is_apart: bool) -> None:
+        for runs in parts:
+            runs.set_apart(is_apart)
+        self.pushes.clear()
+        self.secants.clear()
 
     # --- residuals ---
 
@@ -272,10 +289,22 @@ class Weigher:
         return m
 
     def meet(self, poorer: WeighedModel, better: WeighedModel) -> None:
-        """Weigh both by what the poorer one can resolve: only then do their nats compare."""
-        self.set_floor(poorer)
+        """Weigh both by what both can resolve, in each channel: only then do their nats compare."""
+        self.set_floor(poorer, better)
         self.leave_out(poorer)
         self.leave_out(better)
+
+    def weigh_alone(self, m: WeighedModel) -> float:
+        """Return a model's nats by what it resolves itself: an order of models that are far apart.
+
+        What the poorer one resolves would hide how much better the other is in a channel. Between
+        neighbours these nats say too much: a lower floor alone changes all scales that stand on it.
+        """
+        floor2 = self.floor2
+        self.set_floor(m)
+        total = self.leave_out(m).total
+        self.floor2 = floor2
+        return total
 
     def find_intervals(self, m: WeighedModel) -> dict[str, tuple[float, float]]:
         """Return a 90 % interval of each number: each stretch of blocks left out (a jackknife).

@@ -98,6 +98,41 @@ class Finding:
         return "place" if self.says_place else "set"
 
 
+def judge_names(
+    search: NameSearch, base: WeighedModel, m: WeighedModel
+) -> tuple[WeighedModel, list[Finding]]:
+    """Return a model with what may be said of its names; a rival that is ahead takes the place."""
+    while m.names:
+        findings = climb_ladder(search, base, m)
+        rival = find_rival_ahead(findings)
+        if rival is None:
+            return m, findings
+        search.tell(f"{rival.names[-1]} is ahead of what was found: going on with it")
+        other = search.improve(base, search.weigher.settle(rival))
+        if min(m, other, key=search.weigher.weigh_alone) is m:
+            return m, findings
+        m = other
+    return m, []
+
+
+def find_rival_ahead(findings: Sequence[Finding]) -> WeighedModel | None:
+    """Return the fitted rival that explains surely more than what was found, if one does.
+
+    Of a finding with a number at its range a rival without one need not be ahead: it is the limit.
+    """
+    ahead = [
+        (j.behind_nats, j.model)
+        for finding in findings
+        for j in finding.judged
+        if j.model is not None
+        and not j.is_freer
+        and not list_at_range(j.model, j.hypothesis.name)
+        and (max(j.behind_nats, j.interval_nats[1]) < 0.0 or finding.at_range)
+        and j.behind_nats < (NAME_NATS if finding.at_range else -NAME_NATS)
+    ]
+    return min(ahead, key=lambda rival: rival[0])[1] if ahead else None
+
+
 def climb_ladder(
     search: NameSearch, base: WeighedModel, m: WeighedModel, *, judges: bool = True
 ) -> list[Finding]:

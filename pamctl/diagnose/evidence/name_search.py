@@ -76,8 +76,34 @@ class NameSearch:
         self._fitted: dict[frozenset[str], WeighedModel] = {}
 
     def run(self, base: WeighedModel) -> WeighedModel:
-        """Return the model that nothing improves."""
-        m, been, asked = self.turn_columns(base), set[frozenset[str]](), list(self.pool)
+        """Return the model that nothing improves; of two searches the better, if one leaves much.
+
+        What one block of the plant lacks moves the other too, and several large gaps stand in for
+        each other. So where much is left, the names are searched once more with each block driven
+        by the other's measured signal, and go on from there with both simulated.
+        """
+        m = self.improve(base, self.turn_columns(base))
+        if not (self.weigher.train.may_be_apart and self.weigher.is_much_left(m)):
+            return m
+        self.tell("much is left: asking again, each block driven by the other's measured signal")
+        apart = self.search_apart(base)
+        if frozenset(apart.names) not in self._fitted:
+            apart = self.improve(base, apart)
+        return min(m, apart, key=self.weigher.weigh_alone)
+
+    def search_apart(self, base: WeighedModel) -> WeighedModel:
+        """Return a model of the names that are found with the blocks apart, fitted with both."""
+        weigher, plain = self.weigher, _begin_anew(base, {})
+        with weigher.apart():
+            search = NameSearch(weigher, self.pool, self.tell)
+            alone = weigher.settle(plain, FIT_STEPS)
+            m = search.improve(alone, search.turn_columns(alone))
+        fit = replace(m, d=np.zeros(0), lag=0.0, tangent=None, loss=None, away=None)
+        return weigher.settle(fit, FIT_STEPS)
+
+    def improve(self, base: WeighedModel, m: WeighedModel) -> WeighedModel:
+        """Return the model that nothing improves, from a recalibrated one with names or none."""
+        been, asked = set[frozenset[str]](), list(self.pool)
         while len(m.names) < MOST_NAMES and frozenset(m.names) not in been:
             been.add(frozenset(m.names))
             self._fitted[frozenset(m.names)] = self.found = m
@@ -143,19 +169,14 @@ class NameSearch:
 
         It is asked first, from the plant file's numbers: no tangent leads from one sign to another.
         """
-        weigher, best = self.weigher, base
-        for its in self.pool.values():
-            if its.kind not in SWITCHED:
-                continue
-            weigher.set_floor(base)
-            e = _begin_anew(base, {its.name: its.variants[0]})
-            weigher.refine(e)
-            if weigher.like(e.d, weigher.floor2).by_block.sum() < base.cost.by_block.sum():
-                e = weigher.settle(e)
-                weigher.meet(base, e)
-                if weigher.counts(base, e) and e.total < min(best.total, base.total):
-                    best = e
-        return best
+        weigher = self.weigher
+        if not weigher.is_much_left(base):
+            return base
+        columns = [h for h in self.pool.values() if h.kind in SWITCHED]
+        turned = [_begin_anew(base, {h.name: h.variants[0]}) for h in columns]
+        best = min([base, *map(weigher.settle, turned)], key=weigher.weigh_alone)
+        weigher.meet(base, best)
+        return best if best is not base and weigher.counts(base, best) else base
 
     def _move_ends(self, m: WeighedModel) -> list[tuple[float, WeighedModel]]:
         """Return the fitted model in which an end of the stroke is where the piston stopped.

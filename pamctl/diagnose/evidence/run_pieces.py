@@ -1,8 +1,9 @@
 """The records, as blocks of samples with masks, and the simulation of all their sensors.
 
-A muscle or a chamber runs from the command; a mechanism from the measured force, freely where its
-spring lets it forget, else in windows; where something else moves an axis, the equation gives the
-force. What a hypothesis of the measuring chain does is done to the simulated readings.
+A muscle or a chamber runs from the command, where a search asks for it with its blocks apart; a
+mechanism from the measured force, freely where its spring lets it forget, else in windows; where
+something else moves an axis, the equation gives the force. What a hypothesis of the measuring
+chain does is done to the simulated readings.
 """
 
 from __future__ import annotations
@@ -44,6 +45,7 @@ from pamctl.plant.drive import (
     build_grid,
     drive_coupled,
     drive_mechanics,
+    drive_pressure,
 )
 from pamctl.plant.effects.description import ACTUATORS
 from pamctl.plant.parameters import (
@@ -79,6 +81,15 @@ LATE_M, CLOCK_M = f"{CHAIN}late.position_m", f"{CHAIN}clock.position_m"
 """When a position is read: a window begins with the state of another instant."""
 APART_M = f"{CHAIN}apart.position_m"
 """Force and position of one row are read up to a sample apart, or the force is held between."""
+UNDONE = (
+    f"{CHAIN}atmosphere",
+    *(
+        f"{CHAIN}{done}.{c}"
+        for done in ("factor", "late", "clock")
+        for c in ("position_m", "pressure_pa")
+    ),
+)
+"""What is undone in a measured signal that drives the other block."""
 FAR = 1e4
 """What a simulation shows where the plant leaves the range of its model."""
 
@@ -177,7 +188,7 @@ class Runs:
 
         Held-out records are simulated `like` those that are fitted, `jobs` records side by side.
         """
-        self.jobs = jobs
+        self.jobs, self.is_apart = jobs, False
         self.actuator = ACTUATORS[round(plant.get(ACTUATOR, 0.0))]
         self.period_s = float(np.median([np.median(np.diff(r.t_s)) for r in records or ()]))
         motion = judge_motion(records, self.actuator, self.period_s)
@@ -209,6 +220,15 @@ class Runs:
             return np.zeros(len(self.channels))
         errors = np.concatenate([s.rates["speed_error"] for s in self.stretches])
         return np.full(1, float(np.mean(errors**2)) * (self._window * self.period_s) ** 2 / 3.0)
+
+    @property
+    def may_be_apart(self) -> bool:
+        """Whether all is measured that each block of the plant gets from the other."""
+        return self.channels == ("position_m", "pressure_pa")
+
+    def set_apart(self, is_apart: bool) -> None:
+        """Drive each block by the other's measured signal from now on, or by the simulated one."""
+        self._whole.is_apart, self._whole._last = is_apart, None
 
     @property
     def whole(self) -> Runs:
@@ -356,8 +376,10 @@ class Runs:
         early: tuple[str, ...] = ("valve_v", "t_s", ADDED_PA, ADDED_M)
         if self.windowed:
             early += (LATE_M, CLOCK_M, APART_M)
+        if self._whole.is_apart:
+            early += UNDONE
         command = {k: v for k, v in chain.items() if k.endswith(early)}
-        key = (step_s, *sorted((plain | command).items()))
+        key = (step_s, self._whole.is_apart, *sorted((plain | command).items()))
         last = self._whole._last
         if last is not None and last[0] == key:
             rows = last[1].copy()
@@ -402,8 +424,29 @@ class Runs:
             when_s = when_s + command.get(f"{CHAIN}late.valve_v", 0.0)
             commands = np.interp(when_s, grid.samples_s, commands)
         start = self._start(p, stretch, command)
-        coupled = drive_coupled(p, commands, grid, start=start)
-        return np.stack([getattr(coupled, channel) for channel in self.channels])
+        if not self._whole.is_apart:
+            coupled = drive_coupled(p, commands, grid, start=start)
+            return np.stack([getattr(coupled, channel) for channel in self.channels])
+        read = [
+            self._undo_chain(row, channel, grid.samples_s, command)
+            for row, channel in zip(stretch.shown, self.channels, strict=True)
+        ]
+        moved = drive_mechanics(p, read[1], grid, start=start)
+        filled = drive_pressure(p, commands, read[0], grid, start=start)
+        return np.stack([moved.position_m, filled.pressure_pa])
+
+    def _undo_chain(
+        self, shown: Array, channel: str, when_s: Array, chain: Mapping[str, float]
+    ) -> Array:
+        """Return what a sensor read behind what was done to its readings; no zero is undone."""
+        read = shown - chain.get(f"{CHAIN}added.{channel}", 0.0)
+        if channel == "pressure_pa" and f"{CHAIN}atmosphere" in chain:
+            read = read - self._atmosphere_pa + chain[f"{CHAIN}atmosphere"]
+        late_s = chain.get(f"{CHAIN}late.{channel}", 0.0)
+        rate = 1.0 + chain.get(f"{CHAIN}clock.{channel}", 0.0)
+        if late_s or rate != 1.0:
+            read = _read_at((when_s + late_s) / rate, when_s, read)
+        return np.asarray(read / chain.get(f"{CHAIN}factor.{channel}", 1.0))
 
     def _start(self, p: PlantParameters, stretch: RunPiece, chain: Mapping[str, float]) -> Any:
         """Return the first state; None for a vented muscle. Friction may hold a piston anywhere."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pamctl.diagnose.evidence.command_instants import CommandInstants, find_instants
 from pamctl.diagnose.evidence.constants import FIT_STEPS, NAME_NATS
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher, bound_gain
-from pamctl.diagnose.evidence.ladder import Finding, climb_ladder, fit_number
+from pamctl.diagnose.evidence.ladder import Finding, climb_ladder, fit_number, judge_names
 from pamctl.diagnose.evidence.likelihood import from_haar
 from pamctl.diagnose.evidence.measuring_chain import free_home, list_of_chain
 from pamctl.diagnose.evidence.name_search import NameSearch
@@ -176,7 +176,7 @@ def weigh_evidence(
             base = _refit_instants(weigher, instants, m, base)
             search = NameSearch(weigher, pool, tell)
             m = search.run(base)
-        findings = climb_ladder(search, base, m) if m.names else []
+        m, findings = judge_names(search, base, m)
     except KeyboardInterrupt as interrupt:
         tell("interrupted: writing what was found so far; a second Ctrl-C leaves at once")
         m, stopped_by = search.found or base, interrupt
@@ -307,8 +307,10 @@ def list_calibrated(
         found.append(Unknown(name, value, low, high, share * value))
     for name, p in list_stated(values, plant.known):
         most = 50.0 * abs(values[name])
-        low = -most if p.low < 0.0 else 0.0
-        found.append(Unknown(name, values[name], low, most, most / 500.0))
+        low, high = -most if p.low < 0.0 else 0.0, most
+        if not p.is_scaled:  # the plant file has the same limits
+            low, high = max(low, p.low), min(high, p.high)
+        found.append(Unknown(name, values[name], low, high, most / 500.0))
     loaded = plant.actuator in ("direct", "cylinder") and not runs.imposed
     if loaded and LOAD not in values and "external_load" not in plant.known:
         force = scales_of(runs, plant).force_n

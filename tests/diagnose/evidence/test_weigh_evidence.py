@@ -10,6 +10,8 @@ from hidden.excitations import PROGRAMS
 from hidden.rig import Record, hidden_rig
 
 from pamctl.diagnose.evidence import fit, weigh_evidence
+from pamctl.diagnose.evidence.constants import FINE_STEP_S
+from pamctl.diagnose.evidence.ladder import judge_names
 from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.pool import PAPER_SCALES, list_effects
 from pamctl.diagnose.evidence.weigh import list_pool, prepare_weigher
@@ -69,6 +71,89 @@ def test_what_explains_nothing_promises_nothing_and_hardly_a_loss_beside_a_large
     for score in others:
         assert -0.05 * best.gain < score.gain < 0.01 * best.gain
         assert not score.shows
+
+
+def test_a_turned_column_is_seen_beside_two_gaps_that_hide_it_from_the_first_look() -> None:
+    effects = {"presliding": 2, "creep": 2}
+    turned = [
+        replace(r, position_m=-np.asarray(r.position_m)) for r in records_of(effects, 40717)[0]
+    ]
+    weigher, start = prepare_weigher(turned, [], PAPER)
+    pool = {h.name: h for h in list_pool(weigher.train, weigher.base, PAPER)}
+    base = weigher.settle(start)
+    found = NameSearch(weigher, pool).turn_columns(base)
+    assert found.names == ("position_turned",)
+    left = weigher.like.mean_squares(found.d) / weigher.like.mean_squares(base.d)
+    assert left[0] < 0.01
+
+
+def test_what_the_air_lacks_hardly_moves_the_position_while_the_blocks_are_apart() -> None:
+    weigher, start = prepare_weigher(records_of({"chamber_leak": 10}, 40718)[0], [], PAPER)
+    before, together = weigher.find_residual(start.values), weigher.settle(replace(start))
+    with weigher.apart():
+        apart = weigher.settle(replace(start))
+    left = np.sqrt(weigher.like.mean_squares(apart.d) / weigher.like.mean_squares(together.d))
+    assert left[0] < 0.2
+    assert left[1] > 0.5
+    np.testing.assert_array_equal(weigher.find_residual(start.values), before)
+
+
+def test_names_that_are_found_apart_are_fitted_with_the_whole_plant() -> None:
+    effects = {"chamber_leak": 10, "cubic_stiffness": 5}
+    weigher, start = prepare_weigher(records_of(effects, 40722)[0], [], PAPER)
+    listed = list_pool(weigher.train, weigher.base, PAPER)
+    asked = "chamber_leak", "cubic_stiffness", "supply_droop", "creep"
+    search = NameSearch(weigher, {h.name: h for h in listed if h.name in asked})
+    base = weigher.settle(start)
+    found = search.search_apart(base)
+    assert {*found.names} == {*effects}
+    assert not weigher.is_much_left(found)
+    np.testing.assert_allclose(found.d, weigher.find_residual(found.values, FINE_STEP_S))
+
+
+def test_blocks_that_are_apart_take_signals_without_what_was_done_to_them() -> None:
+    (plain, *_), _ = records_of({}, 40719)
+    late = 3
+    shown_m, shown_pa = np.asarray(plain.position_m), np.asarray(plain.pressure_pa)
+    done = replace(
+        plain,
+        position_m=-np.concatenate([np.full(late, shown_m[0]), shown_m[:-late]]),
+        pressure_pa=shown_pa + 1e5,
+    )
+    chain = {"~factor.position_m": -1.0, "~late.position_m": 3e-3, "~added.pressure_pa": 1e5}
+    rms = []
+    for record, values in (plain, {}), (done, chain), (done, {}):
+        weigher, start = prepare_weigher([record], [], PAPER)
+        with weigher.apart():
+            off = weigher.find_residual({**start.values, **values})
+        rms.append(np.sqrt(np.mean(off**2, axis=(1, 2))))
+    np.testing.assert_allclose(rms[1], rms[0], rtol=0.1)
+    assert (rms[2] > 3.0 * rms[0]).all()
+
+
+def test_a_rival_that_is_ahead_takes_the_place_of_what_was_found() -> None:
+    weigher, start = prepare_weigher(records_of({"coulomb_friction": 5}, 40720)[0], [], PAPER)
+    asked = "coulomb_friction", "spring_hysteresis", "creep"
+    listed = list_pool(weigher.train, weigher.base, PAPER)
+    search = NameSearch(weigher, {h.name: h for h in listed if h.name in asked})
+    base = weigher.settle(start)
+    weigher.set_floor(base)
+    weigher.leave_out(base)
+    search.best_scores = dict.fromkeys(asked, 1.0)
+    (wrong,) = search.refit(base, search.score(base, ["spring_hysteresis"]), 1)
+    m, findings = judge_names(search, base, weigher.settle(wrong))
+    assert m.names == ("coulomb_friction",)
+    assert [(f.name, f.level) for f in findings] == [("coulomb_friction", "name")]
+
+
+def test_a_size_that_the_plant_file_states_stays_within_the_limits_of_plant_files() -> None:
+    plant = PlantSettings.model_validate(
+        {"effects": {"return_friction": {"share": 0.9}, "coulomb_friction": {"force_n": 4.0}}}
+    )
+    _, start = prepare_weigher(records_of({}, 40721)[0], [], plant)
+    ranges = {n.name: (n.low, n.high) for n in start.numbers}
+    assert ranges["return_friction.share"] == (0.0, 2.0)
+    assert ranges["coulomb_friction.force_n"] == (0.0, 200.0)
 
 
 def test_intervals_are_wider_where_much_is_left_and_not_where_noise_is_left(

@@ -26,6 +26,7 @@ from pamctl.log.record_problems import find_frozen
 from pamctl.plant.drive import (
     NO_RESTARTS,
     Restarts,
+    accumulate_times,
     build_grid,
     count_steps,
     drive_coupled,
@@ -223,7 +224,7 @@ def _begin_again(
     """Return the measured state at the begin of a stretch, and at its every so many seconds."""
     assert part.position_m is not None
     period_s = _find_usual_s(part)
-    rates = find_starts(part.position_m, period_s, build_grid(part.dt_s[1:], len(part), 1))
+    rates = find_starts(part.position_m, period_s, accumulate_times(part.dt_s[1:]))
     step = max(1, round(every_s / period_s))
     rows = np.arange(step, len(part), step)
     pressure_pa = plant.atmospheric_pressure_pa

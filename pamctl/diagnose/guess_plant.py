@@ -16,7 +16,7 @@ from scipy.optimize import nnls
 
 from pamctl.diagnose.evidence.measured_motion import SMOOTH_S, find_rates
 from pamctl.diagnose.record import Record
-from pamctl.plant.drive import build_grid
+from pamctl.plant.drive import accumulate_times
 from pamctl.plant.effects.description import ACTUATORS
 from pamctl.plant.paper import PaperParameters, force_area_m2, orifice_flow, volume_m3
 from pamctl.plant.parameters import ACTUATOR, parameters_of
@@ -177,5 +177,4 @@ def _find_motion(record: Record, actuator: str, values: Mapping[str, float]) -> 
 
 def _differentiate(record: Record, column: Array) -> dict[str, Array]:
     steps = np.diff(record.t_s)
-    grid = build_grid(steps, len(column), 1)
-    return find_rates(column, float(np.median(steps)), SMOOTH_S, grid)
+    return find_rates(column, float(np.median(steps)), SMOOTH_S, accumulate_times(steps))

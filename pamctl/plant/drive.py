@@ -416,7 +416,7 @@ def build_grid(
         return dt_s
     intervals = _check_intervals(dt_s, samples)
     longest_s = 1.1 * find_period_s(intervals) / steps if len(intervals) else 1.0
-    samples_s = _accumulate_times(intervals)
+    samples_s = accumulate_times(intervals)
     late_s = _check_acts_after("acts_after_s", acts_after_s, samples)
     if late_s is None:
         acts_s, acting, parts_s = samples_s, np.arange(samples - 1), intervals
@@ -433,7 +433,7 @@ def build_grid(
     first = np.concatenate([[0], np.cumsum(counts)])[begins]
     acting = np.repeat(acting, counts)
     is_whole = len(step_s) == len(intervals)  # one step from each sample to the next
-    ends_s = samples_s if is_whole else _accumulate_times(step_s)
+    ends_s = samples_s if is_whole else accumulate_times(step_s)
     return SampleGrid(samples_s, acts_s, held_v, acting, first, step_s, ends_s)
 
 
@@ -506,5 +506,6 @@ def _undo_restarts(p: PlantParameters, restarts: Restarts, grid: SampleGrid) -> 
     return restarts._replace(outputs=np.ascontiguousarray(true[:, 1]), rates=rates)
 
 
-def _accumulate_times(dt_s: Array) -> Array:
+def accumulate_times(dt_s: Array) -> Array:
+    """Return the times since the first sample, from the intervals between them."""
     return np.concatenate([[0.0], np.cumsum(dt_s)])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pamctl.diagnose.evidence.constants import REST_SHARE
 from pamctl.diagnose.evidence.sample_masks import find_resolution
-from pamctl.plant.drive import SampleGrid, build_grid
+from pamctl.plant.drive import accumulate_times
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -38,8 +38,8 @@ def judge_motion(records: Sequence[Any], actuator: str, period_s: float) -> tupl
         return False, False
     tables, forces = [], []
     for record in records:
-        grid = build_grid(np.diff(record.t_s), len(record.t_s), 1)
-        rates = find_rates(np.asarray(record.position_m, float), period_s, SMOOTH_S, grid)
+        samples_s = accumulate_times(np.diff(record.t_s))
+        rates = find_rates(np.asarray(record.position_m, float), period_s, SMOOTH_S, samples_s)
         speed = rates["speed"]
         columns = [rates["push"], speed, rates["smooth"], np.sign(speed), np.ones(len(speed))]
         pressure = record.pressure_pa
@@ -62,22 +62,22 @@ def judge_motion(records: Sequence[Any], actuator: str, period_s: float) -> tupl
 
 
 def find_rates(
-    position_m: Array, period_s: float, width_s: float, grid: SampleGrid
+    position_m: Array, period_s: float, width_s: float, samples_s: Array
 ) -> dict[str, Array]:
     """Return the smoothed position, its speed and acceleration, of samples at uneven times."""
     from scipy.signal import savgol_filter  # a second to import; a muscle does without
 
-    even_s = np.arange(0.0, grid.samples_s[-1] + period_s, period_s)
-    even_m = np.interp(even_s, grid.samples_s, position_m)
+    even_s = np.arange(0.0, samples_s[-1] + period_s, period_s)
+    even_m = np.interp(even_s, samples_s, position_m)
     width = min(max(5, round(width_s / period_s) | 1), (len(even_m) - 1) | 1)
     found = {
         name: savgol_filter(even_m, width, 2, deriv=deriv, delta=period_s)
         for deriv, name in enumerate(("smooth", "speed", "push"))
     }
-    return {name: np.interp(grid.samples_s, even_s, row) for name, row in found.items()}
+    return {name: np.interp(samples_s, even_s, row) for name, row in found.items()}
 
 
-def find_starts(position_m: Array, period_s: float, grid: SampleGrid) -> dict[str, Array]:
+def find_starts(position_m: Array, period_s: float, samples_s: Array) -> dict[str, Array]:
     """Return position and speed where windows begin, smoothed no wider than the motion allows.
 
     Of local polynomials the widest is taken whose speed differs from that of each narrower one by
@@ -86,8 +86,8 @@ def find_starts(position_m: Array, period_s: float, grid: SampleGrid) -> dict[st
     """
     from scipy.signal import savgol_coeffs, savgol_filter
 
-    even_s = np.arange(0.0, grid.samples_s[-1] + period_s, period_s)
-    even_m = np.interp(even_s, grid.samples_s, position_m)
+    even_s = np.arange(0.0, samples_s[-1] + period_s, period_s)
+    even_m = np.interp(even_s, samples_s, position_m)
     noise_m = max(
         float(np.std(np.diff(even_m, 4))) / sqrt(70.0), find_resolution(position_m) / sqrt(12.0)
     )
@@ -106,7 +106,7 @@ def find_starts(position_m: Array, period_s: float, grid: SampleGrid) -> dict[st
     smooth = savgol_filter(even_m, best, min(START_ORDER, best - 1))
     speed, error = narrower[-1]
     found = {"smooth": smooth, "speed": speed, "speed_error": np.full(len(speed), error)}
-    return {name: np.interp(grid.samples_s, even_s, row) for name, row in found.items()}
+    return {name: np.interp(samples_s, even_s, row) for name, row in found.items()}
 
 
 def has_no_speed(speed: Array, samples_s: Array) -> Mask:

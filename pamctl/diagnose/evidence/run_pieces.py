@@ -42,6 +42,7 @@ from pamctl.plant.drive import (
     NO_RESTARTS,
     Restarts,
     SampleGrid,
+    accumulate_times,
     build_grid,
     drive_coupled,
     drive_mechanics,
@@ -143,7 +144,8 @@ class StepGrids:
     held_v: float | None
 
     def __post_init__(self) -> None:
-        """Build nothing yet."""
+        """Build no grid yet."""
+        self.samples_s = accumulate_times(self.between_s)
         self._built: dict[float, SampleGrid] = {}
 
     def __getitem__(self, step_s: float) -> SampleGrid:
@@ -281,9 +283,8 @@ class Runs:
         shown = np.stack([columns[c] for c in self.channels])
         masked = ~np.isfinite(shown)
         shown = np.stack([fill_gone(row, gone) for row, gone in zip(shown, masked, strict=True)])
-        when_s = grids[COARSE_STEP_S].samples_s
         for row, gone in zip(shown, masked, strict=True):
-            gone |= find_frozen(when_s, row)
+            gone |= find_frozen(grids.samples_s, row)
         if counts is not None:
             masked |= ~np.asarray(counts, dtype=bool)
         pressures = columns.get("pressure_pa")
@@ -293,13 +294,13 @@ class Runs:
             masked[:, : round(WARM_S / self.period_s)] = True
         rates: dict[str, Array] = {}
         if self.actuator == "direct":
-            grid = grids[COARSE_STEP_S]
+            position_m, period_s = columns["position_m"], self.period_s
             if self.imposed:
-                rates = find_rates(columns["position_m"], self.period_s, SPEED_S, grid)
+                rates = find_rates(position_m, period_s, SPEED_S, grids.samples_s)
             else:
-                rates = find_starts(columns["position_m"], self.period_s, grid)
+                rates = find_starts(position_m, period_s, grids.samples_s)
         if self.imposed:
-            masked |= has_no_speed(rates["speed"], grids[COARSE_STEP_S].samples_s)
+            masked |= has_no_speed(rates["speed"], grids.samples_s)
         return RunPiece(columns, shown, masked, rates, grids, at_rest)
 
     def _lay_out(self) -> None:
@@ -319,7 +320,7 @@ class Runs:
                     f"{channel}: no sample counts: all are near a gap, a frozen sensor, or the "
                     "begin of a record; record for longer"
                 )
-        self.when_s = self.pack([s.grids[COARSE_STEP_S].samples_s[None] for s in self.stretches])[0]
+        self.when_s = self.pack([s.grids.samples_s[None] for s in self.stretches])[0]
         self._counts = np.ones(self.n_blocks, dtype=bool)
         self._note_hidden()
 
@@ -368,7 +369,10 @@ class Runs:
     # --- what a plant would have shown ---
 
     def simulate(self, values: Mapping[str, float], step_s: float) -> Array:
-        """Return the readings of a plant, as `shown`; FAR where it leaves its model's range."""
+        """Return the readings of a plant, as `shown`; FAR where it leaves its model's range.
+
+        They are not to be changed: the next call may return the same.
+        """
         plain, chain = join_waves(values)
         air_pa = chain.get(f"{CHAIN}atmosphere")
         if air_pa is not None:
@@ -381,19 +385,21 @@ class Runs:
         command = {k: v for k, v in chain.items() if k.endswith(early)}
         key = (step_s, self._whole.is_apart, *sorted((plain | command).items()))
         last = self._whole._last
-        if last is not None and last[0] == key:
-            rows = last[1].copy()
-        else:
+        if last is None or last[0] != key:
             rows = self._drive(parameters_of(plain), step_s, command)
-            self._whole._last = (key, rows.copy())
-        if chain:
-            rows = self._change_readings(rows, chain)
-        return rows
+            rows.setflags(write=False)
+            self._whole._last = last = key, rows
+        return self._change_readings(last[1].copy(), chain) if chain else last[1]
 
     def _drive(self, p: PlantParameters, step_s: float, command: Mapping[str, float]) -> Array:
         drive = partial(self._drive_stretch, p, step_s=step_s, command=command)
-        parts = [*_start_threads(self.jobs).map(drive, self.stretches)]
-        return np.nan_to_num(self.pack(parts), nan=FAR, posinf=FAR, neginf=-FAR)
+        side_by_side = min(self.jobs, len(self.stretches)) > 1
+        run_each = _start_threads(self.jobs).map if side_by_side else map
+        parts = [*run_each(drive, self.stretches)]
+        rows = self.pack(parts)
+        if not np.isfinite(rows).all():
+            np.nan_to_num(rows, copy=False, nan=FAR, posinf=FAR, neginf=-FAR)
+        return rows
 
     def _drive_stretch(
         self, p: PlantParameters, stretch: RunPiece, step_s: float, command: Mapping[str, float]

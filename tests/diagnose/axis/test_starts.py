@@ -9,7 +9,6 @@ from scipy.integrate import solve_ivp
 from pamctl.diagnose import Record, diagnose
 from pamctl.diagnose.evidence.measured_motion import find_starts
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
-from pamctl.plant.drive import build_grid
 from pamctl.plant.model import PlantSettings
 
 T_S = np.arange(0.0, 8.0, 1e-3)
@@ -32,7 +31,7 @@ def move(mass_kg: float, damping_n_s_per_m: float, seed: int) -> Record:
 def test_where_windows_begin_the_speed_of_a_quick_motion_is_not_late() -> None:
     position_m = 5e-3 * np.sin(60.0 * T_S)
     rounded_m = 1e-6 * np.round(1e6 * position_m)
-    found = find_starts(rounded_m, 1e-3, build_grid(np.diff(T_S), len(T_S), 1))
+    found = find_starts(rounded_m, 1e-3, T_S)
     inside = slice(100, -100)
     off = found["speed"] - 0.3 * np.cos(60.0 * T_S)
     assert np.sqrt(np.mean(off[inside] ** 2)) < 1e-3 * 0.3
@@ -41,7 +40,7 @@ def test_where_windows_begin_the_speed_of_a_quick_motion_is_not_late() -> None:
 def test_a_still_axis_is_smoothed_over_the_whole_width() -> None:
     chance = np.random.default_rng(4)
     position_m = chance.normal(0.0, 1e-5, len(T_S))
-    found = find_starts(position_m, 1e-3, build_grid(np.diff(T_S), len(T_S), 1))
+    found = find_starts(position_m, 1e-3, T_S)
     assert np.std(found["speed"][100:-100]) < 3e-3
 
 

@@ -82,7 +82,7 @@ class NameSearch:
         each other. So where much is left, the names are searched once more with each block driven
         by the other's measured signal, and go on from there with both simulated.
         """
-        m = self.improve(base, self.turn_columns(base))
+        m = self.improve(base)
         if not (self.weigher.train.may_be_apart and self.weigher.is_much_left(m)):
             return m
         self.tell("much is left: asking again, each block driven by the other's measured signal")
@@ -97,12 +97,13 @@ class NameSearch:
         with weigher.apart():
             search = NameSearch(weigher, self.pool, self.tell)
             alone = weigher.settle(plain, FIT_STEPS)
-            m = search.improve(alone, search.turn_columns(alone))
+            m = search.improve(alone)
         fit = replace(m, d=np.zeros(0), lag=0.0, tangent=None, loss=None, away=None)
         return weigher.settle(fit, FIT_STEPS)
 
-    def improve(self, base: WeighedModel, m: WeighedModel) -> WeighedModel:
-        """Return the model that nothing improves, from a recalibrated one with names or none."""
+    def improve(self, base: WeighedModel, m: WeighedModel | None = None) -> WeighedModel:
+        """Return the model that nothing improves; from a model with names, if one is given."""
+        m = m or self.turn_columns(base)
         been, asked = set[frozenset[str]](), list(self.pool)
         while len(m.names) < MOST_NAMES and frozenset(m.names) not in been:
             been.add(frozenset(m.names))

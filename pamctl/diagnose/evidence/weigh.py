@@ -170,7 +170,7 @@ def weigh_evidence(
     search, stopped_by = NameSearch(weigher, pool, tell), None
     try:
         tell(_foretell(weigher, len(pool), time.monotonic() - begin_s))
-        m = search.run(base)
+        m = search.improve(base) if instants else search.run(base)
         if instants:
             tell("fitting when the commands acted, beside what was found; then asking again")
             base = _refit_instants(weigher, instants, m, base)
@@ -206,7 +206,8 @@ def _foretell(weigher: Weigher, asked: int, took_s: float) -> str:
     none_s, one_s, two_s = (each_s * forecast_simulations(asked, found) for found in range(3))
     return (
         f"recalibrated; about {none_s:.0f} s if nothing is missing, {one_s:.0f} s if one thing is, "
-        f"and {two_s - one_s:.0f} s for each further one"
+        f"and {two_s - one_s:.0f} s for each further one, found or "
+        "exchanged; twice that where much stays unexplained"
     )
 
 

@@ -144,6 +144,10 @@ class Weigher:
     def _set_apart(self, parts: Sequence[Runs], is_apart: bool) -> None:
         for runs in parts:
             runs.set_apart(is_apart)
+        self.forget_responses()
+
+    def forget_responses(self) -> None:
+        """Drop what hypotheses did to simulations that are not made like that any more."""
         self.pushes.clear()
         self.secants.clear()
 

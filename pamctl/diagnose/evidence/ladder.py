@@ -118,7 +118,8 @@ def judge_names(
 def find_rival_ahead(findings: Sequence[Finding]) -> WeighedModel | None:
     """Return the fitted rival that explains surely more than what was found, if one does.
 
-    Of a finding with a number at its range a rival without one need not be ahead: it is the limit.
+    Where a number of the finding stands at its range, a rival without one need only do as well: it
+    is what the finding becomes there.
     """
     ahead = [
         (j.behind_nats, j.model)
@@ -127,8 +128,10 @@ def find_rival_ahead(findings: Sequence[Finding]) -> WeighedModel | None:
         if j.model is not None
         and not j.is_freer
         and not list_at_range(j.model, j.hypothesis.name)
-        and (max(j.behind_nats, j.interval_nats[1]) < 0.0 or finding.at_range)
-        and j.behind_nats < (NAME_NATS if finding.at_range else -NAME_NATS)
+        and (
+            (j.behind_nats < -NAME_NATS and j.interval_nats[1] < 0.0)
+            or (finding.at_range and j.behind_nats < NAME_NATS)
+        )
     ]
     return min(ahead, key=lambda rival: rival[0])[1] if ahead else None
 

@@ -98,8 +98,7 @@ class NameSearch:
             search = NameSearch(weigher, self.pool, self.tell)
             alone = weigher.settle(plain, FIT_STEPS)
             m = search.improve(alone)
-        fit = replace(m, d=np.zeros(0), lag=0.0, tangent=None, loss=None, away=None)
-        return weigher.settle(fit, FIT_STEPS)
+        return weigher.settle(WeighedModel(m.names, m.numbers, m.held, m.x, m.picked), FIT_STEPS)
 
     def improve(self, base: WeighedModel, m: WeighedModel | None = None) -> WeighedModel:
         """Return the model that nothing improves; from a model with names, if one is given."""

@@ -217,8 +217,7 @@ def _refit_instants(
     """Return the base model fitted to records whose commands act as a model says."""
     for each in instants:
         each.fit(m)
-    weigher.pushes.clear()
-    weigher.secants.clear()
+    weigher.forget_responses()
     return weigher.settle(WeighedModel((), base.numbers, {}, base.x.copy()), FIT_STEPS)
 
 

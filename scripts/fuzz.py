@@ -129,7 +129,7 @@ def _read() -> Harness:
     from pamctl.log.check import check_log
     from pamctl.log.measured_signals import judge_ticks
     from pamctl.log.reader import read_paged
-    from pamctl.replay.replay_source import read_replay_source
+    from pamctl.offline.replay_source import read_replay_source
 
     def look(path: Path) -> None:
         for tool in (

@@ -15,11 +15,11 @@ import tempfile
 from pathlib import Path
 
 from pamctl.log import read
+from pamctl.models.reproduction import PRINTED_QSMC, TUNED, reproduce_paper
 from pamctl.report.figure import Plot, PlotAxis
 from pamctl.report.html_page import write_html
 from pamctl.report.report import Figure, Report
 from pamctl.report.run_page import compose_report
-from pamctl.reproduce.reproduction import PRINTED_QSMC, TUNED, reproduce_paper
 from pamctl.signals import Phase
 
 PICTURES = Path(__file__).resolve().parents[1] / ".readme"

@@ -20,11 +20,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+from pamctl.replay import replay_log
+
 from pamctl.exit_codes import ExitCode
 from pamctl.log import read
 from pamctl.processes.backends import SHARED_MEMORY
 from pamctl.recording.ring import Ring
-from pamctl.replay import replay_log
 
 ROOT = Path(__file__).resolve().parent.parent
 GOLDEN = Path("tests/golden")

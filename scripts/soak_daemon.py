@@ -31,8 +31,8 @@ from hal.sim import peek_v
 from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
 from pamctl.daemon.protocol import INTERNAL_ERROR
 from pamctl.log import read
+from pamctl.offline.tick_replay import replay_log
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
-from pamctl.replay import replay_log
 from pamctl.settings.resolve import resolve, settings_to_data
 
 SHARE_OF_ONE_LIFE = 0.75

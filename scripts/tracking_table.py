@@ -15,10 +15,10 @@ import math
 
 from measured_table import format_table, write_measured
 
+from pamctl.offline.closed_loop import simulate_run
+from pamctl.offline.merit import TABLE_IV, Merit
 from pamctl.settings.config_files import list_shipped
 from pamctl.settings.resolve import resolve
-from pamctl.simulate.closed_loop import simulate_run
-from pamctl.simulate.merit import TABLE_IV, Merit
 
 PLANTS = {
     "paper": ("paper", 0),

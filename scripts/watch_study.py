@@ -35,13 +35,13 @@ from hidden.hostile.lab import FITTED, TRUTH_NAMES
 from hidden.rig import HiddenRig, hidden_rig
 
 from pamctl.diagnose.record import Record
-from pamctl.health.follow_health import MISFIT, FollowedDrift, find_changes, fit_record
-from pamctl.health.health_words import list_rivals
 from pamctl.log.measured_signals import Signals
-from pamctl.monitor.explain_alarm import explain_record
-from pamctl.monitor.watch_run import RunWatch
 from pamctl.plant.model import PlantSettings
 from pamctl.signals import Phase
+from pamctl.watch.explain_alarm import explain_record
+from pamctl.watch.follow_health import MISFIT, FollowedDrift, find_changes, fit_record
+from pamctl.watch.health_words import list_rivals
+from pamctl.watch.watch_run import RunWatch
 
 TIMES_SMALLEST = 3.0
 HEALTH_RUN_S = 14.0

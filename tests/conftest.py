@@ -89,7 +89,8 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     class FileScheduling(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
             file = super()._split_scope(nodeid)
-            return "tests/on_rig" if file.startswith("tests/on_rig/") else file
+            here = "tests/session/on_rig"
+            return here if file.startswith(f"{here}/") else file
 
     return FileScheduling(config, log) if config.getoption("dist") == "loadfile" else None
 

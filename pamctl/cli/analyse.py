@@ -124,9 +124,8 @@ def replay(asked: ReplayOptions) -> None:
 
 
 def _compare_with_log(log: Log, asked: ReplayOptions) -> ExitCode:
-    from pamctl.replay import replay_log
-    from pamctl.replay.replay_text import report_replay
-    from pamctl.replay.tick_replay import EXACT, OTHER_CPU
+    from pamctl.offline.tick_replay import EXACT, OTHER_CPU, replay_log
+    from pamctl.report.replay_text import report_replay
 
     tolerances = EXACT if asked.tolerance is None else OTHER_CPU
     found = replay_log(log, from_s=asked.from_s, plain=asked.plain, tolerances=tolerances)
@@ -135,9 +134,9 @@ def _compare_with_log(log: Log, asked: ReplayOptions) -> ExitCode:
 
 
 def _run_what_if(log: Log, asked: ReplayOptions) -> ExitCode:
-    from pamctl.replay import read_replay_source
-    from pamctl.replay.replay_text import report_what_if
-    from pamctl.replay.what_if import replace_law, run_what_if
+    from pamctl.offline.replay_source import read_replay_source
+    from pamctl.offline.what_if import replace_law, run_what_if
+    from pamctl.report.replay_text import report_what_if
 
     settings = replace_law(read_replay_source(log).settings, asked.controller, asked.overrides)
     answer = run_what_if(log, settings, from_s=asked.from_s)
@@ -176,10 +175,10 @@ def compare(asked: CompareOptions) -> None:
         raise typer.BadParameter("there is no page; give --plot too", param_hint="--interactive")
     if plot is not None:
         require_place(plot, replaces=PAGE_BEGIN)
-    from pamctl.compare.comparison import compare_plants
-    from pamctl.compare.comparison_report import report_comparison
     from pamctl.log.measured_signals import SIGNAL_FIELDS, judge_ticks
     from pamctl.log.reader import read, read_some
+    from pamctl.models.comparison import compare_plants
+    from pamctl.models.comparison_report import report_comparison
     from pamctl.report.html_page import write_html
     from pamctl.report.progress_line import WorkProgress
     from pamctl.report.report import format_terminal
@@ -234,13 +233,13 @@ def health(asked: HealthOptions) -> None:
     """
     require_empty_folder(asked.out)
     plant = asked.read_plant()
-    from pamctl.cluster.worker_processes import start_workers
     from pamctl.diagnose.refuse import read_acceptances
-    from pamctl.health.follow_health import Stated, follow_health
-    from pamctl.health.health_words import format_good_plant, report_health
     from pamctl.report.html_page import write_html
     from pamctl.runs.run_index import RunIndex
     from pamctl.runs.run_row import UNREADABLE
+    from pamctl.watch.follow_health import Stated, follow_health
+    from pamctl.watch.health_words import format_good_plant, report_health
+    from pamctl.worker_processes import start_workers
 
     stated = Stated(read_acceptances(asked.accept), asked.read_noise())
     folder = asked.folder
@@ -280,9 +279,9 @@ class ReproduceOptions(Options):
 @verb
 def reproduce(asked: ReproduceOptions) -> None:
     """Write DIR/index.html and DIR/numbers.json; every number is simulated now."""
+    from pamctl.models.reproduction import PARTS, reproduce_paper
     from pamctl.report.html_page import write_html
     from pamctl.report.progress_line import WorkProgress
-    from pamctl.reproduce.reproduction import PARTS, reproduce_paper
 
     part, out = asked.part, asked.out
     if part not in (_ALL, *PARTS):

@@ -181,9 +181,9 @@ def _find_left_out(word: str, plant: PlantSettings) -> list[str]:
 def diagnose_on_rig(asked: DiagnoseOptions, plant: PlantSettings) -> None:
     """Run the rounds on the daemon's rig; write and print what was found, however they end."""
     from pamctl.commissioning.bench import Terminal
-    from pamctl.on_rig.decide_on_rig import Investigation, write_investigation
-    from pamctl.on_rig.rig_plan import Budget, make_rig_plan
     from pamctl.session.daemon_rig import connect
+    from pamctl.session.decide_on_rig import Investigation, write_investigation
+    from pamctl.session.rig_plan import Budget, make_rig_plan
 
     records = read_records(asked.logs, asked.map_path)
     with connect(asked.socket) as rig:
@@ -209,7 +209,7 @@ def diagnose_on_rig(asked: DiagnoseOptions, plant: PlantSettings) -> None:
 
 def _run_rounds(rig: Any, investigation: Any) -> tuple[ExitCode, str]:
     """Return how the rounds ended; the rig is left, stopped and safe, when this returns."""
-    from pamctl.on_rig.decide_on_rig import decide_on_rig
+    from pamctl.session.decide_on_rig import decide_on_rig
     from pamctl.session.pamctl_error import PamctlError
 
     try:
@@ -231,7 +231,7 @@ def _run_rounds(rig: Any, investigation: Any) -> tuple[ExitCode, str]:
 def _finish(investigation: Any, asked: DiagnoseOptions, code: ExitCode, reason: str) -> None:
     """Write the folder and print the result; the document is there as far as it is."""
     from pamctl.diagnose import report_diagnosis
-    from pamctl.on_rig.decide_on_rig import tell_rounds, write_investigation
+    from pamctl.session.decide_on_rig import tell_rounds, write_investigation
 
     assert asked.out is not None
     found = investigation.diagnosis
@@ -288,8 +288,8 @@ def _make_record(what: str, plant: str | None) -> Record:
         return record_of(what)
     find_argument_file("experiment", what)  # its error names what the user typed
     from pamctl.diagnose import Record
+    from pamctl.offline.closed_loop import simulate_run
     from pamctl.settings.resolve import resolve
-    from pamctl.simulate.closed_loop import simulate_run
 
     run = simulate_run(resolve(experiment=what, plant=plant))
     return Record(

@@ -207,7 +207,7 @@ def export_plant(asked: ExportPlantOptions) -> None:
     out = asked.out
     if out.suffix.lower() != ".fmu":
         raise typer.BadParameter(f"{str(out)!r} must end with .fmu", param_hint="OUT.fmu")
-    from pamctl.fmu.archive import write_fmu
+    from pamctl.models.fmu import write_fmu
 
     settings = read_section_file("plant", find_argument_file("plant", asked.plant))
     platform = write_fmu(settings, out, sources_only=asked.sources_only)

@@ -35,7 +35,7 @@ from pamctl.new_file import require_folder, write_files
 from pamctl.settings.config_files import DEFAULT_NAMES
 
 if TYPE_CHECKING:
-    from pamctl.sweep.run_sweep import SweepEnd, SweepPlan
+    from pamctl.session.run_sweep import SweepEnd, SweepPlan
     from pamctl.tune.gains_search import BestGains
 
 
@@ -189,7 +189,7 @@ def sweep(asked: SweepOptions) -> None:
 
     An interrupted sweep keeps its logs and goes on with the same command and --name.
     """
-    from pamctl.sweep.sweep_plan import parse_sweep, require_end
+    from pamctl.session.sweep_plan import parse_sweep, require_end
 
     said = asked.make_annotation()
     title = asked.name or datetime.now().strftime("sweep-%Y%m%d-%H%M%S")
@@ -214,7 +214,7 @@ def sweep(asked: SweepOptions) -> None:
         require_end(settings)
         require_linux()
         from pamctl.daemon.client import Client, default_socket
-        from pamctl.sweep.run_sweep import DaemonRunner, run_sweep
+        from pamctl.session.run_sweep import DaemonRunner, run_sweep
 
         with (
             Client(asked.socket or default_socket()) as client,
@@ -232,7 +232,7 @@ def sweep(asked: SweepOptions) -> None:
         require_folder(asked.logs)
         asked.logs.mkdir(parents=True, exist_ok=True)
         from pamctl.report.progress_line import ProgressLine
-        from pamctl.sweep.run_sweep import OwnRunner, run_sweep
+        from pamctl.session.run_sweep import OwnRunner, run_sweep
 
         own_runner = OwnRunner(points, names, asked.logs, lambda: ProgressLine(quiet=silent))
         plan = own_runner.plan_sweep(base, request, asked.repeats, title, said)
@@ -242,7 +242,7 @@ def sweep(asked: SweepOptions) -> None:
 
 def _conclude(plan: SweepPlan, end: SweepEnd, *, as_json: bool) -> None:
     from pamctl.report.report import Report
-    from pamctl.sweep.sweep_result import (
+    from pamctl.session.sweep_result import (
         format_points_csv,
         list_point_documents,
         summarise_points,
@@ -254,7 +254,7 @@ def _conclude(plan: SweepPlan, end: SweepEnd, *, as_json: bool) -> None:
     if points:
         from pamctl.report.html_page import write_html
         from pamctl.runs.run_row import find_varying_keys
-        from pamctl.sweep.sweep_result import write_sweep_page
+        from pamctl.session.sweep_result import write_sweep_page
 
         keys = [key for key in points[0].point if key in find_varying_keys(end.rows)]
         page = write_html(write_sweep_page(plan.name, plan.folder, end.rows, keys))

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from pamctl.daemon.protocol import RequestRefusedError
-from pamctl.monitor.monitor_handle import MonitorHandle, format_alarm, format_monitor
 from pamctl.plain_text import LONGEST_REMARK
 from pamctl.plant.model import PlantSettings
+from pamctl.watch.monitor_handle import MonitorHandle, format_alarm, format_monitor
 
 _MOST_WAITING = 1000
 _LAST_PATIENCE_S = 1.0

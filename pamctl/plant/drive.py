@@ -5,7 +5,7 @@
     drive_pressure(p, command_v, position_m, dt_s)  -> PressureResponse
     drive_mechanics(p, pressure_pa, dt_s)   -> MechanicsResponse
 
-The order of a tick is that of the simulated rig and of `pamctl.simulate.closed_loop`: sample k is
+The order of a tick is that of the simulated rig and of `pamctl.offline.closed_loop`: sample k is
 taken, then command k is written, and the plant runs under it for `dt_s[k]` until sample k + 1
 is taken. So the samples of tick 0 are the start state, `command_v[k]` does not affect sample k,
 and the last command is not used. `dt_s` is one number for a regular grid, or one for each

@@ -8,6 +8,7 @@ from contextlib import ExitStack, suppress
 from functools import partial
 
 from pamctl.exit_codes import Ending
+from pamctl.offline.many_ticks import find_many_ticks
 from pamctl.processes.backends import build_clock, build_rig, make_plant
 from pamctl.realtime.loop import ControlLoop, Supervisor
 from pamctl.realtime.program import CuedHelm, OrderSlot, Program
@@ -23,7 +24,6 @@ from pamctl.settings.build import (
     nominal_zero_of,
 )
 from pamctl.settings.resolve import RunSettings
-from pamctl.simulate.many_ticks import find_many_ticks
 
 _UNPREPARED = Preparation("off", (), ExitStack())
 

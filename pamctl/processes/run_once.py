@@ -18,6 +18,7 @@ from pamctl.exit_codes import Ending, ExitCode
 from pamctl.kernel import build
 from pamctl.log.annotation import NOTHING_SAID, Annotation, annotate_meta
 from pamctl.log.run_meta import RunMeta, bare_name, make_dated_path
+from pamctl.offline.many_ticks import find_many_ticks
 from pamctl.plain_text import escape_name
 from pamctl.processes.backends import (
     SHARED_MEMORY,
@@ -42,7 +43,6 @@ from pamctl.runs.index_finished import index_quietly
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.resolve import RunSettings, settings_to_json, settings_to_yaml
 from pamctl.signals import list_tick_fields
-from pamctl.simulate.many_ticks import find_many_ticks
 
 
 class FinishedRun(NamedTuple):

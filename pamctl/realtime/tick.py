@@ -2,7 +2,7 @@
 
     RawSample -> Measurement -> Estimate -> Command -> Decision
 
-Known effects of sensors and valve can be undone on both sides of the law (`pamctl.compensation`).
+`around_the_law` can undo known effects of sensors and valve on both sides of the law.
 Safety judges what the sensors show, and clips what goes to the valve.
 
 The tick is pure: it has no clock, no rig, no log. The loop around it reads the rig, calls it,
@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from hal.calibration import Calibration, Zero, position_m, pressure_pa
 from hal.rig import RawSample
-from pamctl.compensation.around_the_law import (
+from pamctl.control.around_the_law import (
     Compensation,
     compensate_command,
     correct_measurement,

@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 from pamctl.control.law_registry import LawWords, read_law_words
 from pamctl.log import Log
 from pamctl.log.run_meta import Moment, list_moments
-from pamctl.plant.model import PlantSettings
-from pamctl.report.report import Report, ReportTable, Text, spell_um
-from pamctl.settings.resolve import resolve, settings_to_data
-from pamctl.signals import Phase
-from pamctl.simulate.merit import (
+from pamctl.offline.merit import (
     NO_MERIT,
     Merit,
     compute_log_merits,
     find_paper_rows,
     summarise_timing,
 )
+from pamctl.plant.model import PlantSettings
+from pamctl.report.report import Report, ReportTable, Text, spell_um
+from pamctl.settings.resolve import resolve, settings_to_data
+from pamctl.signals import Phase
 
 Floats = NDArray[np.float64]
 

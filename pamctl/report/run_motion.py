@@ -10,10 +10,10 @@ import numpy as np
 from pamctl.control.law import Term
 from pamctl.control.law_registry import find_law
 from pamctl.log.run_meta import Moment
+from pamctl.offline.merit import find_paper_rows
 from pamctl.report.figure import MUTED, Plot, PlotAxis, plot_apart
 from pamctl.report.report import Figure, Points, Report, Section, Text
 from pamctl.report.reported_run import MICRO, ReportedRun
-from pamctl.simulate.merit import find_paper_rows
 
 KPA, MM = 1e-3, 1e3
 

@@ -15,6 +15,7 @@ from pamctl.log import Log
 from pamctl.log.annotation import ANNOTATION, Annotation
 from pamctl.log.measured_signals import judge_ticks
 from pamctl.log.run_meta import describe_running_changes, list_gain_changes, spell_controller
+from pamctl.offline.merit import compute_log_merits, find_paper_rows, summarise_durations
 from pamctl.plain_text import clean_text
 from pamctl.report.figure import Plot, PlotAxis
 from pamctl.report.frequency import write_frequency_response
@@ -28,7 +29,6 @@ from pamctl.report.reported_run import (
 )
 from pamctl.report.run_motion import write_filtering, write_law, write_motion
 from pamctl.safety import VERDICTS
-from pamctl.simulate.merit import compute_log_merits, find_paper_rows, summarise_durations
 
 
 def write_summary(page: Report, runs: Sequence[ReportedRun]) -> None:

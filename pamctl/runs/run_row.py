@@ -21,9 +21,9 @@ from pamctl.log.framing import LogError
 from pamctl.log.reader import Scan
 from pamctl.log.run_meta import bare_name
 from pamctl.log.schema import EVENT_TOPIC, TICK_TOPIC
+from pamctl.offline.merit import NO_MERIT, compute_log_merits
 from pamctl.plain_text import clean_text, escape_name
 from pamctl.safety import explain_verdicts
-from pamctl.simulate.merit import NO_MERIT, compute_log_merits
 
 ENDINGS = {
     ExitCode.OK: "ok",

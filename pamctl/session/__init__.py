@@ -1,5 +1,11 @@
-"""A rig in a Python session: `pamctl.connect()`, `pamctl.simulate()`, and the runs they return.
+"""Many runs of one rig: asked for from Python, by a sweep, or by the diagnosis itself.
 
-`import pamctl` offers the public names and loads them when they are first used.
-Read `steered_rig.py` first, then `daemon_rig.py` and `simulated_rig.py`.
+`import pamctl` offers the public names, `pamctl.connect()` and `pamctl.simulate()` first, and loads
+them when they are first used: steered_rig, daemon_rig, simulated_rig, run.
+
+    sweep       every combination of some settings, repeated: sweep_plan, run_sweep, sweep_result
+    on the rig  `pamctl diagnose --on-rig`: run, diagnose, run the program that decides, until one
+                explanation is left or nothing separates the rest: rig_plan, decide_on_rig
+
+Read `steered_rig.py` first.
 """

@@ -150,7 +150,7 @@ class Run:
     @cached_property
     def metrics(self) -> RunMetrics:
         """The figures of the run."""
-        from pamctl.simulate.merit import NO_MERIT, compute_log_merits
+        from pamctl.offline.merit import NO_MERIT, compute_log_merits
 
         merits = {} if self.log.is_imported else compute_log_merits(self.log.columns)
         measured, true = merits.get("measured") or NO_MERIT, merits.get("true") or NO_MERIT

@@ -23,12 +23,12 @@ from numpy.random import Generator, default_rng
 
 from pamctl.control.experiment import TrackingSettings, plan_experiment
 from pamctl.control.filters import HIGHEST_PER_RATE
+from pamctl.offline.closed_loop import SimulatedRun, simulate_run
+from pamctl.offline.merit import find_strictest
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.paper import braid_lever_m, force_area_m2
 from pamctl.settings.resolve import RUN, RunSettings, resolve
 from pamctl.signals import Phase
-from pamctl.simulate.closed_loop import SimulatedRun, simulate_run
-from pamctl.simulate.merit import find_strictest
 
 PARAMETER_TOLERANCE = 0.2
 """Share by which the paper's parameters may be off, either way."""

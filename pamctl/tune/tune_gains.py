@@ -12,7 +12,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from pamctl.cluster.worker_processes import start_workers
 from pamctl.control.law_registry import find_law, installed_laws
 from pamctl.errors import ConfigError, Problem
 from pamctl.exit_codes import ExitCode, end_on_signals, name_interrupt
@@ -41,6 +40,7 @@ from pamctl.tune.gains_trial import (
     Member,
     draw_ensemble,
 )
+from pamctl.worker_processes import start_workers
 
 _DEFAULT_SIZE = 16
 _FRESH = 200

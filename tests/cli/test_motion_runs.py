@@ -13,7 +13,7 @@ from typer.testing import CliRunner, Result
 
 from pamctl.cli.app import app
 from pamctl.log.reader import Log, read
-from pamctl.replay import replay_log
+from pamctl.offline.tick_replay import replay_log
 from pamctl.signals import Phase
 
 NO_HOMING = ("--set", "rig.homing.enabled=false")

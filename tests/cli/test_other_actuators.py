@@ -11,11 +11,11 @@ import pytest
 from support.command_line import run_pamctl
 from support.made_records import COUNT_M
 
+from pamctl.offline.closed_loop import simulate_run
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.drive import drive_coupled, drive_mechanics
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.settings.resolve import read_section_file, resolve
-from pamctl.simulate.closed_loop import simulate_run
 
 CHAMBER = "actuator: chamber\nchamber_volume_m3: 1.0e-3\n"
 AXIS = """

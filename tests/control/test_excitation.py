@@ -8,9 +8,9 @@ from pydantic import ValidationError
 from support.runs import run_settings
 
 from pamctl.control.experiment import ProgramSettings, plan_experiment
+from pamctl.offline.closed_loop import tabulate_references
 from pamctl.settings.config_files import config_dir
 from pamctl.signals import Phase, Reference
-from pamctl.simulate.closed_loop import tabulate_references
 
 
 def shipped_command(*overrides: str) -> np.ndarray:

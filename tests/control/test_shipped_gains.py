@@ -8,10 +8,10 @@ from functools import cache
 
 import pytest
 
+from pamctl.offline.closed_loop import simulate_run
+from pamctl.offline.merit import TABLE_IV, Merit
 from pamctl.settings.config_files import find_config_file
 from pamctl.settings.resolve import resolve
-from pamctl.simulate.closed_loop import simulate_run
-from pamctl.simulate.merit import TABLE_IV, Merit
 from pamctl.tune import GainsTrial, Member
 
 EXPERIMENTS = ("tracking-1", "tracking-2")

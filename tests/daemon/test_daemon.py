@@ -32,8 +32,8 @@ from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableE
 from pamctl.daemon.server import Server, SocketError, require_no_daemon
 from pamctl.log import Log, read
 from pamctl.log.check import check_log
+from pamctl.offline.tick_replay import replay_log
 from pamctl.processes.backends import SHARED_MEMORY
-from pamctl.replay import replay_log
 from pamctl.settings.resolve import resolve
 from pamctl.signals import Phase
 

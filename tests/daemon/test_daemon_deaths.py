@@ -33,8 +33,8 @@ from pamctl.daemon.rig_session import RigSession
 from pamctl.daemon.session import Workshop
 from pamctl.daemon.shelf import Latch, Shelf
 from pamctl.log import LogError, read
+from pamctl.offline.tick_replay import replay_log
 from pamctl.processes.backends import SHARED_MEMORY, ao_path, build_safe_rig
-from pamctl.replay import replay_log
 from pamctl.settings.resolve import resolve
 from pamctl.signals import Phase
 

@@ -10,7 +10,7 @@ import pytest
 from support.processes.daemons import NOT_HOMED, Daemon, daemon, parked
 
 from pamctl.log import read
-from pamctl.replay import replay_log
+from pamctl.offline.tick_replay import replay_log
 
 SILENT_FOR_100_MS_IS_KILLED = ("rig.loop.heartbeat_ms=100", "rig.loop.starved_ms=60000")
 """A loop that works on something else for so long; not one that a busy PC gives no time."""

@@ -16,10 +16,10 @@ from pamctl.diagnose.audit import (
     find_separating_experiment,
 )
 from pamctl.diagnose.report.next_experiment import write_command
+from pamctl.offline.closed_loop import SimulatedRun, simulate_run
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
 from pamctl.settings.resolve import resolve
-from pamctl.simulate.closed_loop import SimulatedRun, simulate_run
 
 WHOLE_PROGRAM = "diagnosis"
 """Recommended where a discrepancy has no name."""

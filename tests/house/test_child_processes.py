@@ -16,7 +16,7 @@ from support.patience import BUSY_PC
 
 import hal
 import pamctl
-from pamctl.cluster.worker_processes import start_workers
+from pamctl.worker_processes import start_workers
 
 PAMCTL = str(Path(sys.executable).with_name("pamctl"))
 TRAP = """
@@ -25,7 +25,7 @@ import sys
 (Path(__file__).parent / "sprung").open("a").write(f"{__name__}: {sys.orig_argv}\\n")
 """
 ROOT = Path(pamctl.__file__).parents[1]
-STARTERS = {"hal/child.py", "pamctl/cluster/worker_processes.py"}
+STARTERS = {"hal/child.py", "pamctl/worker_processes.py"}
 """Who may start Python: the one helper, and the one pool of workers."""
 WAYS = {
     "executable", "_base_executable", "get_context", "ProcessPoolExecutor", "Pool", "fork",

@@ -24,7 +24,7 @@ from support.runs import run_settings
 
 from hal.calibration import Zero
 from hal.rig import RawSample
-from pamctl.compensation.around_the_law import CELLS, Compensation
+from pamctl.control.around_the_law import CELLS, Compensation
 from pamctl.control.law_registry import installed_laws
 from pamctl.kernel import build
 from pamctl.kernel.c_source import (

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from hal.calibration import Zero
 from pamctl.cli.app import app
-from pamctl.compensation.around_the_law import Compensation, compensate_command, find_command_v
+from pamctl.control.around_the_law import Compensation, compensate_command, find_command_v
 from pamctl.control.course import make_valve_reference
 from pamctl.errors import ConfigError
 from pamctl.log.reader import read

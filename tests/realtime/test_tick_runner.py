@@ -20,13 +20,13 @@ from pamctl.exit_codes import Ending
 from pamctl.kernel.calls import NativeCall, PlainCall
 from pamctl.kernel.expressions import NotInC
 from pamctl.log.reader import read
+from pamctl.offline.replay_source import read_replay_source
 from pamctl.realtime.clock import Wake
 from pamctl.realtime.loop import ControlLoop
 from pamctl.realtime.program import CuedHelm
 from pamctl.realtime.tick import TickSetup, first_state
 from pamctl.realtime.tick_runner import TickRunner
 from pamctl.recording.ring import Ring
-from pamctl.replay.replay_source import read_replay_source
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings
 from pamctl.signals import TICK_FIELDS, Reference, TickOutcome, TickRecord, Truth

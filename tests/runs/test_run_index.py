@@ -17,10 +17,10 @@ from pamctl.cli.app import app
 from pamctl.log import read
 from pamctl.log.annotation import make_annotation
 from pamctl.log.edit import append_metadata, read_annotation, write_annotation
+from pamctl.offline.merit import compute_log_merits
 from pamctl.runs.index_finished import INDEX_NAME, index_quietly
 from pamctl.runs.run_index import RunIndex, RunsError, append_rows, edit_annotations
 from pamctl.runs.run_row import RunRow, read_row
-from pamctl.simulate.merit import compute_log_merits
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 

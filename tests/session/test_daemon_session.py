@@ -17,7 +17,7 @@ from support.processes.daemons import TRACKING, Daemon, daemon, parked
 
 import pamctl
 from pamctl.exit_codes import ExitCode
-from pamctl.replay import replay_log
+from pamctl.offline.tick_replay import replay_log
 from pamctl.session.daemon_rig import connect
 
 SINE = pamctl.Sine(offset_mm=4, amplitude_mm=1, frequency_hz=2, cycles=2, fade_s=0.3)

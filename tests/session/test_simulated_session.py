@@ -21,13 +21,13 @@ import pamctl
 from pamctl.daemon.rig_session import RigSession
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log import read
-from pamctl.replay import replay_log
+from pamctl.offline.closed_loop import simulate_run
+from pamctl.offline.tick_replay import replay_log
 from pamctl.runs.run_row import read_row
 from pamctl.session.in_process import InProcessLoop
 from pamctl.session.simulated_rig import simulate
 from pamctl.settings.resolve import resolve
 from pamctl.signals import Phase
-from pamctl.simulate.closed_loop import simulate_run
 
 SINE = pamctl.Sine(offset_mm=4, amplitude_mm=1, frequency_hz=2, cycles=2)
 ROOT = Path(__file__).resolve().parents[2]
@@ -352,11 +352,11 @@ def test_a_run_is_arrays_units_tables_and_pictures(
     assert missing.value.exit_code == ExitCode.BAD_DATA
 
 
-def test_importing_pamctl_loads_nothing_and_the_room_stays_a_room() -> None:
+def test_importing_pamctl_loads_nothing() -> None:
     program = (
         "import sys, pamctl; heavy = {'numpy', 'pydantic', 'scipy', 'pamctl.session'}\n"
         "assert not heavy & {*sys.modules}, heavy & {*sys.modules}\n"
-        "import pamctl.simulate.merit as merit\n"
+        "import pamctl.offline.merit as merit\n"
         "assert merit.STEADY_S and callable(pamctl.simulate) and pamctl.aio.connect\n"
         "assert 'Sine' in dir(pamctl)"
     )

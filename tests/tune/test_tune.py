@@ -22,11 +22,11 @@ from pamctl.control.experiment import plan_experiment
 from pamctl.control.law import respond
 from pamctl.control.law_registry import installed_laws, law_of
 from pamctl.control.sliding import Absement
+from pamctl.offline.closed_loop import simulate_run
 from pamctl.plant.model import PlantSettings
 from pamctl.report.report import format_terminal
 from pamctl.settings.resolve import check_config_file, resolve, settings_to_data
 from pamctl.signals import Estimate, Phase, Reference
-from pamctl.simulate.closed_loop import simulate_run
 from pamctl.tune import BestGains, GainsSearch, GainsTrial, Jury, Member, draw_ensemble
 from pamctl.tune.gains_search import compute_cost, find_space
 from pamctl.tune.gains_trial import (

@@ -20,10 +20,10 @@ from pamctl.diagnose.drawn_programs import (
     sample_commands,
 )
 from pamctl.diagnose.record import Record
+from pamctl.offline.closed_loop import simulate_run
 from pamctl.plant.drive import drive_coupled
 from pamctl.plant.model import plant_parameters
 from pamctl.settings.resolve import resolve, settings_to_data
-from pamctl.simulate.closed_loop import simulate_run
 
 COUNT = 30
 

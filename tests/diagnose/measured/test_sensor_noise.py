@@ -15,8 +15,8 @@ from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.log.importing.column_map import ImportMap
 from pamctl.log.importing.pipeline import import_log
 from pamctl.log.record_problems import find_sensor_step
-from pamctl.monitor.judge_window import SensorNoise
 from pamctl.plant.model import NoiseSettings, PlantSettings
+from pamctl.watch.judge_window import SensorNoise
 
 
 @pytest.mark.parametrize("rate_hz", [1000.0, 100.0])

@@ -1,4 +1,0 @@
-"""Work in other processes, here or on other machines through Dask.
-
-Read `worker_processes.py` first.
-"""

@@ -1,0 +1,234 @@
+"""A plant as an FMU, in an independent importer (FMPy): the same motion as ours."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fmpy import extract, read_model_description
+from fmpy.fmi3 import FMU3Slave, fmi3LogMessageCallback
+from fmpy.validation import validate_fmu
+from support.command_line import run_process
+from typer.testing import CliRunner
+
+from hal.calibration import Converter, calibration, output_v, quantise_v, valve_v
+from hal.sim import sensor_chain
+from pamctl.cli.app import app
+from pamctl.control.experiment import plan_experiment
+from pamctl.models.fmu import write_fmu
+from pamctl.offline.closed_loop import BatchRun, draw_sensor_noise, simulate, tabulate_references
+from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.model import PlantSettings, plant_parameters, settings_of
+from pamctl.plant.simulated import SimulatedPlant
+from pamctl.settings.build import build_tick_setup
+from pamctl.settings.resolve import resolve
+
+PERIOD_S = 1e-3
+POSITION, PRESSURE, TRUE_POSITION, VELOCITY = 2, 3, 4, 5
+
+
+class Unit:
+    """An FMU in FMPy, ready to step."""
+
+    def __init__(self, path: Path, said: list[str] | None = None) -> None:
+        described = read_model_description(path)
+        self.slave = FMU3Slave(
+            guid=described.instantiationToken,
+            unzipDirectory=extract(path),
+            modelIdentifier=described.coSimulation.modelIdentifier,
+            instanceName="rig",
+        )
+        log = None if said is None else lambda *message: said.append(message[-1].decode())
+        self.slave.instantiate(logMessage=log and fmi3LogMessageCallback(log))
+        self.slave.enterInitializationMode(startTime=0.0)
+        self.slave.exitInitializationMode()
+        self.now_s = 0.0
+
+    def step(self, command_v: float, step_s: float = PERIOD_S) -> None:
+        self.slave.setFloat64([1], [command_v])
+        self.slave.doStep(self.now_s, step_s)
+        self.now_s += step_s
+
+    def follow(self, commands_v: Any) -> Any:
+        """Return position, pressure and velocity at each sample."""
+        rows = np.empty((len(commands_v), 3))
+        for row, command_v in zip(rows, commands_v, strict=True):
+            row[:] = self.slave.getFloat64([POSITION, PRESSURE, VELOCITY])
+            self.step(command_v)
+        return rows.T
+
+
+def export(path: Path, settings: PlantSettings | None = None) -> Path:
+    write_fmu(settings or PlantSettings(), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def paper_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export(tmp_path_factory.mktemp("fmu") / "paper.fmu")
+
+
+def run_experiment_2() -> tuple[BatchRun, list[float]]:
+    """Return experiment 2 on the paper's muscle under qSMC, and the commands that the card gives.
+
+    It begins with the approach from the vented muscle.
+    """
+    settings = resolve(
+        experiment="tracking-2", plant="paper", fast=True,
+        overrides=["rig.homing.enabled=false", "rig.calibration.sensor_zero_v=0.215"],
+    )  # fmt: skip
+    rig: Any = settings.rig
+    asked = tabulate_references(plan_experiment(settings.experiment).segments, PERIOD_S)
+    run = simulate(
+        build_tick_setup(settings),
+        plant_parameters(settings.plant),
+        sensor_chain(rig.sim, rig.calibration),
+        asked,
+        draw_sensor_noise(len(asked), seed=1),
+    )
+    assert run.tripped_tick < 0
+    card, output = calibration(rig.calibration), Converter(10.0)
+    given_v = [quantise_v(output, output_v(card, float(asked_v))) for asked_v in run["valve_v"]]
+    return run, [valve_v(card, volts) for volts in given_v]
+
+
+def test_the_importer_finds_no_fault_in_the_unit(paper_fmu):
+    assert validate_fmu(str(paper_fmu)) == []
+    described = read_model_description(paper_fmu)
+    assert [v.name for v in described.modelVariables if v.causality == "input"] == ["command_v"]
+    assert len(described.outputs) == 5
+    values = {v.name: v.start for v in described.modelVariables}
+    assert float(values["plant.stiffness_n_per_m"]) == PlantSettings().parameters.stiffness_n_per_m
+
+
+def test_experiment_2_is_within_a_micrometre_of_ours_in_an_independent_importer(paper_fmu):
+    ours, commands_v = run_experiment_2()
+    position_m, pressure_pa, _ = Unit(paper_fmu).follow(commands_v)
+    assert np.ptp(position_m) > 17e-3
+    assert np.abs(position_m - ours["true_position_m"]).max() < 1e-9
+    assert np.abs(pressure_pa - ours["true_pressure_pa"]).max() < 1e-3
+
+
+def test_every_effect_moves_in_the_unit_as_in_our_plant(tmp_path):
+    values = {
+        f"{effect.name}.{number.name}": number.start
+        for effect in CATALOGUE.values()
+        if "muscle" in effect.actuators
+        for number in effect.parameters
+    }
+    settings = settings_of(values)
+    assert plant_parameters(settings).effects.timing.command_delay.delay_s > 0.0
+    random = np.random.default_rng(3)
+    commands_v = np.repeat(random.uniform(-3.0, 4.0, 12), 50)
+    plant = SimulatedPlant(plant_parameters(settings))
+    unit = Unit(export(tmp_path / "all.fmu", settings))
+    moved_m = []
+    for command_v in commands_v:
+        shown = unit.slave.getFloat64([POSITION, PRESSURE])
+        assert shown == [plant.position_m, plant.pressure_pa]
+        moved_m.append(plant.position_m)
+        plant.advance(command_v, PERIOD_S)
+        unit.step(command_v)
+    assert np.ptp(moved_m) > 1e-3
+
+
+def test_a_state_is_taken_back_and_gone_on_from_and_survives_as_bytes(paper_fmu):
+    unit = Unit(paper_fmu)
+    for _ in range(200):
+        unit.step(1.0)
+    state, begin_s = unit.slave.getFMUState(), unit.now_s
+    kept = unit.slave.serializeFMUState(state)
+    ends = []
+    for again in (state, unit.slave.deserializeFMUState(kept)):
+        unit.slave.setFMUState(again)
+        unit.now_s = begin_s
+        for _ in range(50):
+            unit.step(-2.0)
+        ends.append(unit.slave.getFloat64([POSITION, PRESSURE]))
+    assert ends[0] == ends[1]
+    unit.slave.reset()
+    assert unit.slave.getFloat64([TRUE_POSITION]) == [0.0]
+
+
+def test_what_an_importer_must_not_do_is_refused_and_changes_nothing(paper_fmu):
+    unit = Unit(paper_fmu)
+    unit.step(1.0)
+    before = unit.slave.getFloat64([POSITION, PRESSURE, 0])
+    for wrong in (
+        lambda: unit.slave.doStep(unit.now_s, 0.0),
+        lambda: unit.slave.doStep(unit.now_s, float("nan")),
+        lambda: unit.slave.setFloat64([1], [float("inf")]),
+        lambda: unit.slave.setFloat64([POSITION], [1.0]),
+        lambda: unit.slave.getFloat64([99]),
+        lambda: unit.slave.getInt32([0]),
+    ):
+        with pytest.raises(Exception, match="status 3"):
+            wrong()
+    assert unit.slave.getFloat64([POSITION, PRESSURE, 0]) == before
+
+
+def test_the_same_plant_gives_the_same_unit_and_its_sources_compile_without_a_warning(tmp_path):
+    for name in ("one.fmu", "two.fmu"):
+        write_fmu(PlantSettings(), tmp_path / name, sources_only=True)
+    assert (tmp_path / "one.fmu").read_bytes() == (tmp_path / "two.fmu").read_bytes()
+    with zipfile.ZipFile(tmp_path / "one.fmu") as unit:
+        assert "sources/buildDescription.xml" in unit.namelist()
+        assert not any(name.startswith("binaries") for name in unit.namelist())
+        unit.extractall(tmp_path)
+    plant = tmp_path / "sources" / "plant.c"
+    for gnu in (True, False):  # other compilers have none of GNU's extensions
+        if not gnu:
+            plant.write_text(plant.read_text().replace("__GNUC__", "NO_GNU"))
+        command = ["cc", "-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wno-unused-parameter"]
+        command += [] if gnu else ["-Wno-unused-function", "-Wno-unused-variable"]
+        command += ["-Werror", "-fsyntax-only", "fmi3_interface.c"]
+        done = run_process(command, cwd=plant.parent)
+        assert done.returncode == 0, done.stderr[:2000]
+
+
+def test_a_step_that_no_arithmetic_can_follow_fails_says_why_and_changes_nothing(paper_fmu):
+    said: list[str] = []
+    unit = Unit(paper_fmu, said)
+    unit.step(1.0)
+    before = unit.slave.getFloat64([0, POSITION, PRESSURE, VELOCITY])
+    with pytest.raises(Exception, match="status 3"):
+        unit.slave.doStep(unit.now_s, 1e300)  # the number of its parts is no integer of 64 bits
+    assert said == ["the plant has left the range of its model"]
+    assert unit.slave.getFloat64([0, POSITION, PRESSURE, VELOCITY]) == before
+    unit.step(1.0)
+
+
+def test_the_verb_writes_a_unit_or_says_what_is_wrong(tmp_path, monkeypatch):
+    out = tmp_path / "a.fmu"
+
+    def run(*arguments: object) -> Any:
+        command = ["plant", "export", *map(str, arguments), "--json"]
+        done = CliRunner().invoke(app, command)
+        return done.exit_code, json.loads(done.stdout)
+
+    assert run("paper", out, "--sources-only") == (
+        0, {"plant": "paper", "fmu": str(out), "platform": None}
+    )  # fmt: skip
+    code, document = run("paper", out, "--sources-only")
+    assert (code, "exists" in document["reason"]) == (2, True)
+    code, document = run("paper", tmp_path / "b.zip")
+    assert (code, "must end with .fmu" in document["reason"]) == (2, True)
+    code, document = run("papr", tmp_path / "b.fmu")
+    assert (code, "did you mean 'paper'" in document["reason"]) == (2, True)
+    monkeypatch.setattr("pamctl.kernel.build.find_compiler", lambda: None)
+    code, document = run("paper", tmp_path / "b.fmu")
+    assert (code, "--sources-only" in document["reason"]) == (69, True)
+    assert not (tmp_path / "b.fmu").exists()
+
+
+@pytest.mark.parametrize("plant", ["ball-screw", "pneumatic-cylinder"])
+def test_a_mechanism_that_no_valve_drives_is_refused(plant, tmp_path):
+    """A piston has no chamber behind a valve: its FMU would have the paper's tank and volume."""
+    done = CliRunner().invoke(app, ["plant", "export", plant, str(tmp_path / "a.fmu")])
+    assert done.exit_code == 2
+    assert "nothing to move it" in done.stderr
+    assert not (tmp_path / "a.fmu").exists()

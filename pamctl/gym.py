@@ -18,16 +18,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.calibration import Zero, output_v, position_m, pressure_pa, quantise_v, valve_v
-from hal.sim import SensorChain, SimSettings, sensed_counts, sensed_pressure_v, sensor_chain
+from hal.calibration import output_v, position_m, pressure_pa, quantise_v, valve_v
+from hal.sim import SimSettings, sensed_counts, sensed_pressure_v, sensor_chain
 from pamctl.control.course import Course
 from pamctl.control.experiment import ExperimentSettings, plan_experiment
 from pamctl.exit_codes import ExitCode
-from pamctl.kernel.calls import Call, prepare
+from pamctl.kernel.calls import prepare
 from pamctl.plant.model import plant_parameters
-from pamctl.plant.parameters import PlantParameters, PlantState, vented_state
-from pamctl.plant.simulated import LONGEST_STEP_S, advance_delayed_plant
-from pamctl.plant.step import advance_plant, sensed_position_m, sensed_pressure_pa
+from pamctl.plant.parameters import vented_state
+from pamctl.plant.simulated import OnTheWay, SimulatedPlant
 from pamctl.session.experiment_form import FORMS, ExperimentForm
 from pamctl.session.pamctl_error import PamctlError, require_package, translate_errors
 from pamctl.session.simulated_rig import AskedSection, resolve_session
@@ -93,7 +92,7 @@ class MuscleEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             fix = f"give a multiple of the period of {self._period_s:g} s"
             raise PamctlError(f"step_s {step_s:g} is no number of ticks; {fix}", ExitCode.USAGE)
         self.render_mode = render_mode
-        self._plant = plant_parameters(settings.plant)
+        self._plant = SimulatedPlant(plant_parameters(settings.plant), prepare=prepare)
         assert isinstance(rig.device_settings, SimSettings)
         self._chain = sensor_chain(rig.device_settings, rig.calibration)
         zero = self._chain.zero
@@ -111,11 +110,8 @@ class MuscleEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         super().reset(seed=seed)
         self._course = _plan_course(self._reference or self._draw_reference())
         self._step, self._valve_v = 0, 0.0
-        self._written_s, self._written_v = np.zeros(1024), np.zeros(1024)
-        self._readings = np.zeros(2)
-        self._call = self._prepare()
-        self._write()
-        self._advance(0)
+        self._plant.put(vented_state(self._plant.parameters), OnTheWay())
+        self._measure()
         self._now = _require_reference(self._course.at(0.0))
         self._next = self._course.at(self._step_s)
         return self._observe()
@@ -126,8 +122,8 @@ class MuscleEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         """Hold the valve command for a step; return what is measured at its end."""
         asked_v = FULL_V * min(1.0, max(-1.0, float(np.asarray(action).reshape(-1)[0])))
         self._valve_v = self._output(asked_v)
-        self._write()
-        self._advance(self._ticks)
+        self._plant.advance(self._valve_v, self._step_s)
+        self._measure()
         self._step += 1
         ahead = self._next
         if ahead is not None:
@@ -148,17 +144,6 @@ class MuscleEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             offset_mm=11.8, amplitude_mm=5.0, high_hz=1.0, duration_s=self._duration_s, seed=seed
         )
         return drawn
-
-    def _write(self) -> None:
-        """Keep the commands that have not reached the valve yet: only a delay needs them."""
-        if self._step >= len(self._written_s):
-            more = np.zeros(len(self._written_s))
-            self._written_s = np.concatenate([self._written_s, more])
-            self._written_v = np.concatenate([self._written_v, more])
-            self._call.put("written_s", self._written_s)
-            self._call.put("written_v", self._written_v)
-        self._written_s[self._step] = self._step * self._step_s
-        self._written_v[self._step] = self._valve_v
 
     def _output(self, asked_v: float) -> float:
         """Return the valve command that the output's converter realises."""
@@ -183,77 +168,13 @@ class MuscleEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         info = {"error_m": self._read_m - now.reference_m, "t_s": self._step * self._step_s}
         return np.clip(observation, -_HIGHEST, _HIGHEST), info
 
-    def _prepare(self) -> Call:
-        given = {
-            "plant": self._plant,
-            "muscle": vented_state(self._plant),
-            "chain": self._chain,
-            "homed": self._homed,
-            "written_s": self._written_s,
-            "written_v": self._written_v,
-            "count": 0,
-            "arrived": 0,
-            "now_s": 0.0,
-            "period_s": self._period_s,
-            "ticks": 0,
-            "noise": 0.0,
-            "readings": self._readings,
-        }
-        return prepare(advance_and_measure, given, updates=("muscle", "arrived"))
-
-    def _advance(self, ticks: int) -> None:
-        """Advance the muscle under the present command, and measure it as the homed rig does."""
-        call = self._call
-        call.put("count", self._step + 1)
-        call.put("now_s", self._step * self._step_s)
-        call.put("ticks", ticks)
-        call.put("noise", float(self.np_random.standard_normal()))
-        call.run()
-        self._read_m, self._read_pa = self._readings.tolist()
-
-
-def advance_and_measure(
-    plant: PlantParameters,
-    muscle: PlantState,
-    chain: SensorChain,
-    homed: Zero,
-    written_s: NDArray[np.float64],
-    written_v: NDArray[np.float64],
-    count: int,
-    arrived: int,
-    now_s: float,
-    period_s: float,
-    ticks: int,
-    noise: float,
-    readings: NDArray[np.float64],
-) -> tuple[PlantState, int]:
-    """Kernel: advance by some ticks under the last of `count` written commands (V), and measure.
-
-    Returns the muscle and the command that acts; fills position (m) and absolute pressure (Pa).
-    """
-    is_late = plant.effects.timing.command_delay.delay_s > 0.0
-    for tick in range(ticks):
-        if is_late:
-            muscle, arrived = advance_delayed_plant(
-                plant,
-                muscle,
-                written_s,
-                written_v,
-                count,
-                arrived,
-                now_s + tick * period_s,
-                period_s,
-                LONGEST_STEP_S,
-            )
-        else:
-            muscle = advance_plant(plant, muscle, written_v[count - 1], period_s, LONGEST_STEP_S)
-    shown_m = sensed_position_m(plant, muscle.position_m, muscle.sensors, muscle.age_s)
-    shown_pa = sensed_pressure_pa(
-        plant, muscle.pressure_pa, muscle.air, muscle.sensors, muscle.age_s
-    )
-    readings[0] = position_m(chain.calibration, homed, sensed_counts(chain, shown_m))
-    readings[1] = pressure_pa(chain.calibration, homed, sensed_pressure_v(chain, shown_pa, noise))
-    return muscle, arrived
+    def _measure(self) -> None:
+        """Read the sensors as the homed rig does."""
+        chain, noise = self._chain, float(self.np_random.standard_normal())
+        counts = sensed_counts(chain, self._plant.position_m)
+        sensor_v = sensed_pressure_v(chain, self._plant.pressure_pa, noise)
+        self._read_m = position_m(chain.calibration, self._homed, counts)
+        self._read_pa = pressure_pa(chain.calibration, self._homed, sensor_v)
 
 
 def _plan_course(reference: ExperimentForm) -> Course:

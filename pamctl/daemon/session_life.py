@@ -1,7 +1,7 @@
 """The states of a session, and the life of its loop.
 
-The loop runs in a carrier: processes of its own (`daemon/session.py`), or this process, for a
-simulation without a clock (`session/in_process.py`). What it can be asked is in `rig_session.py`.
+The loop runs in a carrier: processes of its own (`session.py`), or this process, for a simulation
+without a clock (`in_process.py`). What it can be asked is in `rig_session.py`.
 """
 
 from __future__ import annotations
@@ -14,19 +14,23 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from pamctl.daemon.protocol import Order, OrderTaker, RequestRefusedError
 from pamctl.exit_codes import Ending, ExitCode
 
 if TYPE_CHECKING:
-    from pamctl.daemon.carrier import Carrier, CarrierMaker
+    from pamctl.daemon.in_process import InProcessLoop, InProcessMaker
+    from pamctl.daemon.session import Session, Workshop
     from pamctl.daemon.shelf import Latch, Shelf
     from pamctl.log.annotation import Annotation
     from pamctl.plant.model import PlantSettings
     from pamctl.processes.keep_awake import SleepInhibitor
     from pamctl.recording.recorded_run import RecordedRun
     from pamctl.settings.resolve import RunSettings
+
+    Carrier: TypeAlias = Session | InProcessLoop
+    """A living loop, and the current run in it."""
 
 _RECENT_EVENTS = 50
 
@@ -77,7 +81,7 @@ class SessionLife(OrderTaker):
         self,
         settings: RunSettings,
         names: Mapping[str, str],
-        maker: CarrierMaker,
+        maker: Workshop | InProcessMaker,
         shelf: Shelf,
         latch: Latch,
         *,

@@ -28,7 +28,8 @@ from pamctl.realtime.run_ticks import (
     start_loop,
 )
 from pamctl.realtime.tick import TickSetup, first_state
-from pamctl.realtime.tick_runner import UPDATES, Journal, TickRunner
+from pamctl.realtime.tick_runner import UPDATES, TickRunner
+from pamctl.recording.journal import RingJournal
 from pamctl.recording.rows import ROW_BYTES, make_rows
 
 MOST_TICKS = 1000
@@ -102,7 +103,7 @@ class SimulatedTicks:
             deviates,
         )
 
-    def run(self, tick: TickRunner, first_tick: int, ticks: int, journal: Journal) -> int:
+    def run(self, tick: TickRunner, first_tick: int, ticks: int, journal: RingJournal) -> int:
         """Run at most so many ticks and put their rows; return how many there were.
 
         `tick` must follow a course, or goes on with the reference of its last tick. It is in the

@@ -11,17 +11,22 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from hal.calibration import Zero
 from hal.rig import RawSample, Rig, RigError, open_rig
-from pamctl.control.homing import Homing, HomingError
+from pamctl.control.homing import HomingError
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.realtime.clock import Clock, Wake
 from pamctl.realtime.tick import TickSetup, first_state, rezero_state
-from pamctl.realtime.tick_runner import Journal, RunningCourse, TickRunner
+from pamctl.realtime.tick_runner import TickRunner
 from pamctl.safety import OVERRUNS, explain_verdicts
 from pamctl.signals import Decision, Reference, TickOutcome, Timing, Truth
+
+if TYPE_CHECKING:
+    from pamctl.realtime.program import CuedHelm, Program
+    from pamctl.realtime.steering import SteeredProgram
+    from pamctl.recording.journal import RingJournal
 
 KEYFRAME_TICKS = 1000
 
@@ -29,58 +34,11 @@ KEYFRAME_TICKS = 1000
 class ManyTicks(Protocol):
     """Runs many ticks of a simulated rig at once, for a loop without a clock."""
 
-    def run(self, tick: TickRunner, first_tick: int, ticks: int, journal: Journal) -> int:
+    def run(self, tick: TickRunner, first_tick: int, ticks: int, journal: RingJournal) -> int:
         """Run at most so many ticks and put their rows; return how many there were."""
 
     def samples(self, ticks: int) -> Iterator[RawSample]:
         """Yield the samples of the ticks that were run last."""
-
-
-class Helm(Protocol):
-    """May change the set-up of the tick, and the program, between two ticks."""
-
-    def setup(self, t_s: float) -> TickSetup:
-        """Return the set-up of the tick at `t_s`."""
-
-    @property
-    def settled_setup(self) -> TickSetup | None:
-        """The set-up of the next tick, whenever it is; None while it depends on the time."""
-
-    def finish_tick(self, done: TickRunner) -> None:
-        """Take note that a tick is done; changes hold from the next tick on."""
-
-
-class ReferenceSource(Protocol):
-    """Gives the reference of each tick: `Program`, or a program that takes orders."""
-
-    @property
-    def is_stopping(self) -> bool:
-        """The smooth stop has begun."""
-
-    @property
-    def end_reason(self) -> str:
-        """Why it ends where nothing ends it from outside."""
-
-    def next_reference(self, t_s: float, sample: RawSample) -> tuple[Reference | None, Zero | None]:
-        """Return the reference at `t_s`, or None at the end; and the zeros just found."""
-
-    def begin_stop(self, t_s: float, valve_v: float) -> None:
-        """Go from the present valve command to the safe one on a ramp."""
-
-    @property
-    def running(self) -> RunningCourse | None:
-        """The course and its begin (s) while only the time decides the reference; else None."""
-
-    @property
-    def homing(self) -> Homing | None:
-        """The homing that goes on."""
-
-    @property
-    def next_cue_s(self) -> float:
-        """When something is due next beside the reference; infinity if nothing is."""
-
-    def rehearse_reference(self, t_s: float) -> Reference | None:
-        """Do the work of `next_reference` where that changes nothing; else return None."""
 
 
 class Supervisor(Protocol):
@@ -105,12 +63,14 @@ class ControlLoop:
     setup: TickSetup
     nominal_zero: Callable[[RawSample], Zero]
     """The sensors' zeros until homing finds better ones."""
-    program: ReferenceSource
-    journal: Journal
+    program: Program | SteeredProgram
+    """Gives the reference of each tick."""
+    journal: RingJournal
     supervisor: Supervisor
     truth: Callable[[], Truth]
     """What a simulated plant knows."""
-    helm: Helm
+    helm: CuedHelm
+    """May change the set-up of the tick, and the program, between two ticks."""
     opened: Callable[[], Sequence[Mapping[str, object]]] = tuple
     """Called once, right after the rig is open; returns events for the log."""
     tick: TickRunner = None  # type: ignore[assignment]

@@ -16,7 +16,8 @@ from pamctl.control.homing import Homing
 from pamctl.control.law_registry import read_controller
 from pamctl.realtime.gain_ramp import SHORTEST_RAMP_S, GainRamp
 from pamctl.realtime.tick import TickSetup
-from pamctl.realtime.tick_runner import Journal, TickRunner
+from pamctl.realtime.tick_runner import TickRunner
+from pamctl.recording.journal import RingJournal
 from pamctl.signals import Phase, Reference
 
 
@@ -135,7 +136,7 @@ class CuedHelm:
         setup: TickSetup,
         controller: Mapping[str, Any],
         program: Program | None,
-        journal: Journal,
+        journal: RingJournal,
         orders: OrderSlot | None = None,
     ) -> None:
         """Begin with the gains of `setup`; `controller` holds them as a file does.

@@ -11,9 +11,9 @@ import math
 import struct
 import time
 from array import array
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from statistics import median
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 from hal.calibration import Zero
 from hal.rig import RawSample
@@ -43,6 +43,9 @@ from pamctl.signals import (
     Truth,
 )
 
+if TYPE_CHECKING:
+    from pamctl.recording.journal import RingJournal
+
 RunningCourse = tuple[Course, float]
 """A course, and when it began (s), while only the time decides the reference."""
 AskAgain = Callable[[float], Reference | None]
@@ -59,35 +62,6 @@ _PUT_OUTCOME = struct.Struct("6d").pack_into
 _NO_OUTCOME = TickOutcome(math.nan, 0.0, 0.0, 0.0)
 _UNKNOWN = Truth(math.nan, math.nan)
 _NO_TABLE = array("d", (0.0,))
-
-
-class TickJournal(Protocol):
-    """Takes the ticks, packed as rows of the ring."""
-
-    def put_row(self, row: bytearray, late_s: float, missed: int) -> None:
-        """Keep a tick."""
-
-    def rehearse_row(self, row: bytearray) -> None:
-        """Do the work of `put_row`, and keep nothing."""
-
-
-class Journal(TickJournal, Protocol):
-    """Takes what must not be lost. Its methods raise `RingFull` where there is no room."""
-
-    def put_rows(self, rows: memoryview) -> None:
-        """Keep many ticks, packed as rows of the ring."""
-
-    def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
-        """Keep an event; its key `event` names it."""
-
-    def put_gains(self, tick: int, t_ns: int, gains: Mapping[str, object]) -> None:
-        """Keep gains that apply from the next tick on."""
-
-    def put_keyframe(self, tick: int, t_ns: int, state: Sequence[float]) -> None:
-        """Keep the frozen state after a tick."""
-
-    def end_ticks(self) -> None:
-        """Take note that the valve is safe and will not be moved again."""
 
 
 class TickRunner:
@@ -259,13 +233,13 @@ class TickRunner:
 
     # --- what becomes of it ------------------------------------------------------------
 
-    def record(self, journal: TickJournal, outcome: TickOutcome, truth: Truth) -> None:
+    def record(self, journal: RingJournal | _OneRow, outcome: TickOutcome, truth: Truth) -> None:
         """Put the last tick into the journal."""
         row, wake = self._rows.buffer, self._wake
         _PUT_OUTCOME(row, _OUTCOME_AT, *outcome, *truth)
         journal.put_row(row, (wake.now_ns - wake.deadline_ns) * 1e-9, wake.missed)
 
-    def rehearse(self, ask: AskAgain, journal: TickJournal) -> None:
+    def rehearse(self, ask: AskAgain, journal: RingJournal) -> None:
         """Run the last tick once more and forget it: the caches are warm for the next one."""
         double = self._double
         if double is None:

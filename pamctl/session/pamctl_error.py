@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import errno
-import signal
 import sys
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from hal.child import advise_install
@@ -75,23 +72,3 @@ def require_package(name: str) -> Any:
     except ImportError:
         reason = f"this needs the package {name}; {advise_install(name)}"
         raise PamctlError(reason, ExitCode.USAGE) from None
-
-
-@contextmanager
-def hold_back_ctrl_c() -> Iterator[list[tuple[int, FrameType | None]]]:
-    """Obey Ctrl-C after the block, not within it. Only the main thread gets it, and so waits.
-
-    The block is given a list that is empty until Ctrl-C comes.
-    """
-    before = signal.getsignal(signal.SIGINT)
-    came: list[tuple[int, FrameType | None]] = []
-    if threading.current_thread() is not threading.main_thread() or not callable(before):
-        yield came
-        return
-    signal.signal(signal.SIGINT, lambda number, frame: came.append((number, frame)))
-    try:
-        yield came
-    finally:
-        signal.signal(signal.SIGINT, before)
-        if came:
-            before(*came[0])

@@ -24,10 +24,10 @@ from support.processes.daemons import QUICK, SQUARE, TRACKING, Daemon, daemon
 
 import pamctl
 from pamctl.daemon.client import DaemonDeclinedError
+from pamctl.daemon.in_process import InProcessLoop, InProcessMaker
 from pamctl.daemon.rig_session import RigSession
 from pamctl.daemon.session_life import STATES, RigState
 from pamctl.log import read
-from pamctl.session.in_process import InProcessLoop, InProcessMaker
 from pamctl.settings.resolve import RunSettings
 
 SHORT = [*QUICK, "rig.homing.enabled=false", "rig.loop.stop_ramp_s=0.05"]

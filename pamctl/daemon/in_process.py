@@ -7,11 +7,14 @@ passes on the rig.
 
 from __future__ import annotations
 
+import signal
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from queue import SimpleQueue
+from types import FrameType
 from typing import Any
 
 from pamctl.daemon.protocol import RequestRefusedError
@@ -24,12 +27,31 @@ from pamctl.recording.journal import SessionJournal, wait_for_recorder
 from pamctl.recording.recorded_run import LogReport, ThreadRecordedRun
 from pamctl.recording.recorder import RecorderError
 from pamctl.recording.ring import Ring, RingError
-from pamctl.session.pamctl_error import hold_back_ctrl_c
 from pamctl.settings.resolve import RunSettings
 from pamctl.signals import Phase
 
 _SESSION_ROWS = 256
 _NEVER = lambda: False  # noqa: E731
+
+
+@contextmanager
+def hold_back_ctrl_c() -> Iterator[list[tuple[int, FrameType | None]]]:
+    """Obey Ctrl-C after the block, not within it. Only the main thread gets it, and so waits.
+
+    The block is given a list that is empty until Ctrl-C comes.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    came: list[tuple[int, FrameType | None]] = []
+    if threading.current_thread() is not threading.main_thread() or not callable(before):
+        yield came
+        return
+    signal.signal(signal.SIGINT, lambda number, frame: came.append((number, frame)))
+    try:
+        yield came
+    finally:
+        signal.signal(signal.SIGINT, before)
+        if came:
+            before(*came[0])
 
 
 class InProcessMaker:

@@ -14,14 +14,15 @@ from __future__ import annotations
 import json
 import math
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from http import HTTPStatus
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, FiniteFloat, ValidationError, validate_call
 
 from pamctl.live.page_orders import PageRefusal
 from pamctl.live.tick_memory import TickMemory
@@ -85,41 +86,127 @@ def _find_rise(
 
 MOST_VALUES = 20_000_000
 """In one answer, 160 MB: two minutes of fourteen columns at 10 kHz are 17 million."""
+_LAST_TICK = (1 << 53) - 1
+"""The largest number that a browser holds exactly."""
+Tick = Annotated[int, Field(ge=-1, le=_LAST_TICK)]
+LogName = Annotated[str, Field(min_length=1, max_length=255)]
+Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,60}$")]
+_QUESTIONS = ("state", "trigger", "ticks", "events", "cut")
 
 
-class TickRange(NamedTuple):
-    """Ticks of one log, from the first to the last, both included."""
+class Scope:
+    """Answers the questions of all pages: each is the method of that name, with its parameters.
 
-    log: str
-    first_tick: int
-    last_tick: int
-
-
-class Search(NamedTuple):
-    """The result of a search for a trigger."""
-
-    tick: int | None
-    """The tick of the crossing; None if there is none yet."""
-    t_s: float | None
-    searched: int
-    """The last tick that was looked at: the next search begins behind it."""
-    armed: Armed
-
-
-class TickSource:
-    """Hands out ticks of the current run and of every log in the daemon's folder."""
+    Every one may raise `PageRefusal`. Nothing is kept between them.
+    """
 
     def __init__(self, memory: TickMemory) -> None:
-        """Ask `memory` first."""
+        """Ask `memory` first, then the files of `folder`."""
         self._memory = memory
         self.folder: Path | None = None
         """The daemon's logs; None before the daemon has answered."""
 
-    def read_columns(
-        self, stretch: TickRange, names: Sequence[str], every: int = 1
+    def answer(self, path: str, query: Mapping[str, str]) -> tuple[bytes, str]:
+        """Answer one question by a body and its media type."""
+        name = path.removeprefix("/scope/")
+        if name not in _QUESTIONS:
+            raise PageRefusal("there is no such page", HTTPStatus.NOT_FOUND)
+        try:
+            answer = getattr(self, name)(**query)
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(map(str, first["loc"]))
+            raise PageRefusal(f"{where}: {first['msg']}") from None
+        if isinstance(answer, bytes):
+            return answer, "application/octet-stream"
+        text = json.dumps(_replace_nan(answer), separators=(",", ":"), allow_nan=False)
+        return text.encode(), "application/json"
+
+    @validate_call
+    def state(self) -> dict[str, Any]:
+        """Return what is held, and the events of the run."""
+        return {**self._memory.state()._asdict(), "events": self._memory.events()}
+
+    @validate_call
+    def trigger(
+        self,
+        log: LogName,
+        field: Name,
+        level: FiniteFloat,
+        slope: Slope,
+        hysteresis: Annotated[FiniteFloat, Field(ge=0)] = 0.0,
+        after: Tick = -1,
+        armed: Literal["", "r", "f", "rf"] = "",
+    ) -> dict[str, Any]:
+        """Search the ticks behind `after` for the first crossing.
+
+        `searched` is the last tick that was looked at: the next search begins behind it, with
+        `armed`, which has a letter for each slope.
+        """
+        columns = self._read_columns(log, after + 1, 1 << 62, ("tick", "t_s", field))
+        begun = Armed("r" in armed, "f" in armed)
+        at, left = find_crossing(columns[field], level, slope, hysteresis, begun)
+        ticks = columns["tick"]
+        return {
+            "tick": None if at is None else int(ticks[at]),
+            "t_s": None if at is None else float(columns["t_s"][at]),
+            "searched": int(ticks[-1]) if len(ticks) else after,
+            "armed": "r" * left.rising + "f" * left.falling,
+        }
+
+    @validate_call
+    def ticks(
+        self,
+        log: LogName,
+        first: Tick,
+        last: Tick,
+        fields: Annotated[str, Field(max_length=2000)],
+        every: Annotated[int, Field(ge=1, le=100_000)] = 1,
+    ) -> bytes:
+        """Return columns of every `every`th tick, both ends included."""
+        names = fields.split(",")
+        columns = self._read_columns(log, first, last, names, every)
+        return b"".join(np.ascontiguousarray(columns[name], "<f8").data for name in names)
+
+    @validate_call
+    def events(self, log: LogName) -> list[dict[str, Any]]:
+        """Return the events of a log, oldest first, each with its `tick`."""
+        if self._memory.state().log == log:
+            return self._memory.events()
+        with _refuse_bad_logs():
+            events = read(self._require_log(log), fields=("tick",)).events
+        return [clean_document(event) for event in events]
+
+    @validate_call
+    def cut(self, log: LogName, first: Tick, last: Tick) -> bytes:
+        """Return a stretch of a finished log as a log of its own."""
+        source = self._require_log(log)
+        if self._memory.is_following(log):
+            raise PageRefusal(
+                "the run goes on: its log can be cut when it is over", HTTPStatus.CONFLICT
+            )
+        with _refuse_bad_logs(), tempfile.TemporaryDirectory() as place:
+            rows = _find_rows(read(source, fields=("tick",))["tick"], first, last)
+            piece = Path(place) / "cut.mcap"
+            cut_log(source, piece, from_row=rows.start, to_row=rows.stop)
+            return piece.read_bytes()
+
+    def _read_columns(
+        self, log: str, first: int, last: int, names: Sequence[str], every: int = 1
     ) -> Mapping[str, NDArray[np.float64]]:
-        """Return columns of every `every`th tick of a stretch. Raises `PageRefusal`."""
-        columns = self._read_all(stretch, names, every)
+        """Read from memory where all of it is there, else from the file."""
+        held = self._memory.state()
+        if log == held.log and (held.is_complete or held.first_tick <= first):
+            try:
+                columns = self._memory.read_columns(names, first, last, every)
+            except KeyError as error:
+                raise PageRefusal(f"no field {error.args[0]}") from None
+        else:
+            with _refuse_bad_logs():
+                found = read(self._require_log(log), fields=dict.fromkeys(["tick", *names]))
+                rows = _find_rows(found["tick"], first, last)
+                part = slice(rows.start, rows.stop, every)
+                columns = {name: found[name][part].astype(np.float64) for name in names}
         if sum(map(len, columns.values())) > MOST_VALUES:
             raise PageRefusal(
                 f"more than {MOST_VALUES} values: choose a shorter time or fewer fields",
@@ -127,87 +214,11 @@ class TickSource:
             )
         return columns
 
-    def _read_all(
-        self, stretch: TickRange, names: Sequence[str], every: int
-    ) -> Mapping[str, NDArray[np.float64]]:
-        held = self._memory.state()
-        is_held = held.is_complete or held.first_tick <= stretch.first_tick
-        if stretch.log == held.log and is_held:
-            try:
-                return self._memory.read_columns(
-                    names, stretch.first_tick, stretch.last_tick, every
-                )
-            except KeyError as error:
-                raise PageRefusal(f"no field {error.args[0]}") from None
-        return self._read_file(stretch, names, every)
-
-    def _read_file(
-        self, stretch: TickRange, names: Sequence[str], every: int
-    ) -> Mapping[str, NDArray[np.float64]]:
-        try:
-            log = read(self._require_log(stretch.log), fields=dict.fromkeys(["tick", *names]))
-            start = np.searchsorted(log["tick"], stretch.first_tick, "left")
-            part = slice(start, np.searchsorted(log["tick"], stretch.last_tick, "right"), every)
-            return {name: log[name][part].astype(np.float64) for name in names}
-        except (LogError, OSError) as error:
-            raise PageRefusal(str(error), HTTPStatus.CONFLICT) from None
-
-    def read_events(self, log: str) -> list[dict[str, Any]]:
-        """Return the events of a log, oldest first, each with its `tick`. Raises `PageRefusal`."""
-        if self._memory.state().log == log:
-            return self._memory.events()
-        try:
-            events = read(self._require_log(log), fields=("tick",)).events
-        except (LogError, OSError) as error:
-            raise PageRefusal(str(error), HTTPStatus.CONFLICT) from None
-        return [clean_document(event) for event in events]
-
-    def search(
-        self,
-        log: str,
-        field: str,
-        after_tick: int,
-        level: float,
-        slope: Slope,
-        hysteresis: float = 0.0,
-        armed: Armed | None = None,
-    ) -> Search:
-        """Search the ticks behind `after_tick` for the first crossing. Raises `PageRefusal`."""
-        stretch = TickRange(log, after_tick + 1, 1 << 62)
-        columns = self.read_columns(stretch, ("tick", "t_s", field))
-        crossing: Crossing = find_crossing(columns[field], level, slope, hysteresis, armed)
-        ticks, at = columns["tick"], crossing.at
-        searched = int(ticks[-1]) if len(ticks) else after_tick
-        if at is None:
-            return Search(None, None, searched, crossing.armed)
-        return Search(int(ticks[at]), float(columns["t_s"][at]), searched, crossing.armed)
-
-    def cut(self, stretch: TickRange) -> bytes:
-        """Return a stretch of a finished log as a log of its own. Raises `PageRefusal`."""
-        source = self._require_log(stretch.log)
-        if self._memory.is_following(stretch.log):
-            raise PageRefusal(
-                "the run goes on: its log can be cut when it is over", HTTPStatus.CONFLICT
-            )
-        try:
-            ticks = read(source, fields=("tick",))["tick"]
-            first = int(np.searchsorted(ticks, stretch.first_tick, "left"))
-            end = int(np.searchsorted(ticks, stretch.last_tick, "right"))
-            with tempfile.TemporaryDirectory() as place:
-                piece = Path(place) / "cut.mcap"
-                cut_log(source, piece, from_row=first, to_row=end)
-                return piece.read_bytes()
-        except (LogError, OSError) as error:
-            raise PageRefusal(str(error), HTTPStatus.CONFLICT) from None
-
-    def _find_log(self, name: str) -> Path:
+    def _require_log(self, name: str) -> Path:
         """Return the path of a log of the daemon's folder; names with a folder are refused."""
         if self.folder is None or Path(name).name != name or not name.endswith(".mcap"):
             raise PageRefusal("there is no such log", HTTPStatus.NOT_FOUND)
-        return self.folder / name
-
-    def _require_log(self, name: str) -> Path:
-        path = self._find_log(name)
+        path = self.folder / name
         if not path.is_file():
             raise PageRefusal(
                 "there is no such log yet: it is whole when the run is over", HTTPStatus.NOT_FOUND
@@ -215,106 +226,17 @@ class TickSource:
         return path
 
 
-_JSON, _BINARY = "application/json", "application/octet-stream"
-_LAST_TICK = (1 << 53) - 1
-"""The largest number that a browser holds exactly."""
-
-Tick = Annotated[int, Field(ge=-1, le=_LAST_TICK)]
-LogName = Annotated[str, Field(min_length=1, max_length=255)]
-Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,60}$")]
-
-
-class ScopeAnswer(NamedTuple):
-    """A body and its media type."""
-
-    body: bytes
-    kind: str
+@contextmanager
+def _refuse_bad_logs() -> Iterator[None]:
+    try:
+        yield
+    except (LogError, OSError) as error:
+        raise PageRefusal(str(error), HTTPStatus.CONFLICT) from None
 
 
-class _Question(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-
-class _StretchQuestion(_Question):
-    log: LogName
-    first: Tick
-    last: Tick
-
-    def stretch(self) -> TickRange:
-        return TickRange(self.log, self.first, self.last)
-
-
-class _EventsQuestion(_Question):
-    log: LogName
-
-
-class _TicksQuestion(_StretchQuestion):
-    fields: Annotated[str, Field(max_length=2000)]
-    every: Annotated[int, Field(ge=1, le=100_000)] = 1
-
-
-class _TriggerQuestion(_Question):
-    log: LogName
-    field: Name
-    level: float
-    slope: Slope
-    hysteresis: Annotated[float, Field(ge=0)] = 0.0
-    after: Tick = -1
-    armed: Literal["", "r", "f", "rf"] = ""
-
-
-class ScopeQuestions:
-    """Answers the questions of all pages; keeps nothing between them."""
-
-    def __init__(self, memory: TickMemory, source: TickSource) -> None:
-        """Answer from these."""
-        self._memory = memory
-        self._source = source
-
-    def answer(self, path: str, query: dict[str, str]) -> ScopeAnswer:
-        """Answer one question. Raises `PageRefusal`."""
-        try:
-            match path:
-                case "/scope/state":
-                    return self._tell_state()
-                case "/scope/trigger":
-                    return self._search(_TriggerQuestion.model_validate(query))
-                case "/scope/ticks":
-                    return self._send_ticks(_TicksQuestion.model_validate(query))
-                case "/scope/events":
-                    log = _EventsQuestion.model_validate(query).log
-                    return _encode(self._source.read_events(log))
-                case "/scope/cut":
-                    cut = self._source.cut(_StretchQuestion.model_validate(query).stretch())
-                    return ScopeAnswer(cut, _BINARY)
-        except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(map(str, first["loc"]))
-            raise PageRefusal(f"{where}: {first['msg']}") from None
-        raise PageRefusal("there is no such page", HTTPStatus.NOT_FOUND)
-
-    def _tell_state(self) -> ScopeAnswer:
-        held = self._memory.state()
-        return _encode({**held._asdict(), "events": self._memory.events()})
-
-    def _search(self, asked: _TriggerQuestion) -> ScopeAnswer:
-        armed = Armed("r" in asked.armed, "f" in asked.armed)
-        found = self._source.search(
-            asked.log, asked.field, asked.after, asked.level, asked.slope, asked.hysteresis, armed
-        )
-        letters = ("r" if found.armed.rising else "") + ("f" if found.armed.falling else "")
-        return _encode({**found._asdict(), "armed": letters})
-
-    def _send_ticks(self, asked: _TicksQuestion) -> ScopeAnswer:
-        names = asked.fields.split(",")
-        columns = self._source.read_columns(asked.stretch(), names, asked.every)
-        body = b"".join(np.ascontiguousarray(columns[name], "<f8").data for name in names)
-        return ScopeAnswer(body, _BINARY)
-
-
-def _encode(document: Any) -> ScopeAnswer:
-    text = json.dumps(_replace_nan(document), separators=(",", ":"), allow_nan=False)
-    return ScopeAnswer(text.encode(), _JSON)
+def _find_rows(tick: NDArray[Any], first: int, last: int) -> slice:
+    """Return the rows from tick `first` to tick `last`, both included."""
+    return slice(int(np.searchsorted(tick, first, "left")), int(tick.searchsorted(last, "right")))
 
 
 def _replace_nan(value: Any) -> Any:

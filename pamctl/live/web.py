@@ -45,7 +45,7 @@ from pamctl.live.page_orders import (
     list_runs,
     translate_order,
 )
-from pamctl.live.scope import ScopeQuestions, TickSource
+from pamctl.live.scope import Scope
 from pamctl.live.tick_memory import TickMemory
 from pamctl.report.html_page import COLOURS
 
@@ -60,7 +60,7 @@ class Broadcast:
         """Begin to look now."""
         self._feed = DaemonFeed(socket, EVERY, COLUMNS)
         self.memory = TickMemory()
-        self.source = TickSource(self.memory)
+        self.scope = Scope(self.memory)
         self._news = threading.Lock()
         self._kept: deque[Glimpse] = deque(maxlen=_KEPT_LOOKS)
         self._count = 0
@@ -89,7 +89,7 @@ class Broadcast:
             if status is None:
                 self.memory.follow(None, None)
                 continue
-            self.source.folder = Path(status["logs"])
+            self.scope.folder = Path(status["logs"])
             self.memory.follow(status.get("ring"), status["log"])
         self.memory.close()
 
@@ -180,7 +180,6 @@ class PageServer(ThreadingHTTPServer):
         """Begin to look at the daemon behind `socket`; without a `token` the page is read-only."""
         self.broadcast = Broadcast(socket)  # first: `server_close` ends both if the port is taken
         self.orders = PageOrders(socket)
-        self.scope = ScopeQuestions(self.broadcast.memory, self.broadcast.source)
         super().__init__(("127.0.0.1", port), _Handler)
         self.token = token
         self.pages = {at: _read_part(name) for at, (name, _) in _PAGE.items()}
@@ -345,7 +344,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _ask_scope(self) -> tuple[bytes, str]:
         asked = urlsplit(self.path)
         query = {name: values[0] for name, values in parse_qs(asked.query).items()}
-        return self.server.scope.answer(asked.path, query)
+        return self.server.broadcast.scope.answer(asked.path, query)
 
     def _answer(self, status: HTTPStatus, body: bytes, kind: str) -> None:
         self._begin(status, kind, len(body))

@@ -10,7 +10,7 @@ import pytest
 from support.made_up import columns, meta, put, tick
 
 from pamctl.live.page_orders import PageRefusal
-from pamctl.live.scope import ScopeQuestions, TickSource
+from pamctl.live.scope import Scope
 from pamctl.live.tick_memory import TickMemory, TickShelf
 from pamctl.recording.ring import Ring
 
@@ -109,15 +109,16 @@ def test_a_ring_that_another_user_holds_is_a_reason_and_no_error(ring, monkeypat
 
 def test_a_search_goes_on_where_the_last_one_ended(ring):
     memory = TickMemory()
-    source = TickSource(memory)
+    scope = Scope(memory)
     put(ring, range(100))
     follow(memory, ring)
-    first = source.search("a.mcap", "tick", -1, 150.0, "rising")
-    assert (first.tick, first.searched) == (None, 99)
+    asked = {"log": "a.mcap", "field": "tick", "level": 150.0, "slope": "rising"}
+    first = scope.trigger(**asked)
+    assert (first["tick"], first["searched"]) == (None, 99)
     put(ring, range(100, 200))
     follow(memory, ring)
-    second = source.search("a.mcap", "tick", first.searched, 150.0, "rising", 0.0, first.armed)
-    assert second.tick == 150
+    second = scope.trigger(**asked, after=first["searched"], armed=first["armed"])
+    assert second["tick"] == 150
     memory.close()
 
 
@@ -137,12 +138,12 @@ def test_a_search_goes_on_where_the_last_one_ended(ring):
 )
 def test_a_question_that_cannot_be_answered_is_refused(ring, tmp_path, path, query, status):
     memory = TickMemory()
-    source = TickSource(memory)
-    source.folder = tmp_path
+    scope = Scope(memory)
+    scope.folder = tmp_path
     (tmp_path / "a.mcap").touch()  # the recorder has begun it
     put(ring, range(10))
     follow(memory, ring)
     with pytest.raises(PageRefusal) as refusal:
-        ScopeQuestions(memory, source).answer(path, query)
+        scope.answer(path, query)
     assert refusal.value.status == status
     memory.close()

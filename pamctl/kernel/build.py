@@ -25,10 +25,8 @@ _SOURCES = (
     "pamctl/kernel",
     "pamctl/plant",
     "pamctl/control",
-    "pamctl/compensation",
     "pamctl/realtime",
-    "pamctl/simulate",
-    "pamctl/replay",
+    "pamctl/offline",
 )
 """All that a kernel of pamctl can be made of, beside the files in `pamctl` itself."""
 _FLAGS = (

@@ -452,3 +452,8 @@ def test_a_killed_process_frees_the_lock_for_one_that_waits(place: Place) -> Non
     out, _ = second.communicate(timeout=PATIENCE_S)
     assert out.splitlines()[0] == f"{RIGHT} native"
     first.communicate(timeout=PATIENCE_S)
+
+
+def test_every_folder_that_machine_code_is_made_of_is_there() -> None:
+    """A folder that is missing would let changes of its kernels go unnoticed."""
+    assert [at for at in build._SOURCES if not (build._ROOT / at).is_dir()] == []

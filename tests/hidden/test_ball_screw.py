@@ -8,10 +8,7 @@ from scipy.optimize import least_squares
 from scipy.signal import butter, sosfiltfilt
 
 from hidden.ball_screw_drive import (
-    ASYMMETRIC,
-    SYMMETRIC,
     BallScrewCase,
-    BallScrewRig,
     ball_screw_cases,
 )
 from pamctl.plant.model import values_of
@@ -34,34 +31,6 @@ def motion(position_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     x = smooth(position_m)
     v = np.gradient(x, 1e-3)
     return x, v, np.gradient(v, 1e-3)
-
-
-def test_without_noise_force_and_motion_obey_the_published_equation() -> None:
-    truth = ASYMMETRIC
-    rig = BallScrewRig(truth, motor_noise_n=0.0, sensor_noise_n=0.0, encoder_step_m=1e-10)
-    record = rig.run("calm", seed=1, seconds=8.0)
-    assert record.force_n is not None
-    _, v, a = motion(record.position_m)
-    up, down = v > 0.02, v < -0.02
-    force = truth.mass_kg * a + np.where(
-        up, truth.viscous_up * v + truth.dry_up_n, truth.viscous_down * v - truth.dry_down_n
-    )
-    steady = (up | down) & (np.abs(a) < 0.02)
-    assert steady.sum() > 1000
-    assert np.median(np.abs(force - smooth(record.force_n))[steady]) < 0.3
-
-
-def test_the_drive_follows_its_profile_as_far_and_as_fast_as_the_benchmark() -> None:
-    record = BallScrewRig(SYMMETRIC).run("look", seed=1)
-    assert record.position_m is not None
-    assert record.force_n is not None
-    assert len(record.t_s) == 25_000
-    assert np.ptp(record.position_m) == pytest.approx(0.24, abs=2e-3)
-    speed = np.abs(motion(record.position_m)[1]).max()
-    assert 0.3 < speed < 0.45
-    assert np.abs(record.force_n).max() < 350.0
-    counts = record.position_m / 1e-6
-    np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
 
 
 @pytest.mark.parametrize("name", CASES)

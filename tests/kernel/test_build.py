@@ -264,6 +264,14 @@ def test_plain_python_can_be_asked_for(place: Place) -> None:
     assert not place.cache.exists()
 
 
+def test_on_a_system_of_32_bits_plain_python_computes(place: Place) -> None:
+    on_32_bits = "import ctypes; ctypes.sizeof = lambda kind: 4"
+    computed, said = place.run(f"{on_32_bits}; import small_kernels; small_kernels.main()")
+    assert computed == f"{RIGHT} plain"
+    assert "this is a system of 32 bits" in said
+    assert not place.calls.exists()
+
+
 def find_unwritable(place: Place) -> Iterator[str]:
     yield "/proc/self/nothing"
     file = place.folder / "file"

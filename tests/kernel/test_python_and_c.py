@@ -545,8 +545,12 @@ def test_machine_code_is_that_of_the_numbers_and_the_modules_that_it_uses(monkey
         "c = prepare(f, {'x': 1.0}, ('x',)); c.run(); print(c.get('x'))"
     )
     (tmp_path / "outer.py").write_text("from inner import g\ndef f(x):\n    return g(x)\n")
+    (tmp_path / "inner").mkdir()
+    (tmp_path / "inner/__init__.py").write_text(
+        "from inner.numbers import FACTOR\ndef g(x):\n    return FACTOR * x\n"
+    )
     for factor in ("2.0", "3.0"):
-        (tmp_path / "inner.py").write_text(f"def g(x):\n    return {factor} * x\n")
+        (tmp_path / "inner/numbers.py").write_text(f"FACTOR = {factor}\n")
         done = run_process(
             [sys.executable, "-B", "-c", program],
             env=os.environ | {"PYTHONPATH": str(tmp_path)},

@@ -1,8 +1,4 @@
-"""The compiled closed loop and the real one: the same numbers, tick by tick.
-
-The real one is `pamctl.realtime.loop.control` as a run has it, with a virtual clock, the
-simulated rig and a journal in memory; the batch is what tuning and diagnosis run on.
-"""
+"""The simulated loop is the real one: run by run, many ticks at once, and where the rig clamps."""
 
 from __future__ import annotations
 
@@ -16,11 +12,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from support.runs import MemoryJournal, ScriptedSupervisor, steered
+from support.command_line import run_pamctl
+from support.runs import (
+    MemoryJournal,
+    ScriptedSupervisor,
+    pack_row,
+    parts,
+    run_settings,
+    steered,
+    unpack_row,
+)
 
+from hal.faulty import FaultSettings
 from hal.sim import sensor_chain
 from pamctl.control.experiment import plan_experiment
 from pamctl.exit_codes import Ending, ExitCode
+from pamctl.kernel.calls import NativeCall, PlainCall
+from pamctl.log import read
 from pamctl.offline.closed_loop import (
     BatchRow,
     BatchRun,
@@ -28,13 +36,17 @@ from pamctl.offline.closed_loop import (
     simulate,
     tabulate_references,
 )
-from pamctl.offline.many_ticks import draw_deviates
+from pamctl.offline.many_ticks import draw_deviates, find_many_ticks
 from pamctl.plant.model import plant_parameters
 from pamctl.processes.backends import build_clock, build_rig
+from pamctl.realtime.gain_ramp import fit_law
 from pamctl.realtime.loop import ControlLoop
-from pamctl.settings.build import build_tick_setup
+from pamctl.realtime.program import CuedHelm
+from pamctl.realtime.tick_runner import TickRunner
+from pamctl.recording.rows import ROW_BYTES
+from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings, resolve
-from pamctl.signals import Phase, Reference, TickRecord
+from pamctl.signals import Phase, Reference, TickRecord, Truth
 
 TRACKING = """
     kind: tracking
@@ -212,3 +224,127 @@ def test_finer_steps_of_the_plant_move_the_result_by_less_than_a_micrometre(fold
     usual, finer = simulate(*common), simulate(*common, longest_step_s=1e-3 / 64)
     difference_m = np.abs(usual["true_position_m"] - finer["true_position_m"]).max()
     assert 0.0 < difference_m < 1e-6
+
+
+# --- many ticks at once --------------------------------------------------------------------------
+
+SHORT = (
+    "experiment.approach_s=0.5",
+    "experiment.settle_s=0.2",
+    "experiment.transition_s=0.5",
+    "experiment.cycles=1",
+    "rig.loop.stop_ramp_s=0.1",
+)
+
+
+class RowsInMemory(MemoryJournal):
+    leaps = 0
+
+    def put_rows(self, rows: memoryview) -> None:
+        self.leaps += 1
+        for at in range(0, len(rows), ROW_BYTES):
+            self.ticks.append(unpack_row(bytes(rows[at : at + ROW_BYTES])))
+
+
+def run_both(settings: RunSettings, *faults: FaultSettings) -> Any:
+    """Return how a run ends and what it leaves: tick by tick in Python, and many at once."""
+    outcome: list[tuple[Ending, RowsInMemory]] = []
+    for leaps in (False, True):
+        made, journal, setup = parts(settings, faults), RowsInMemory(), build_tick_setup(settings)
+        program = build_program(settings)
+        rig = made.whole if faults else made.rig
+        tick, many = TickRunner(setup, PlainCall), None
+        if leaps:
+            tick, many = TickRunner(setup, NativeCall), find_many_ticks(setup, rig, made.clock)
+        plant = made.plant
+        ending = ControlLoop(
+            rig=rig,
+            clock=made.clock,
+            setup=setup,
+            nominal_zero=nominal_zero_of(settings),
+            program=program,
+            journal=journal,
+            supervisor=ScriptedSupervisor(),
+            truth=lambda plant=plant: Truth(plant.state.position_m, plant.state.pressure_pa),
+            helm=CuedHelm(setup, settings.controller.model_dump(mode="json"), program, journal),
+            tick=tick,
+            many=many,
+        ).run()
+        outcome.append((ending, journal))
+    return outcome
+
+
+def pack(journal: MemoryJournal) -> list[bytes]:
+    return [bytes(pack_row(record)) for record in journal.ticks]
+
+
+CASES = {
+    "homing, tracking and stop": SHORT,
+    "a late output": (*SHORT, "rig.homing.enabled=false", "rig.sim.output_delay_ticks=1"),
+    "a plant with effects, of which one is compensated": (
+        *SHORT,
+        "rig.homing.enabled=false",
+        "plant.effects.valve_spool.time_constant_s=0.002",
+        "plant.effects.pressure_sensor_lag.time_constant_s=0.003",
+        "plant.effects.stribeck.rise=0.3",
+        "plant.effects.command_delay.delay_s=0.0025",
+        "plant.effects.valve_deadband.fill_width_v=0.2",
+        "plant.effects.valve_deadband.exhaust_width_v=0.1",
+        "rig.compensate=[valve_deadband]",
+    ),
+    "a trip": (*SHORT, "rig.homing.enabled=false", "rig.limits.pressure_pa=200000"),
+}
+
+
+def assert_equal(outcome: Any) -> None:
+    (ending, plain), (ending_too, fast) = outcome
+    assert ending == ending_too
+    assert fast.leaps > 0
+    assert pack(plain) == pack(fast)
+    assert repr(plain.keyframes) == repr(fast.keyframes)
+    assert plain.events == fast.events
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_run_with_leaps_leaves_what_a_run_without_leaves(case: str) -> None:
+    assert_equal(run_both(run_settings(*CASES[case])))
+
+
+def test_a_rig_with_faults_is_left_to_the_loop() -> None:
+    settings = run_settings(*SHORT)
+    made = parts(settings)
+    assert find_many_ticks(build_tick_setup(settings), made.whole, made.clock) is None
+
+
+CLAMP_V = 0.1
+SET = [f"rig.limits.command_v={CLAMP_V}", "controller.command_limit_v=5"]
+
+
+@pytest.mark.long
+def test_the_integral_stops_at_the_clamp_of_the_rig(tmp_path) -> None:
+    log = tmp_path / "run.mcap"
+    words = ["--set", "rig.homing.enabled=false"]  # its fills need more than the clamp
+    for change in SET:
+        words += ["--set", change]
+    done = run_pamctl("run", "--fast", "--controller", "pid", "--duration", 6, *words, "--log", log)
+    assert done.returncode == 0, done.stderr
+    run = read(log)
+    by_law = np.isnan(run["reference_valve_v"])
+    commands, saturated = run["command_v"][by_law], run["saturated"][by_law]
+    assert np.abs(commands).max() == CLAMP_V
+    assert saturated.any()
+    assert np.abs(run["robust_v"][by_law]).max() < CLAMP_V  # the integral's share
+
+
+@pytest.mark.parametrize("law", ["pid", "qsmc", "smc"])
+def test_gains_that_are_changed_keep_to_the_clamp_of_the_rig(law) -> None:
+    clamped = resolve(controller=law, overrides=SET)
+    setup = build_tick_setup(clamped)
+    as_low = resolve(controller=law, overrides=[SET[0], f"controller.command_limit_v={CLAMP_V}"])
+    assert setup.gains == build_tick_setup(as_low).gains
+    assert fit_law(setup, clamped.controller).gains == setup.gains
+
+
+def test_a_law_with_a_limit_below_the_clamp_keeps_its_own() -> None:
+    low = resolve(overrides=["rig.limits.command_v=2", "controller.command_limit_v=1"])
+    assert build_tick_setup(low).gains.sliding.limit_v == 1.0

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
-import threading
-import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from standin.standin import Card
@@ -19,14 +17,15 @@ from support.processes.children import PARTS, await_children, list_children
 from support.processes.daemons import AO_STEP_V, NOT_HOMED, SAFE_V, daemon
 from support.processes.rings import await_tick
 from support.processes.sleeping import SleepingPc
+from support.runs import MS
 
 from hal.sim import peek_v
 from pamctl.commissioning.bench import LimitError, open_workplace
 from pamctl.commissioning.pc_checks import check_sleep
 from pamctl.daemon.client import DaemonDeclinedError
-from pamctl.processes import keep_awake
+from pamctl.processes import guardian, keep_awake
 from pamctl.processes.backends import ao_path
-from pamctl.processes.guardian import LoopProcess, guard
+from pamctl.processes.guardian import Silence
 from pamctl.realtime.clock import SleepWatch
 from pamctl.recording.ring import LoopStage, Ring
 from pamctl.settings.resolve import resolve
@@ -99,39 +98,24 @@ def test_a_daemon_forbids_sleep_while_it_holds_and_a_sleep_is_a_fault_to_acknowl
         assert count_holders() == 0
 
 
-class StillRig:
-    """What the guardian needs of a rig."""
-
-    safe_failure = None
-
-    def make_safe(self) -> None:
-        self.is_safe = True
-
-
-def test_a_loop_that_goes_on_after_the_pc_slept_is_killed_by_the_guardian(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("lead_ms", [0, 40], ids=["guardian", "front"])
+def test_a_loop_that_goes_on_after_the_pc_slept_is_killed_once_it_had_its_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lead_ms: int
 ) -> None:
-    ended, rig = threading.Event(), StillRig()
-    with (
-        subprocess.Popen(["sleep", "60"]) as loop,
-        Ring.create(tmp_path / "a.ring", meta(tmp_path / "a.mcap"), rows=256) as ring,
-    ):
-
-        def beat() -> None:
-            while not ended.wait(1e-3):
-                ring.loop_beat_ns = time.monotonic_ns()
-
-        ring.loop_stage = LoopStage.TICKING
-        beating = threading.Thread(target=beat)
-        beating.start()
-        monkeypatch.setattr(SleepWatch, "slept_ns", lambda watch: 20_000_000_000)
-        takeover = guard(ring, LoopProcess(loop.pid), rig, 500_000_000)  # type: ignore[arg-type]
-        ended.set()
-        beating.join()
-    assert takeover is not None
-    assert "the loop went on after the PC had slept for 20.0 s" in takeover.reason
-    assert rig.is_safe
-    assert loop.returncode == -signal.SIGKILL
+    """The loop trips within a heartbeat; the front leaves it to the guardian for longer."""
+    now_ns, looked_ms = 10**9, []
+    monkeypatch.setattr(SleepWatch, "slept_ns", lambda watch: 20_000_000_000)
+    monkeypatch.setattr(guardian, "time", SimpleNamespace(monotonic_ns=lambda: now_ns))
+    with Ring.create(tmp_path / "a.ring", meta(tmp_path / "a.mcap"), rows=256) as ring:
+        silence = Silence(ring, 0, 20 * MS, 0, lead_ms * MS)
+        ring.loop_stage, fault = LoopStage.TICKING, ""
+        while not fault:
+            ring.loop_beat_ns = now_ns
+            fault = silence.find_fault()
+            looked_ms.append((now_ns - 10**9) // MS)
+            now_ns += MS
+    assert fault == "the loop went on after the PC had slept for 20.0 s"
+    assert looked_ms[-1] == 20 + lead_ms + 1
 
 
 def test_a_calibration_over_which_the_pc_slept_ends(monkeypatch: pytest.MonkeyPatch) -> None:

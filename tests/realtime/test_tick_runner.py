@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import pytest
 from support.runs import MS, MemoryJournal, ScriptedSupervisor, pack_row, parts, run_settings
 
@@ -19,8 +18,6 @@ from pamctl.control.law import answer
 from pamctl.exit_codes import Ending
 from pamctl.kernel.calls import NativeCall, PlainCall
 from pamctl.kernel.expressions import NotInC
-from pamctl.log.reader import read
-from pamctl.offline.replay_source import read_replay_source
 from pamctl.realtime.clock import Wake
 from pamctl.realtime.loop import ControlLoop
 from pamctl.realtime.program import CuedHelm
@@ -29,11 +26,10 @@ from pamctl.realtime.tick_runner import TickRunner
 from pamctl.recording.ring import Ring
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings
-from pamctl.signals import TICK_FIELDS, Reference, TickOutcome, TickRecord, Truth
+from pamctl.signals import Reference, TickOutcome, TickRecord, Truth
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the real-time loop needs Linux")
 
-GOLDEN = Path(__file__).parents[1] / "golden"
 SETUP = build_tick_setup(run_settings())
 NO_OUTCOME, NO_TRUTH = TickOutcome(0.0, 0.0, 0.0, 0.0), Truth(math.nan, math.nan)
 SHORT = (
@@ -169,52 +165,6 @@ class Softening(CuedHelm):
             softer = self.controller.model_copy(update={"lpf1_hz": 200.0})
             self._tuning.change(softer, done.timing.t_s, 0.2)
         super().finish_tick(done)
-
-
-def test_golden_logs_come_out_to_the_bit() -> None:
-    seen = 0
-    for path in sorted(GOLDEN.glob("*.mcap")):
-        source = read_replay_source(read(path))
-        if source.gains.law != "qsmc":
-            continue
-        seen += replay_golden(source)
-    assert seen > 6000
-
-
-def replay_golden(source: Any) -> int:
-    """Run a log's ticks on its raw samples and references; return how many were compared."""
-    log, seen, after = source.log, 0, None
-    inputs = source.inputs(0, len(source))
-    columns = [column.tolist() for column in inputs.values()]
-    for begin, end in source.cut_stretches(source.find_begin()):
-        state = source.state_at(begin, after)
-        if state is None:
-            continue
-        setup = source.setup_at(begin)
-        tick = TickRunner(setup, NativeCall)
-        for k in range(begin, end):
-            at, t_s, dt_s, late_s, missed, *raw = (column[k] for column in columns[:9])
-            raw = RawSample(*raw)
-            if k == begin:
-                first_ns = raw.encoder_t_ns - round(t_s * 1e9)
-                tick.begin(state, first_ns, raw.encoder_t_ns - round(dt_s * 1e9))
-            reference = Reference(*(column[k] for column in columns[9:]))
-            tick.run(setup, Wake(at, 0, round(late_s * 1e9), missed), raw, reference)
-            assert (tick.timing.t_s, tick.timing.dt_s) == (t_s, dt_s)
-            ours = (*tick.state.measurement, *tick.state.estimate, *tick.state.command)
-            ours = (*ours, *tick.decision)
-            logged = tuple(log[name][k].item() for name in COMPARED)
-            assert np.array_equal(ours, logged, equal_nan=True), (log.path, k)
-            seen += 1
-        after = tick.state
-    return seen
-
-
-COMPARED = [
-    field.name
-    for field in TICK_FIELDS
-    if field.stage in ("measurement", "estimate", "command", "decision")
-]
 
 
 def test_where_machine_code_fails_plain_python_says_why(compiled: TickRunner) -> None:

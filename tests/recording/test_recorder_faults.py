@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import random
 import resource
@@ -27,9 +28,16 @@ from pamctl.log.check import check_log
 from pamctl.log.framing import FileRecord
 from pamctl.log.record_walk import find_records
 from pamctl.log.recover import recover_file, resume_log
+from pamctl.recording import drain
 from pamctl.recording.drain import record_run
 from pamctl.recording.recorded_run import ProcessRecordedRun
-from pamctl.recording.recorder import RecorderError, await_recorder, finish_orphans, spawn_recorder
+from pamctl.recording.recorder import (
+    RecorderError,
+    await_recorder,
+    finish_orphans,
+    record,
+    spawn_recorder,
+)
 from pamctl.recording.ring import RecorderFlag, Ring
 
 LONG_AGO_NS = 1
@@ -51,6 +59,15 @@ def put_with_events(ring: Ring, ticks: range) -> None:
         if index % 100 == 0:
             ring.put_event(index, START_MONO_NS, {"event": "mark", "text": "x" * (index % 1300)})
         put(ring, [index])
+
+
+class Here:
+    """The owner of a recording that is made in this process."""
+
+    gone = False
+
+    def wait(self, seconds: float) -> None:
+        time.sleep(seconds)
 
 
 def finish(ring_path: Path) -> int:
@@ -271,12 +288,6 @@ def test_the_recorder_shows_that_it_lives_while_there_is_nothing_to_do(log):
 
 
 def test_the_recorder_beats_while_a_slow_disk_takes_the_last_rows(log, monkeypatch):
-    class Here:
-        gone = False
-
-        def wait(self, seconds: float) -> None:
-            time.sleep(seconds)
-
     beats: list[int] = []
     write_back = os.fsync
 
@@ -293,6 +304,7 @@ def test_the_recorder_beats_while_a_slow_disk_takes_the_last_rows(log, monkeypat
         assert record_run(ring, Here())
     assert beats[1] >= beats[0] + 3
     assert_complete(log, 300)
+    assert "recovery" not in read(log).metadata
 
 
 def test_a_tick_does_not_wait_for_the_next_one_to_be_in_the_file(log):
@@ -353,6 +365,23 @@ def test_a_recorder_without_a_ring_says_so_in_one_line(tmp_path):
     assert code == 1
     assert said.count("\n") == 1
     assert "cannot attach to the ring" in said
+
+
+def test_a_disk_that_fails_is_not_called_full(log, monkeypatch):
+    def allocate(fd: int, start: int, size: int) -> None:
+        if start:  # after the run began
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(drain, "STEP_BYTES", 0)
+    monkeypatch.setattr(drain, "_fallocate", allocate)
+    with new_ring(log) as ring:
+        put_with_events(ring, range(6000))
+        said = record(ring, Here())
+        assert said.startswith("writing the log failed: Input/output error; ")
+        assert said.endswith(f" rows are kept in {ring.path}")
+        assert ring.recorder_flags == RecorderFlag.READY | RecorderFlag.FAILED
+        assert finish(ring.path) == 0
+    assert_complete(log, 6000)
 
 
 # The disk is full.

@@ -70,6 +70,18 @@ def pair(**hidden: float) -> tuple[list[Record], list[Record]]:
     return [measured("fit", 1, **hidden)], [measured("judge", 2, **hidden)]
 
 
+def axis_plant(
+    mass_kg: float, damping: float, stiffness: float = 0.0, **effects: dict[str, float]
+) -> PlantSettings:
+    """Return the plant file of an axis that a measured force moves."""
+    parameters = {
+        "mass_kg": mass_kg, "damping_n_s_per_m": damping, "stiffness_n_per_m": stiffness,
+    }  # fmt: skip
+    return PlantSettings.model_validate(
+        {"actuator": "direct", "parameters": parameters, "effects": effects}
+    )
+
+
 def list_asked(records: Sequence[Record], plant: PlantSettings) -> frozenset[str]:
     """Return the name of all that is asked of these records."""
     weigher, _ = prepare_weigher(records, (), plant)

@@ -1,4 +1,4 @@
-"""Programs to choose from: repeatable, inside the command's limit, sampled as the rig runs them."""
+"""Programs to choose from, and the one that answers what two full strokes leave open."""
 
 from __future__ import annotations
 
@@ -7,22 +7,25 @@ from itertools import accumulate
 
 import numpy as np
 import pytest
+from support.made_records import COUNT_M, PERIOD_S, ask_only
 
 from pamctl.control.course import reference_at
 from pamctl.control.experiment import plan_experiment
+from pamctl.diagnose import Record, diagnose
 from pamctl.diagnose.drawn_programs import (
     LONGEST_S,
     SHORTEST_S,
     draw_programs,
     find_rig_limits,
+    make_program,
     make_repeated_part,
     read_rig_limits,
     sample_commands,
 )
-from pamctl.diagnose.record import Record
 from pamctl.offline.closed_loop import simulate_run
 from pamctl.plant.drive import drive_coupled
-from pamctl.plant.model import plant_parameters
+from pamctl.plant.model import PlantSettings, plant_parameters
+from pamctl.plant.parameters import parameters_of
 from pamctl.settings.resolve import resolve, settings_to_data
 
 COUNT = 30
@@ -107,3 +110,41 @@ def test_a_gentle_program_is_admitted_at_any_altitude(atmosphere_pa: float) -> N
     assert run.pressure_pa[0] == pytest.approx(atmosphere_pa)
     assert limits.allows(run)
     assert limits.admits(commands_v, run, 1e-3)
+
+
+OFFSET_V = 0.1
+
+
+def run(commands_v: np.ndarray, seed: int, experiment: object = None) -> Record:
+    """Run a muscle whose valve's null is off, finely stepped."""
+    random = np.random.default_rng(seed)
+    driven = drive_coupled(
+        parameters_of({"null_offset.offset_v": OFFSET_V}), commands_v, PERIOD_S, steps=16
+    )
+    return Record(
+        f"run-{seed}",
+        np.arange(len(commands_v)) * PERIOD_S,
+        valve_v=commands_v,
+        pressure_pa=driven.pressure_pa + random.normal(0.0, 300.0, len(commands_v)),
+        position_m=np.floor(driven.position_m / COUNT_M + random.uniform()) * COUNT_M,
+        settings={"experiment": experiment} if experiment else {},
+    )
+
+
+def test_full_strokes_leave_the_valve_open_and_the_chosen_program_names_its_null() -> None:
+    strokes = run(sample_commands(make_program(make_repeated_part(5.0, 5.0)), PERIOD_S), 1)
+    asked = ask_only("null_offset", "valve_asymmetry", "valve_deadband", "valve_curve")
+    first = diagnose([strokes], [], PlantSettings(), without=asked)
+    assert {"null_offset", "valve_asymmetry", "valve_deadband"} <= {*first.explanations}
+    chosen = first.deciding
+    assert chosen is not None
+    assert chosen.promises
+    again = run(sample_commands(chosen.program, PERIOD_S), 2, chosen.to_experiment())
+    assert again["pressure_pa"].max() <= chosen.pressure_pa + 5e3
+    second = diagnose([strokes, again], [], PlantSettings(), without=asked)
+    assert second.explanations == ("null_offset",)
+    (offset,) = (n for n in second.numbers if n.name == "null_offset.offset_v")
+    assert offset.value == pytest.approx(OFFSET_V, rel=0.02)
+    judged = {f.refuted: f for f in second.forecasts}
+    assert {"valve_deadband", "valve_asymmetry"} <= {*judged}
+    assert all(f.is_good for f in judged.values()), judged

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import replace
 from typing import Any
 
@@ -11,10 +10,7 @@ from support.made_records import to_records
 
 from hidden.effects import SINGLES
 from hidden.examination.cases import (
-    PAIRS,
-    QUICK,
     Case,
-    all_cases,
     blind_cases,
     damaged_cases,
     quick_cases,
@@ -63,20 +59,3 @@ def test_the_diagnosis_program_shows_all_large_effects() -> None:
     large = [case for case in single_cases() if case.id.endswith("/10")]
     assert [next(iter(case.effects)) for case in large] == [*SINGLES]
     assert all(oracle_of("standard")[name]["10"]["alone"] >= SURE for name in SINGLES)
-
-
-def test_a_spool_and_a_delay_are_near_each_other_and_far_from_creep() -> None:
-    rows = oracle_of("standard")["valve_spool"]["3"]
-    assert rows["command_delay"] == min(left for rival, left in rows.items() if rival != "alone")
-    assert rows.get("creep", SURE) >= SURE
-
-
-def test_the_suite_holds_the_requested_cases() -> None:
-    count = Counter(case.group for case in all_cases())
-    assert count["null"] >= 200
-    assert count["single"] == 3 * len(SINGLES) == count["left_out"] * 3
-    assert len(PAIRS) == count["pair"] == 8
-    assert count["triple"] == 1
-    assert [case.id for case in quick_cases()] == list(QUICK)
-    keys = [(case.id, case.repeat) for repeat in (0, 1) for case in all_cases(repeat=repeat)]
-    assert len(keys) == len(set(keys))

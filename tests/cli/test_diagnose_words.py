@@ -1,15 +1,50 @@
-"""The audit on a terminal: it fits, and its matrix says what tells two effects apart."""
+"""The words of `pamctl diagnose`: what `--without` takes, and an audit that fits a terminal."""
 
 from __future__ import annotations
 
 from itertools import combinations
 
 import pytest
+from support.command_line import run_pamctl
 
-from pamctl.cli.diagnose import report_audit
+from pamctl.cli.diagnose import _find_left_out, report_audit
 from pamctl.diagnose.audit import Audit, BlindSpot, Inseparable
 from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.model import PlantSettings
 from pamctl.report.report import format_terminal
+
+# --- --without -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("word", "left_out"),
+    [
+        ("coulomb_friction", ["coulomb_friction"]),
+        ("curve of braid_friction over velocity", ["braid_friction~curve(velocity)"]),
+        ("braid_friction~curve(velocity)", ["braid_friction~curve(velocity)"]),
+        ("skew of position_m", ["position_late"]),
+        ("position_late", ["position_late"]),
+    ],
+)
+def test_a_word_of_a_verdict_can_be_left_out(word: str, left_out: list[str]) -> None:
+    assert _find_left_out(word, PlantSettings()) == left_out
+
+
+def test_the_place_of_laws_without_a_name_leaves_all_of_them_out() -> None:
+    left_out = _find_left_out("braid_friction", PlantSettings())
+    assert {"braid_friction~curve(velocity)", "braid_friction~onset(time)"} <= {*left_out}
+    assert all(name.startswith("braid_friction~") for name in left_out)
+
+
+def test_an_unknown_word_is_told_what_can_be_left_out() -> None:
+    done = run_pamctl("diagnose", "x.mcap", "--without", "braid_frictoin", "--out", "never")
+    assert done.returncode == 2
+    said = " ".join(done.stderr.replace("\u2502", " ").split())
+    assert "there is no effect or law braid_frictoin; did you mean braid_friction?" in said
+    assert "all laws without a name of a place such as force" in said
+
+
+# --- --audit -------------------------------------------------------------------------------------
 
 NAMES = sorted(CATALOGUE)[:20]
 SPOTS = tuple(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,10 +33,10 @@ from pamctl.errors import ConfigError
 from pamctl.exit_codes import ExitCode
 
 if TYPE_CHECKING:  # no other verb waits for these
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from pamctl.commissioning.bench import Bench
-    from pamctl.commissioning.guided import CalibrationOutcome, CalibrationTask, Operator
+    from pamctl.commissioning.guided import CalibrationOutcome, Operator
     from pamctl.processes.interrupts import SignalInterrupt
     from pamctl.settings.resolve import RunSettings
 
@@ -130,20 +131,22 @@ def daemon(asked: DaemonOptions) -> None:
         watched = resolve_options(None, None, None, plant=asked.monitor_plant).settings.plant
     require_linux()
     from pamctl.daemon.client import own_socket
-    from pamctl.daemon.serving import ServiceOptions, serve_daemon  # no other verb waits for it
+    from pamctl.daemon.serving import serve_daemon  # no other verb waits for it
 
-    options = ServiceOptions(
-        asked.socket or own_socket(),
-        asked.group,
-        asked.logs,
-        asked.keep,
-        asked.idle_after_s,
+    code = serve_daemon(
+        settings,
+        names,
+        socket=asked.socket or own_socket(),
+        group=asked.group,
+        logs=asked.logs,
+        keep=asked.keep,
+        idle_after_s=asked.idle_after_s,
         announce=asked.as_json,
         watched=watched,
         monitor_trips=asked.monitor_trips,
         file_gains=read_file_gains(settings, names["controller"]),
     )
-    raise typer.Exit(int(serve_daemon(settings, names, options)))
+    raise typer.Exit(int(code))
 
 
 # --- safe -------------------------------------------------------------------------------------
@@ -289,20 +292,10 @@ def pressure(asked: PressureOptions) -> None:
     """Find the pressure sensor's zero at the atmosphere, and its gain against a reference gauge."""
     require_linux()
     from pamctl.commissioning.calibrations import PRESSURE_POINTS_KPA, calibrate_pressure
-    from pamctl.commissioning.guided import CalibrationTask, check_answers
 
-    settings, names = asked.resolve()
     points = () if asked.zero_only else tuple(asked.points_kpa or PRESSURE_POINTS_KPA)
-    task = CalibrationTask(
-        "pressure",
-        settings,
-        names["rig"],
-        asked.out,
-        points,
-        lambda bench, operator: calibrate_pressure(bench, operator, points),
-    )
-    answers = check_answers("--reading", asked.readings_kpa or None, points)
-    _calibrate(task, answers, asked)
+    work = partial(calibrate_pressure, points_kpa=points)
+    _calibrate(asked, "pressure", work, points, ("--reading", asked.readings_kpa))
 
 
 class EncoderOptions(CalibrateOptions):
@@ -329,25 +322,16 @@ def encoder(asked: EncoderOptions) -> None:
         calibrate_encoder_by_hand,
         calibrate_encoder_by_muscle,
     )
-    from pamctl.commissioning.guided import CalibrationTask, check_answers
 
-    points = tuple(asked.points_kpa or ENCODER_POINTS_KPA)
-    known_mm = tuple(asked.displacements_mm)
-
-    def work(bench: Bench, operator: Operator) -> CalibrationOutcome:
-        if asked.by == "muscle":
-            return calibrate_encoder_by_muscle(bench, operator, points)
-        return calibrate_encoder_by_hand(bench, operator, known_mm)
-
-    if asked.by not in {"hand", "muscle"}:
+    known_mm = asked.displacements_mm
+    if asked.by == "muscle":
+        points = tuple(asked.points_kpa or ENCODER_POINTS_KPA)
+        work = partial(calibrate_encoder_by_muscle, points_kpa=points)
+        _calibrate(asked, "encoder", work, points, ("--displacement-mm", known_mm))
+    elif asked.by == "hand":
+        _calibrate(asked, "encoder", partial(calibrate_encoder_by_hand, displacements_mm=known_mm))
+    else:
         raise ConfigError([Problem(f"--by {asked.by}", "", "must be 'hand' or 'muscle'")])
-    settings, names = asked.resolve()
-    held = points if asked.by == "muscle" else ()
-    answers = None
-    if held:
-        answers = check_answers("--displacement-mm", asked.displacements_mm or None, held)
-    task = CalibrationTask("encoder", settings, names["rig"], asked.out, held, work)
-    _calibrate(task, answers, asked)
 
 
 class ValveOptions(CalibrateOptions):
@@ -364,29 +348,26 @@ def valve(asked: ValveOptions) -> None:
     """Find the valve's sign, null voltage and dead band, and the supply pressure."""
     require_linux()
     from pamctl.commissioning.calibrations import calibrate_valve
-    from pamctl.commissioning.guided import CalibrationTask
 
-    settings, names = asked.resolve()
-    task = CalibrationTask(
-        "valve",
-        settings,
-        names["rig"],
-        asked.out,
-        (),
-        lambda bench, operator: calibrate_valve(bench, asked.span_v),
-    )
-    _calibrate(task, None, asked)
+    _calibrate(asked, "valve", lambda bench, operator: calibrate_valve(bench, asked.span_v))
 
 
 def _calibrate(
-    task: CalibrationTask, answers: Sequence[float] | None, asked: CalibrateOptions
+    asked: CalibrateOptions,
+    what: str,
+    work: Callable[[Bench, Operator], CalibrationOutcome],
+    points_kpa: Sequence[float] = (),
+    answers: tuple[str, Sequence[float]] = ("", ()),
 ) -> None:
-    from pamctl.commissioning.guided import calibrate_rig, report_calibration
+    from pamctl.commissioning.guided import calibrate_rig
     from pamctl.processes.interrupts import SignalInterrupt
 
+    settings, names = asked.resolve()
+    files = names["rig"], asked.out
     try:
-        outcome, failure = calibrate_rig(task, answers, may_move=asked.yes)
+        report, failure = calibrate_rig(
+            what, work, settings, *files, points_kpa=points_kpa, answers=answers, may_move=asked.yes
+        )
     except SignalInterrupt as error:
         raise Failed(error.code, str(error)) from error
-    report = report_calibration(task, outcome, saved=failure is None)
     print_report(report, as_json=asked.as_json, failure=failure)

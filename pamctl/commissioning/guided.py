@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from hal.rig import RawSample
 from pamctl.commissioning.bench import (
@@ -37,66 +37,55 @@ from pamctl.settings.resolve import (
 )
 
 
-def check_answers(
-    option: str, values: Sequence[float] | None, points: Sequence[float]
-) -> Sequence[float] | None:
-    """Return the answers given by an option, if any; raise `ConfigError` where they do not fit.
+def calibrate_rig(
+    what: str,
+    work: Callable[[Bench, Operator], CalibrationOutcome],
+    settings: RunSettings,
+    rig: str,
+    out: Path,
+    *,
+    points_kpa: Sequence[float] = (),
+    answers: tuple[str, Sequence[float]] = ("", ()),
+    may_move: bool,
+) -> tuple[Report, NewFileError | None]:
+    """Calibrate `what`, and write the file of `rig` with the new values; an error leaves no file.
+
+    `points_kpa` are pressures to hold, kPa gauge; `answers` are given in advance by an option of
+    this name. Returns what was found, and why the file could not be written. The person is asked
+    where answers are missing, and whether the rig may move unless `may_move`. Raises `ConfigError`,
+    `NewFileError`, `NoAnswer`, `CalibrationError`, `LimitError`, `RigError`, `SignalInterrupt`.
+    """
+    source = find_config_file("rig", rig)
+    if answers[1]:
+        _check_answers(*answers, points_kpa)
+    require_rig_place(out, f"--out {out}")
+    _require_within_limit(points_kpa, settings)
+    terminal = Terminal()
+    if not may_move:
+        terminal.require_yes("the rig will be pressurised and may move; is everything clear of it?")
+    require_backend(settings.rig)
+    with open_workplace(settings) as bench:
+        outcome = work(bench, PreparedAnswers(answers[1]) if answers[1] else terminal)
+    text = _make_rig_file(out, source, outcome, what)
+    failure = None
+    try:
+        write_files({out: text})
+    except NewFileError as error:  # the values must not be lost with the file
+        failure = error
+    return _report(outcome, settings, None if failure else out), failure
+
+
+def _check_answers(option: str, values: Sequence[float], points: Sequence[float]) -> None:
+    """Raise `ConfigError` where answers given by an option do not fit.
 
     Called before anything moves: a rig is not pressurised for a number that no instrument shows.
     """
-    if values is None:
-        return None
     if len(values) != len(points):
         message = f"{len(values)} values for {len(points)} points; give --point as often"
         raise ConfigError([Problem(option, "", message)])
     for value in values:
         if not (math.isfinite(value) and value > 0.0):
             raise ConfigError([Problem(option, "", f"must be above 0 (got {value:g})")])
-    return values
-
-
-class CalibrationTask(NamedTuple):
-    """What is calibrated, and where the result goes."""
-
-    what: str
-    """Verb: pressure, encoder, valve."""
-    settings: RunSettings
-    rig: str
-    """Name or path of the rig file that is copied."""
-    out: Path
-    points_kpa: Sequence[float]
-    """Pressures to hold, kPa gauge; empty where none is held."""
-    work: Callable[[Bench, Operator], CalibrationOutcome]
-
-
-def calibrate_rig(
-    task: CalibrationTask, answers: Sequence[float] | None, *, may_move: bool
-) -> tuple[CalibrationOutcome, NewFileError | None]:
-    """Calibrate, and write the new rig file; an error leaves no file behind.
-
-    Returns what was found, and why the file could not be written.
-
-    The person is asked where `answers` are missing, and whether the rig may move unless
-    `may_move`. Raises `ConfigError`, `NewFileError`, `NoAnswer`, `CalibrationError`,
-    `LimitError`, `RigError` and `SignalInterrupt`.
-    """
-    settings = task.settings
-    source = find_config_file("rig", task.rig)
-    require_rig_place(task.out, f"--out {task.out}")
-    _require_within_limit(task.points_kpa, settings)
-    terminal = Terminal()
-    if not may_move:
-        terminal.require_yes("the rig will be pressurised and may move; is everything clear of it?")
-    require_backend(settings.rig)
-    with open_workplace(settings) as bench:
-        outcome = task.work(bench, terminal if answers is None else PreparedAnswers(answers))
-    text = _make_rig_file(task.out, source, outcome, task.what)
-    failure = None
-    try:
-        write_files({task.out: text})
-    except NewFileError as error:  # the values must not be lost with the file
-        failure = error
-    return outcome, failure
 
 
 def require_rig_place(path: Path, where: str) -> None:
@@ -127,11 +116,9 @@ def _make_rig_file(out: Path, source: Path, outcome: CalibrationOutcome, what: s
     return text
 
 
-def report_calibration(
-    task: CalibrationTask, outcome: CalibrationOutcome, *, saved: bool
-) -> Report:
+def _report(outcome: CalibrationOutcome, settings: RunSettings, out: Path | None) -> Report:
     """Return what was found: each value beside the one before; the document has the file's keys."""
-    before = settings_to_data(task.settings.rig)
+    before = settings_to_data(settings.rig)
     found = {}
     for value in outcome.values:
         section, key = value.keys
@@ -144,11 +131,11 @@ def report_calibration(
         "exit_code": int(ExitCode.OK),
         "reason": "",
         "values": [{**v._asdict(), "keys": ".".join(v.keys)} for v in outcome.values],
-        "rig_file": str(task.out) if saved else None,
+        "rig_file": str(out) if out else None,
         "notes": list(outcome.notes),
         "figures": dict(outcome.figures),
     }
-    verdict = f"rig file: {shorten_path(task.out)}" if saved else "no rig file"
+    verdict = f"rig file: {shorten_path(out)}" if out else "no rig file"
     report = Report("Calibration", verdict, document=document)
     return report.add(Facts(found), *map(Text, outcome.notes))
 
@@ -167,16 +154,6 @@ class CalibrationError(Exception):
     """A measurement or an answer makes no sense; the message says why and what to check."""
 
     exit_code = ExitCode.CHECK_FAILED
-
-
-class Operator(Protocol):
-    """The person at the rig. `idle` keeps the rig going while an answer is awaited."""
-
-    def wait(self, request: str, idle: Callable[[], object]) -> None:
-        """Ask for something to be done, and wait until it is."""
-
-    def number(self, question: str, idle: Callable[[], object]) -> float:
-        """Ask for a number."""
 
 
 class PreparedAnswers:
@@ -199,6 +176,9 @@ class PreparedAnswers:
             raise CalibrationError(f"no value was given for: {question}")
         return self._answers.pop(0)
 
+
+Operator = Terminal | PreparedAnswers
+"""The person at the rig. What is called while an answer is awaited keeps the rig going."""
 
 _AVERAGED, _IDLE = 500, 20
 """Samples that a reading is the mean of, and those between two looks at the person."""

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import json
+import os
+import queue
 import signal
+import socket
 import sys
 import threading
 import time
 import traceback
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import Any, NamedTuple
+from typing import Any
 
 from pamctl import __version__
-from pamctl.daemon.announcements import Announcements, notify, watchdog_period_s
 from pamctl.daemon.protocol import methods_of
 from pamctl.daemon.rig_session import RigSession
 from pamctl.daemon.server import Server, find_group, require_no_daemon
@@ -46,38 +50,31 @@ _OWN_ERROR = Ending(ExitCode.UNEXPECTED, "an error of the daemon's own")
 Tell = Callable[[Mapping[str, object]], object]
 
 
-class ServiceOptions(NamedTuple):
-    """What the command line says beside the settings."""
-
-    socket: Path
-    group: str | None
-    """Group that may steer, beside this user."""
-    logs: Path
-    keep: int | None
-    """Number of the daemon's logs to keep; None keeps all."""
-    idle_after_s: float
-    announce: bool
-    """Print each event as a line of JSON."""
-    file_gains: Mapping[str, Any]
-    """Those of the file that the controller is named after."""
-    watched: PlantSettings | None = None
-    """Plant that the monitor compares every run with; None starts no monitor."""
-    monitor_trips: bool = False
-    """An alarm of the monitor is an emergency stop."""
-
-
 def serve_daemon(
-    settings: RunSettings, names: Mapping[str, str], options: ServiceOptions
+    settings: RunSettings,
+    names: Mapping[str, str],
+    *,
+    socket: Path,
+    group: str | None,
+    logs: Path,
+    keep: int | None,
+    idle_after_s: float,
+    announce: bool,
+    file_gains: Mapping[str, Any],
+    watched: PlantSettings | None = None,
+    monitor_trips: bool = False,
 ) -> ExitCode:
     """Hold the device and do what clients ask until a signal comes; return how it ended.
 
-    Raises `ShelfError` where logs cannot be written, `RigError`, `RingError` or `SocketError`
-    where the device or the socket cannot be had.
+    Who is in `group` may steer, beside this user. Of the daemon's logs the newest `keep` stay; None
+    keeps all. With `announce` each event is printed as a line of JSON. The rest is as for
+    `RigSession`. Raises `ShelfError` where logs cannot be written, `RigError`, `RingError` or
+    `SocketError` where the device or the socket cannot be had.
     """
     # First: whoever starts a second daemon wants to hear of the first, not of its device.
-    require_no_daemon(options.socket)
-    shelf = Shelf(options.logs, options.keep)
-    announcements = Announcements(sys.stdout.fileno()) if options.announce else None
+    require_no_daemon(socket)
+    shelf = Shelf(logs, keep)
+    announcements = Announcements(sys.stdout.fileno()) if announce else None
     tell: Tell = _announce_nothing if announcements is None else announcements.put
     try:
         require_open_files()
@@ -91,17 +88,17 @@ def serve_daemon(
             service = RigSession(
                 settings,
                 names,
-                Workshop(device, device_of(settings.rig), find_group(options.group)),
+                Workshop(device, device_of(settings.rig), find_group(group)),
                 shelf,
                 Latch(SHARED_MEMORY / f"pamctl-{device_of(settings.rig)}.fault"),
-                file_gains=options.file_gains,
-                idle_after_s=options.idle_after_s,
+                file_gains=file_gains,
+                idle_after_s=idle_after_s,
                 tell=tell,
-                watched=options.watched,
-                monitor_trips=options.monitor_trips,
+                watched=watched,
+                monitor_trips=monitor_trips,
             )
             _shorten_pauses()
-            ending = asyncio.run(_serve(service, options.socket, options.group, tell))
+            ending = asyncio.run(_serve(service, socket, group, tell))
             ignore_signals()
         tell(_make_event("ended", exit_code=int(ending.code), reason=ending.reason))
         return ending.code
@@ -224,3 +221,58 @@ class _Watch(threading.Thread):
         if self.is_alive():
             message = f"pamctl daemon: the watch did not end within {_END_PATIENCE_S:g} s"
             print(message, file=sys.stderr, flush=True)
+
+
+# --- what it tells: events as lines, and signs of life ------------------------------------------
+
+_MOST_WAITING = 1000
+_LAST_PATIENCE_S = 1.0
+
+
+class Announcements:
+    """A queue of lines, and the thread that writes them."""
+
+    def __init__(self, fd: int) -> None:
+        """Write to `fd` without Python's buffer: a stuck line cannot delay the exit."""
+        self._fd = fd
+        self._waiting: queue.Queue[bytes] = queue.Queue(_MOST_WAITING)
+        self._thread = threading.Thread(target=self._write, name="announcements", daemon=True)
+        self._thread.start()
+
+    def put(self, event: Mapping[str, object]) -> None:
+        """Put an event into the queue; never wait."""
+        with suppress(queue.Full):
+            self._waiting.put_nowait(json.dumps(event).encode() + b"\n")
+
+    def end(self) -> None:
+        """Wait a moment for the last lines to be written."""
+        with suppress(queue.Full):
+            self._waiting.put_nowait(b"")
+        self._thread.join(_LAST_PATIENCE_S)
+
+    def _write(self) -> None:
+        with suppress(OSError):  # the reader has gone
+            while line := self._waiting.get():
+                while line:
+                    line = line[os.write(self._fd, line) :]
+
+
+def notify(*assignments: str) -> None:
+    """Send assignments such as `READY=1`; nothing happens where no manager listens."""
+    address = os.environ.get("NOTIFY_SOCKET")
+    if not address:
+        return
+    if address.startswith("@"):
+        address = "\0" + address[1:]
+    # The daemon goes on if the manager has gone.
+    with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.connect(address)
+        manager.sendall("\n".join(assignments).encode())
+
+
+def watchdog_period_s() -> float | None:
+    """Return the longest time between two signs of life; None where none are wanted."""
+    if os.environ.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
+        return None
+    micros = os.environ.get("WATCHDOG_USEC", "")
+    return int(micros) * 1e-6 if micros.isdecimal() and int(micros) > 0 else None

@@ -11,7 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
@@ -100,9 +100,9 @@ class SessionLife(OrderTaker):
         acknowledged first. A monitor follows every run against the plant `watched`; its alarm is
         an emergency stop where `monitor_trips`.
         """
-        from pamctl.daemon.announcements import MonitorDesk
         from pamctl.daemon.requested_settings import GainHistory
         from pamctl.settings.resolve import settings_to_data
+        from pamctl.watch.monitor_handle import MonitorHandle
 
         self._settings = settings
         self._names = dict(names)
@@ -125,8 +125,8 @@ class SessionLife(OrderTaker):
         self._tell = tell
         self.events: deque[dict[str, Any]] = deque(maxlen=_RECENT_EVENTS)
         self._gain_history = GainHistory()
-        self._monitor = MonitorDesk(
-            watched, self._announce_event, self._mark, self._trip if monitor_trips else None
+        self._monitor = MonitorHandle(
+            watched, self._announce_event, self._try_to_mark, self._trip if monitor_trips else None
         )
 
     # --- what it tells -------------------------------------------------------------------------
@@ -182,6 +182,10 @@ class SessionLife(OrderTaker):
                 raise RequestRefusedError(message)
             carrier.order({"do": "mark", "text": text})
             self._announce_event("mark", text=text)
+
+    def _try_to_mark(self, text: str) -> None:
+        with suppress(RequestRefusedError):  # nothing is being logged
+            self._mark(text)
 
     def _announce_event(self, event: str, **details: object) -> None:
         message = {"event": event, "time_s": time.time(), **details}

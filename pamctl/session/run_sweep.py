@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from pamctl.daemon.client import Client, DaemonDeclinedError
 from pamctl.daemon.protocol import RequestRefusedError
@@ -33,16 +33,6 @@ _INTERRUPTED = (ExitCode.SIGINT, ExitCode.SIGTERM, ExitCode.SIGHUP)
 
 Tell = Callable[[str], object]
 """Called with one line before each run, and after one that did not end well."""
-
-
-class SweepRunner(Protocol):
-    """Makes one run, by itself or through the daemon."""
-
-    goes_on: bool
-    """Whether the next run may follow one that failed: not where a real muscle moves."""
-
-    def __call__(self, run: SweepRun, said: Annotation, record: Mapping[str, str]) -> Ending:
-        """Run to the end; `said` and the metadata `record` go into its log."""
 
 
 class SweepPlan(NamedTuple):
@@ -68,8 +58,11 @@ class SweepEnd(NamedTuple):
     """Number of runs that are still to be made."""
 
 
-def run_sweep(sweep: SweepPlan, runner: SweepRunner, tell: Tell) -> SweepEnd:
+def run_sweep(sweep: SweepPlan, runner: OwnRunner | DaemonRunner, tell: Tell) -> SweepEnd:
     """Make the runs that are missing; return all that there are.
+
+    The next run follows one that failed only where the runner `goes_on`: not where a real muscle
+    moves.
 
     Raise SweepError if the folder holds a sweep of this name with other settings.
     """

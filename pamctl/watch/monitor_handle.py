@@ -13,20 +13,34 @@ from pathlib import Path
 from typing import Any
 
 from hal.child import child_command
+from pamctl.plain_text import LONGEST_REMARK
 from pamctl.plant.model import PlantSettings
 
 _PATIENCE_S = 2.0
-
-Told = Callable[[Mapping[str, Any]], object]
+_MARK_PATIENCE_S = 0.1
+"""A loop takes a mark within some ticks; a trip waits no longer for it (s)."""
 
 
 class MonitorHandle:
-    """A monitor process. Nothing here waits for it, and nothing needs it."""
+    """The monitor of one daemon, or none: then every call does nothing. Nobody waits for it."""
 
-    def __init__(self, plant: PlantSettings, on_event: Told) -> None:
-        """Start it. `on_event` is called from a thread with alarms and explanations."""
-        self._on_event = on_event
+    def __init__(
+        self,
+        plant: PlantSettings | None,
+        announce: Callable[..., None],
+        mark: Callable[[str], object],
+        trip: Callable[[str], None] | None,
+    ) -> None:
+        """Start a process that follows `plant`; None starts none.
+
+        What it finds is announced, and put into the log as a mark; an alarm calls `trip`, if any.
+        All three are called from a thread.
+        """
+        self._announce, self._mark, self._trip = announce, mark, trip
         self._state: dict[str, Any] = {"blocks": [], "explanation": None, "problem": ""}
+        self._process: subprocess.Popen[bytes] | None = None
+        if plant is None:
+            return
         # Its own process group gets no Ctrl-C. It leaves when its standard input ends.
         self._process = subprocess.Popen(
             child_command("pamctl.watch.monitor_main"),
@@ -38,58 +52,78 @@ class MonitorHandle:
         self._fd = self._process.stdin.fileno()
         self._send(plant.model_dump_json())
         os.set_blocking(self._fd, False)
-        self._reader = threading.Thread(target=self._read, name="monitor", daemon=True)
+        args = (self._process,)
+        self._reader = threading.Thread(target=self._read, args=args, name="monitor", daemon=True)
         self._reader.start()
 
     @property
-    def pid(self) -> int:
-        """Its process id."""
-        return self._process.pid
+    def pids(self) -> dict[str, int]:
+        """Process id, by role."""
+        return {} if self._process is None else {"monitor": self._process.pid}
 
-    def status(self) -> dict[str, Any]:
-        """Return the newest report, for the daemon's status."""
+    def status(self) -> dict[str, Any] | None:
+        """Return the newest report, with a sentence; None without a monitor."""
+        if self._process is None:
+            return None
         code = self._process.poll()
         problem = self._state["problem"] if code is None else f"exit code {code}"
-        return {**self._state, "alive": code is None, "problem": problem}
+        found = {**self._state, "alive": code is None, "problem": problem}
+        return {**found, "sentence": format_monitor(found)}
 
     def begin_run(self, name: str, ring: Path) -> None:
         """Let it follow a run. A monitor that does not read its orders misses the run."""
-        self._send(json.dumps({"run": name, "ring": str(ring)}))
+        if self._process is not None:
+            self._send(json.dumps({"run": name, "ring": str(ring)}))
 
     def _send(self, line: str) -> None:
         with suppress(BlockingIOError, BrokenPipeError):
             os.write(self._fd, line.encode() + b"\n")
 
-    def _read(self) -> None:
-        assert self._process.stdout is not None
-        for line in self._process.stdout:
+    def _read(self, process: subprocess.Popen[bytes]) -> None:
+        assert process.stdout is not None
+        for line in process.stdout:
             self._take(json.loads(line))
-        self._process.wait()
+        code = process.wait()
         if self._fd >= 0:
-            self._on_event({"kind": "ended", "problem": self.status()["problem"]})
+            self._announce("monitor ended", text=f"exit code {code}")
 
-    def _take(self, report: dict[str, Any]) -> None:
+    def _take(self, report: Mapping[str, Any]) -> None:
+        told = {key: value for key, value in report.items() if key != "kind"}
         match report["kind"]:
             case "state":
                 self._state["blocks"] = report["blocks"]
-                return
             case "run":
                 self._state["problem"] = ""
-                return
             case "problem":
                 self._state["problem"] = report["problem"]
-                return
             case "alarm":
                 self._state["explanation"] = None
+                self._raise_alarm(format_alarm(report), told)
+            case "alarm over":
+                text = f"the {report['block']} block is back at its floor"
+                self._announce("monitor alarm over", text=text, **told)
+                self._note(text)
             case "explained":
-                told = {k: v for k, v in report.items() if k != "kind"}
                 self._state["explanation"] = told
-            case "ready":
-                return
-        self._on_event(report)
+                self._announce("monitor explanation", text=report["sentence"], **told)
+                self._note(report["sentence"])
+
+    def _raise_alarm(self, text: str, told: Mapping[str, Any]) -> None:
+        self._announce("monitor alarm", text=text, **told)
+        # The log should say why, but the valve does not wait for a mark that is held up.
+        note = threading.Thread(target=self._note, args=(text,), daemon=True)
+        note.start()
+        note.join(None if self._trip is None else _MARK_PATIENCE_S)
+        if self._trip is not None:
+            self._trip(f"monitor: {text}")
+
+    def _note(self, text: str) -> None:
+        self._mark(f"monitor: {text}"[:LONGEST_REMARK])
 
     def close(self) -> None:
         """End it; kill it if it does not leave by itself."""
+        if self._process is None:
+            return
         self._fd = -1
         assert self._process.stdin is not None
         with suppress(BrokenPipeError):

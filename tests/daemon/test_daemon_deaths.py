@@ -26,10 +26,10 @@ from support.processes.daemons import (
 from support.processes.killing import kill_as_one
 from support.processes.rings import age_ring, await_ring
 
-from pamctl.daemon.announcements import Announcements
 from pamctl.daemon.client import DaemonDeclinedError, DaemonUnreachableError
 from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.daemon.rig_session import RigSession
+from pamctl.daemon.serving import Announcements
 from pamctl.daemon.session import Workshop
 from pamctl.daemon.shelf import Latch, Shelf
 from pamctl.log import LogError, read

@@ -23,7 +23,6 @@ from support.command_line import run_process
 from support.patience import BUSY_PC, PATIENCE_S, await_true
 from support.processes.daemons import NOT_HOMED, QUICK, Daemon, daemon, parked
 
-from pamctl.daemon.announcements import MonitorDesk
 from pamctl.daemon.client import Client
 from pamctl.daemon.shelf import Latch, Shelf
 from pamctl.exit_codes import Ending, ExitCode
@@ -34,6 +33,7 @@ from pamctl.processes.run_once import make_run_meta
 from pamctl.recording import recorded_run
 from pamctl.recording.ring import Ring
 from pamctl.settings.resolve import resolve
+from pamctl.watch.monitor_handle import MonitorHandle
 
 UNIT = Path(__file__).parents[2] / "scripts" / "pamctl.service"
 INSTALLED = "/opt/pamctl/.venv/bin/pamctl"
@@ -270,7 +270,7 @@ def test_the_first_reason_of_a_fault_stays_until_it_is_acknowledged(tmp_path: Pa
 
 def test_a_trip_of_the_monitor_does_not_wait_for_a_mark_that_is_held_up() -> None:
     held_up, tripped = threading.Event(), []
-    desk = MonitorDesk(
+    desk = MonitorHandle(
         None, lambda *_, **__: None, lambda _: held_up.wait(PATIENCE_S), tripped.append
     )
     alarm = {

@@ -19,7 +19,7 @@ from pamctl.plant.model import PlantSettings
 
 PAPER = PlantSettings()
 SETUP = (
-    "late", "smoothed", "turned", "clock", "atmosphere", "rest_length", "temperature", "mass",
+    "late", "smoothed", "turned", "clock", "crosstalk", "atmosphere", "rest_length", "temperature", "mass",
     "pressure_sensor", "encoder_scale", "null_offset", "valve_deadband", "valve_spool",
     "command_delay", "braid_stretch", "braid_friction~curve(velocity)", "dead_volume",
 )  # fmt: skip
@@ -75,6 +75,17 @@ def test_a_column_that_was_smoothed_both_ways_is_said_with_its_width() -> None:
     (fault,) = list_faults(diagnose_spoiled(hidden_rig(seed=5), smooth))
     assert (fault.kind, fault.number) == ("filtered", "pressure_pa")
     assert fault.value == pytest.approx(6e-3, rel=0.05)
+
+
+def test_a_command_that_couples_into_the_sensors_line_is_told_from_a_late_column() -> None:
+    def couple(record: Record) -> Record:
+        return replace(record, pressure_pa=record["pressure_pa"] + 650.0 * record["valve_v"])
+
+    found = diagnose_spoiled(hidden_rig(seed=4), couple)
+    (fault,) = list_faults(found)
+    assert (fault.kind, fault.number) == ("crosstalk", "pressure_pa")
+    assert fault.ci90[0] < 650.0 < fault.ci90[1]
+    assert "the pressure also shows the command: 0.65" in sentence(found)
 
 
 def test_a_clock_that_runs_fast_is_told_from_the_physics() -> None:

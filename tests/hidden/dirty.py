@@ -144,7 +144,8 @@ DIRT = {kind.name: kind for kind in (
     Kind("missing_codes", "Pa", 6e3, (("pressure_sensor", "curve"),),
          lambda rng: {"carry_pa": ADC_STEP_PA * float(rng.choice([128, 256, 512]))},
          on_columns=_miss),
-    Kind("cross_talk", "Pa/V", 1500.0, (("pressure_sensor", "curve"),), on_columns=_cross),
+    Kind("cross_talk", "Pa/V", 1500.0, (("pressure_sensor", "curve"),), on_columns=_cross,
+         names=("crosstalk.pressure_pa",)),
 )}  # fmt: skip
 
 CLIMB_S = 3.0

@@ -347,14 +347,23 @@ class Weigher:
         }
 
     def find_imprint(self, a: WeighedModel, b: WeighedModel) -> Array:
-        """Return the robust RMS that b takes off a in each channel, over the sensor's noise."""
-        off = self.find_robust2(a) - self.find_robust2(b)
-        return np.sqrt(np.maximum(off, 0.0) / self.find_noise2(b))
+        """Return the robust RMS that b takes off a in each channel, over the sensor's noise.
+
+        Only the time scales count at which it takes something off: at others its own numbers may
+        leave more, as they no longer stand in for what is missing there.
+        """
+        off2 = self._find_robust2(a) - self._find_robust2(b)
+        return np.asarray(np.sqrt(np.maximum(off2, 0.0).sum(axis=1) / self.find_noise2(b)))
 
     def find_robust2(self, m: WeighedModel) -> Array:
         """Return the robust mean square of each channel's residual, SI."""
+        return np.asarray(self._find_robust2(m).sum(axis=1))
+
+    def _find_robust2(self, m: WeighedModel) -> Array:
+        """Return the part of each level in that, shape (channels, levels + 1)."""
         scales2 = self.like.find_scales2(m.d, self.like.least2)
-        return np.asarray((self.like.counts * scales2).sum(axis=1) / self.like.counts.sum(axis=1))
+        counts = self.like.counts
+        return np.asarray(counts * scales2 / counts.sum(axis=1, keepdims=True))
 
     def find_noise2(self, m: WeighedModel) -> Array:
         """Return the squared noise of each channel: its finest level, never below its step.

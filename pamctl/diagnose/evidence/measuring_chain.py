@@ -1,7 +1,7 @@
 """What lies between the plant and a file, as a part of the pool.
 
-Columns that are late, smoothed, of another clock or turned round; the air of the place; numbers of
-the plant file that no fit moves.
+Columns that are late, smoothed, of another clock or turned round, or that show the command too; the
+air of the place; numbers of the plant file that no fit moves.
 """
 
 from __future__ import annotations
@@ -27,6 +27,11 @@ SWITCHED = (TURNED, ADDED)
 STOP = "stop"
 """The kind of an end that is seen elsewhere."""
 
+
+CROSSTALK = "crosstalk"
+"""The kind of a sensor's line into which the command couples."""
+FULL_SCALE_V = 10.0
+"""A command of this size couples at most a sensor's whole range into its line."""
 
 HOME = f"{CHAIN}home."
 """Begins a zero that is free beside an effect which homing does not see."""
@@ -54,8 +59,8 @@ def list_of_chain(
 ) -> Iterator[Hypothesis]:
     """Yield what makes a file differ from the plant; `reach` is the range of each column.
 
-    Columns that are late, smoothed, of another clock, scaled or turned round; the air of the place;
-    numbers of the plant file that no fit moves.
+    Columns that are late, smoothed, of another clock, turned round, or that show the command too;
+    the air of the place; numbers of the plant file that no fit moves.
     """
     tick, places = period_s, {"pressure_pa": "pressure_sensor", "position_m": "encoder"}
     for channel in channels:
@@ -73,6 +78,7 @@ def list_of_chain(
         yield _make_turn(short, place, channel)
         yield _make_clock(short, place, channel)
     if actuator != "direct":
+        yield from (_make_crosstalk(c, places[c], reach) for c in channels if "command" in reach)
         yield _make_turn("valve", "valve", "valve_v")
         yield _make_clock("all", "clock", "t_s")
         # Logged too early it is a delay of the rig.
@@ -138,6 +144,20 @@ def _make_clock(short: str, place: str, channel: str) -> Hypothesis:
     name = f"{short}_clock"
     variants = (Variant({}, (rate,)),)
     return Hypothesis(name, place, "clock", variants, name, setup=("clock_rate", channel))
+
+
+def _make_crosstalk(
+    channel: str, place: str, reach: Mapping[str, tuple[float, float]]
+) -> Hypothesis:
+    """Return a reading that also shows so much for each volt of the command."""
+    short = channel.split("_")[0]
+    low, high = reach[short]
+    most, visible = (high - low) / FULL_SCALE_V, 1e-4 * (high - low)
+    size = Unknown(f"{CHAIN}cross.{channel}", 10.0 * visible, -most, most, visible, 0.0, visible)
+    name = f"{short}_{CROSSTALK}"
+    return Hypothesis(
+        name, place, CROSSTALK, (Variant({}, (size,)),), name, setup=(CROSSTALK, channel)
+    )
 
 
 def _make_mass(mass_kg: float) -> Hypothesis:

@@ -86,7 +86,7 @@ UNDONE = (
     f"{CHAIN}atmosphere",
     *(
         f"{CHAIN}{done}.{c}"
-        for done in ("factor", "late", "clock")
+        for done in ("factor", "late", "clock", "cross")
         for c in ("position_m", "pressure_pa")
     ),
 )
@@ -321,6 +321,8 @@ class Runs:
                     "begin of a record; record for longer"
                 )
         self.when_s = self.pack([s.grids.samples_s[None] for s in self.stretches])[0]
+        commands = [s.inputs.get("valve_v", np.zeros(1))[None] for s in self.stretches]
+        self._commands_v = self.pack(commands).ravel()
         self._counts = np.ones(self.n_blocks, dtype=bool)
         self._note_hidden()
 
@@ -423,7 +425,7 @@ class Runs:
             start = self._start(p, stretch, command)
             response = drive_mechanics(p, inputs["pressure_pa"], grid, start=start)
             return response.position_m[None]
-        commands = inputs["valve_v"]
+        commands = recorded_v = inputs["valve_v"]
         if command:
             commands = commands * command.get(f"{CHAIN}factor.valve_v", 1.0)
             when_s = grid.samples_s * (1.0 + command.get(f"{CHAIN}clock.valve_v", 0.0))
@@ -434,7 +436,7 @@ class Runs:
             coupled = drive_coupled(p, commands, grid, start=start)
             return np.stack([getattr(coupled, channel) for channel in self.channels])
         read = [
-            self._undo_chain(row, channel, grid.samples_s, command)
+            self._undo_chain(row, channel, recorded_v, grid.samples_s, command)
             for row, channel in zip(stretch.shown, self.channels, strict=True)
         ]
         moved = drive_mechanics(p, read[1], grid, start=start)
@@ -442,10 +444,12 @@ class Runs:
         return np.stack([moved.position_m, filled.pressure_pa])
 
     def _undo_chain(
-        self, shown: Array, channel: str, when_s: Array, chain: Mapping[str, float]
-    ) -> Array:
+        self, shown: Array, channel: str, commands_v: Array, when_s: Array,
+        chain: Mapping[str, float],
+    ) -> Array:  # fmt: skip
         """Return what a sensor read behind what was done to its readings; no zero is undone."""
         read = shown - chain.get(f"{CHAIN}added.{channel}", 0.0)
+        read = read - chain.get(f"{CHAIN}cross.{channel}", 0.0) * commands_v
         if channel == "pressure_pa" and f"{CHAIN}atmosphere" in chain:
             read = read - self._atmosphere_pa + chain[f"{CHAIN}atmosphere"]
         late_s = chain.get(f"{CHAIN}late.{channel}", 0.0)
@@ -507,6 +511,8 @@ class Runs:
             row *= chain.get(f"{CHAIN}factor.{channel}", 1.0)
             for name in ("zero", "home", "added"):
                 row += chain.get(f"{CHAIN}{name}.{channel}", 0.0)
+            if f"{CHAIN}cross.{channel}" in chain:
+                row += chain[f"{CHAIN}cross.{channel}"] * self._commands_v
             if channel == "pressure_pa" and f"{CHAIN}atmosphere" in chain:
                 row += self._atmosphere_pa - chain[f"{CHAIN}atmosphere"]
         return rows

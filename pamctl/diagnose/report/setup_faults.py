@@ -18,10 +18,11 @@ SETUP_UNITS: Mapping[str, str] = {
 _LABELS = {
     "plant_constant": "", "skew": "skew of ", "clock_rate": "clock of ", "filtered": "filter of ",
     "sign": "sign of ", "added": "atmosphere in ", "end_stop": "end stop of ",
+    "crosstalk": "crosstalk of ",
 }  # fmt: skip
 _FAULTS = {
     "skew": "a late or early", "clock": "another clock of", "filter": "a smoothed",
-    "sign": "a wrong sign of",
+    "sign": "a wrong sign of", "crosstalk": "crosstalk in",
 }  # fmt: skip
 """Nouns for the labels."""
 CALLED = {
@@ -118,6 +119,12 @@ def say_fault(
             return (
                 f"{column} is {1e-3 * value:.4g} kPa too high: the atmosphere was added twice",
                 f"{number} is absolute already: take the atmosphere out of the import map",
+            )
+        case "crosstalk":
+            each = f"{1e-3 * value:.3g} kPa" if number == "pressure_pa" else f"{1e3 * value:.3g} mm"
+            return (
+                f"{column} also shows the command: {each} for each volt",
+                "part the cables of valve and sensor, and ground their shields at one end",
             )
         case "end_stop":
             way = "farther" if value > 0.0 else "nearer"

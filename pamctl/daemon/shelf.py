@@ -83,7 +83,9 @@ class Shelf:
             return ""
         problems = []
         if self._keep is not None:
-            logs = sorted(self.directory.glob(f"[0-9]*-[0-9]*-{self._prefix}*.mcap"))
+            found = self.directory.glob(f"[0-9]*-[0-9]*-{self._prefix}*.mcap")
+            # By what is before the prefix: the second log of a second has a "-2" there.
+            logs = sorted(found, key=lambda log: log.name.partition(f"-{self._prefix}")[0])
             for old in logs[: -self._keep]:
                 try:
                     _remove_untagged(old)

@@ -21,7 +21,7 @@ from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.exit_codes import EMERGENCY_STOP, Ending, ExitCode
 from pamctl.log.run_meta import RunMeta
 from pamctl.processes.backends import new_ring_path, require_backend
-from pamctl.processes.compose_loop import compose_loop
+from pamctl.processes.loop_main import compose_loop
 from pamctl.processes.run_once import make_run_meta
 from pamctl.recording.journal import SessionJournal, wait_for_recorder
 from pamctl.recording.recorded_run import LogReport, ThreadRecordedRun

@@ -14,8 +14,7 @@ from collections.abc import Callable, Mapping
 from pamctl.exit_codes import Ending
 from pamctl.log.run_meta import RunMeta
 from pamctl.processes.backends import new_ring_path
-from pamctl.processes.compose_loop import compose_loop
-from pamctl.processes.loop_main import run_to_ending
+from pamctl.processes.loop_main import compose_loop, run_to_ending
 from pamctl.processes.loop_supervisor import LoopSupervisor
 from pamctl.realtime.clock import LoopSettings
 from pamctl.recording.journal import RingJournal, wait_for_recorder

@@ -96,13 +96,13 @@ class GridClock:
 
     __slots__ = (
         "_deadline_ns",
-        "_now_ns",
-        "_period_ns",
         "_phase_ns",
         "_rehearsal_ns",
         "_sleep_until",
         "_spin_ns",
         "_tick",
+        "now_ns",
+        "period_ns",
     )
 
     def __init__(
@@ -121,38 +121,29 @@ class GridClock:
             phase_ns = min(PHASE_NS, 3 * period_ns // 10)
         _require_within_period("phase_ns", phase_ns, period_ns)
         _require_within_period("spin_ns", spin_ns, period_ns)
-        self._period_ns = period_ns
+        self.period_ns = period_ns
         self._phase_ns = phase_ns
         self._spin_ns = spin_ns
         self._rehearsal_ns = spin_ns // 2
-        self._now_ns = now_ns
+        self.now_ns = now_ns
         self._sleep_until = sleep_until or make_monotonic_sleeper()
         self._tick = -1
         self._deadline_ns = 0
 
-    @property
-    def period_ns(self) -> int:
-        """Distance of two grid points."""
-        return self._period_ns
-
-    def now_ns(self) -> int:
-        """CLOCK_MONOTONIC."""
-        return self._now_ns()
-
     def wall_offset_ns(self) -> int:
         """Unix time minus CLOCK_MONOTONIC, good to a microsecond or so."""
-        before_ns = self._now_ns()
+        before_ns = self.now_ns()
         wall_ns = time.time_ns()
-        return wall_ns - (before_ns + self._now_ns()) // 2
+        return wall_ns - (before_ns + self.now_ns()) // 2
 
     def wait(self, rehearse: Callable[[], None] | None = None) -> Wake:
         """Wait for the next grid point that still lies ahead."""
         if self._tick < 0:
             return self._wait_first()
-        period_ns = self._period_ns
+        period_ns = self.period_ns
         previous_ns = self._deadline_ns
         deadline_ns = previous_ns + period_ns
-        now_ns = self._now_ns()
+        now_ns = self.now_ns()
         if now_ns > deadline_ns:  # the tick took too long
             deadline_ns = grid_point_from(now_ns, deadline_ns, period_ns)
         now_ns = self._reach(deadline_ns, now_ns, rehearse)
@@ -165,11 +156,11 @@ class GridClock:
         return Wake(self._tick, deadline_ns, now_ns, advanced - 1)
 
     def _wait_first(self) -> Wake:
-        before_ns = self._now_ns()
-        deadline_ns = (before_ns // self._period_ns + 1) * self._period_ns + self._phase_ns
+        before_ns = self.now_ns()
+        deadline_ns = (before_ns // self.period_ns + 1) * self.period_ns + self._phase_ns
         now_ns = self._reach(deadline_ns, before_ns)
         # However late this wake is, there was no tick before it: nothing was missed.
-        self._deadline_ns = grid_point_until(now_ns, deadline_ns, self._period_ns)
+        self._deadline_ns = grid_point_until(now_ns, deadline_ns, self.period_ns)
         self._tick = 0
         return Wake(0, self._deadline_ns, now_ns, 0)
 
@@ -180,7 +171,7 @@ class GridClock:
         alarm_ns = deadline_ns - self._spin_ns
         if now_ns < alarm_ns:
             self._sleep_until(alarm_ns)
-        read_ns = self._now_ns
+        read_ns = self.now_ns
         now_ns = read_ns()
         if rehearse is not None:
             self._rehearse(rehearse, now_ns, deadline_ns)
@@ -197,7 +188,7 @@ class GridClock:
         expected_ns = self._rehearsal_ns
         if now_ns + expected_ns < deadline_ns:
             rehearse()
-            took_ns = self._now_ns() - now_ns
+            took_ns = self.now_ns() - now_ns
             if took_ns > expected_ns:
                 self._rehearsal_ns = took_ns + (took_ns >> 3)
                 return
@@ -217,26 +208,15 @@ class SampleClock:
             through `wait`.
     """
 
-    __slots__ = ("_await_edge", "_host", "_tick")
+    __slots__ = ("_await_edge", "_tick", "now_ns", "period_ns", "wall_offset_ns")
 
     def __init__(self, host: Clock, await_edge: Callable[[], Edge]) -> None:
         """Check the arguments; the class describes them."""
-        self._host = host
+        self.period_ns = host.period_ns
+        self.now_ns = host.now_ns
+        self.wall_offset_ns = host.wall_offset_ns
         self._await_edge = await_edge
         self._tick = -1
-
-    @property
-    def period_ns(self) -> int:
-        """Nominal distance of two samples."""
-        return self._host.period_ns
-
-    def now_ns(self) -> int:
-        """The host's time."""
-        return self._host.now_ns()
-
-    def wall_offset_ns(self) -> int:
-        """Unix time minus the host's."""
-        return self._host.wall_offset_ns()
 
     def wait(self, rehearse: Callable[[], None] | None = None) -> Wake:
         """Wait for the next sample; whatever passed before the first one was not missed."""
@@ -254,21 +234,16 @@ class VirtualClock:
         missed: what a test wants missed: `{5: 3}` makes the tick due as 5 come as 8.
     """
 
-    __slots__ = ("_missed", "_now_ns", "_period_ns", "_tick")
+    __slots__ = ("_missed", "_now_ns", "_tick", "period_ns")
 
     def __init__(self, period_ns: int, missed: Mapping[int, int] | None = None) -> None:
         """Check the arguments; the class describes them."""
         if period_ns <= 0:
             raise ValueError(f"period_ns must be positive, got {period_ns}")
-        self._period_ns = period_ns
+        self.period_ns = period_ns
         self._missed = dict(missed or {})
         self._tick = -1
         self._now_ns = 0
-
-    @property
-    def period_ns(self) -> int:
-        """Distance of two ticks."""
-        return self._period_ns
 
     def now_ns(self) -> int:
         """Time of the current tick: stands still until the next `wait`; 0 before the first."""
@@ -283,13 +258,13 @@ class VirtualClock:
         due = self._tick + 1
         missed = self._missed.get(due, 0)
         self._tick = due + missed
-        now_ns = self._now_ns = self._tick * self._period_ns
+        now_ns = self._now_ns = self._tick * self.period_ns
         return Wake(self._tick, now_ns, now_ns, missed)
 
     def skip_to(self, tick: int) -> None:
         """Take note that all ticks up to this one are done."""
         self._tick = tick
-        self._now_ns = tick * self._period_ns
+        self._now_ns = tick * self.period_ns
 
 
 class SleepWatch:

@@ -18,6 +18,7 @@ from support.patience import PATIENCE_S
 from hal.rig import RigError
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes import guardian_main
+from pamctl.processes.front import Guardianship
 from pamctl.processes.guardian import (
     LEAVING_NS,
     POLL_MS,
@@ -29,7 +30,6 @@ from pamctl.processes.guardian import (
     guard,
     patience_ns,
 )
-from pamctl.processes.guardian_handle import Guardianship
 from pamctl.realtime.clock import LoopSettings
 from pamctl.recording.journal import SessionJournal
 from pamctl.recording.ring import LoopStage, Ring

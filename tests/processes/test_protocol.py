@@ -18,9 +18,9 @@ from support.processes.protocol_model import RULES, BrokenPromiseError, Life, Ru
 
 from hal.rig import RigError
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.processes import guardian, guardian_handle
+from pamctl.processes import front, guardian
+from pamctl.processes.front import Guardianship
 from pamctl.processes.guardian import Silence, Takeover
-from pamctl.processes.guardian_handle import Guardianship
 from pamctl.processes.loop_supervisor import LoopSupervisor
 from pamctl.realtime.clock import LoopSettings
 from pamctl.recording import journal
@@ -110,7 +110,7 @@ def ring(tmp_path: Path) -> Iterator[Ring]:
 def clock(monkeypatch: pytest.MonkeyPatch) -> StubClock:
     made = StubClock()
     monkeypatch.setattr(guardian, "time", made)
-    monkeypatch.setattr(guardian_handle, "time", made)
+    monkeypatch.setattr(front, "time", made)
     return made
 
 
@@ -195,9 +195,9 @@ def test_the_front_judges_an_ending_as_the_model_does(
         # The end of a dead guardian's pipe is readable, too.
         return ([process.stdout] if line or life == Life.DEAD else []), [], []
 
-    monkeypatch.setattr(guardian_handle, "select", SimpleNamespace(select=select))
+    monkeypatch.setattr(front, "select", SimpleNamespace(select=select))
     monkeypatch.setattr(
-        guardian_handle, "read_state", lambda pid: "T" if process.life == Life.FROZEN else "S"
+        front, "read_state", lambda pid: "T" if process.life == Life.FROZEN else "S"
     )
     ending = handle.judge_ending(DIED)
 

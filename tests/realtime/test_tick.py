@@ -17,7 +17,7 @@ from hal.calibration import Zero
 from hal.rig import RawSample
 from pamctl.control.course import make_valve_reference
 from pamctl.kernel.calls import PlainCall
-from pamctl.processes import compose_loop
+from pamctl.processes import loop_main
 from pamctl.realtime import run_ticks
 from pamctl.realtime.tick import (
     TickSetup,
@@ -282,14 +282,14 @@ def test_a_run_that_cannot_hold_its_rate_says_so_in_one_line_and_in_its_log(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     settings = run_settings()
-    monkeypatch.setattr(compose_loop, "rehearse_tick_s", lambda *_, **__: 1e-3)
-    (event,) = compose_loop.check_rate(settings, SETUP)
+    monkeypatch.setattr(loop_main, "rehearse_tick_s", lambda *_, **__: 1e-3)
+    (event,) = loop_main.check_rate(settings, SETUP)
     said = capsys.readouterr().err
     assert event["event"] == "rate_warning"
     assert said == f"warning: {event['detail']}\n"
     assert said.count("\n") == 1
     assert "takes about 6000 us" in said
 
-    monkeypatch.setattr(compose_loop, "rehearse_tick_s", lambda *_, **__: 1e-6)
-    assert compose_loop.check_rate(settings, SETUP) == []
+    monkeypatch.setattr(loop_main, "rehearse_tick_s", lambda *_, **__: 1e-6)
+    assert loop_main.check_rate(settings, SETUP) == []
     assert capsys.readouterr().err == ""

@@ -28,7 +28,7 @@ from pamctl.report.report import (
     Text,
     spell_um,
 )
-from pamctl.settings.resolve import resolve
+from pamctl.settings.resolve import RunSettings, resolve
 from pamctl.signals import Phase
 
 PLANTS = {"paper": "of Tables I and II", "paper-valve109": "with the valve's 109 Hz"}
@@ -44,18 +44,20 @@ class Case:
     overrides: tuple[str, ...] = ()
     remark: str = ""
 
+    def resolve(self, experiment: str, plant: str, seed: int) -> RunSettings:
+        """Return the settings of a run with it."""
+        return resolve(
+            controller=self.controller,
+            experiment=experiment,
+            plant=plant,
+            overrides=self.overrides,
+            seed=seed,
+        )
+
     @lru_cache(maxsize=64)  # noqa: B019  (cases are few, and last as long as the program)
     def run(self, experiment: str, plant: str, seed: int) -> SimulatedRun:
         """Simulate it, once."""
-        return simulate_run(
-            resolve(
-                controller=self.controller,
-                experiment=experiment,
-                plant=plant,
-                overrides=self.overrides,
-                seed=seed,
-            )
-        )
+        return simulate_run(self.resolve(experiment, plant, seed))
 
     def summarise(self, experiment: str, plant: str, seed: int) -> dict[str, float | None]:
         """Return the errors of a run in m, None if there are none, and the time of a trip."""
@@ -356,7 +358,7 @@ def _write_about_qsmc(page: Report, measured: Errors, title: str) -> None:
 
 def _write_about_smc(page: Report, unhindered_m: float | None, seed: int) -> None:
     run = PRINTED_SMC.run("tracking-2", "paper", seed)
-    settings: Any = run.settings
+    settings: Any = PRINTED_SMC.resolve("tracking-2", "paper", seed)
     p = plant_parameters(settings.controller.model).paper
     mid_pa = 0.5 * (p.tank_pressure_pa + p.atmospheric_pressure_pa)
     mid_m = settings.experiment.offset_mm * 1e-3

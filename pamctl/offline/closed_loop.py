@@ -66,19 +66,38 @@ class BatchRow(NamedTuple):
 
 
 @dataclass(frozen=True)
-class BatchRun:
-    """One batch simulation: columns of `BatchRow`, each as long as `reference`."""
+class SimulatedRun:
+    """A simulated run from the vented muscle, without homing; by name its columns."""
 
     reference: Floats
     rows: Floats
+    """One for each tick, with the columns of `BatchRow`."""
+    t_s: Floats
+    """Time of each tick."""
     tripped_tick: int
-    """Tick at which safety tripped and the simulation ended; -1 if it did not."""
+    """Tick at which safety tripped and the run ended; -1 if it did not."""
 
     def __getitem__(self, column: str) -> Floats:
         """Return one column of `BatchRow`, or of `Reference`, by its name."""
         if column in BatchRow._fields:
             return self.rows[:, BatchRow._fields.index(column)]
         return self.reference[: len(self.rows), Reference._fields.index(column)]
+
+    @property
+    def tripped_s(self) -> float | None:
+        """Time at which safety ended the run; None if it did not."""
+        return None if self.tripped_tick < 0 else float(self.t_s[-1])
+
+    @property
+    def error_m(self) -> Floats:
+        """Measured displacement minus reference; NaN in open loop."""
+        return self["position_m"] - self["reference_m"]
+
+    def merit(self) -> Merit | None:
+        """Return the figures of merit; None if safety ended the run, or nothing was tracked."""
+        if self.tripped_tick >= 0:
+            return None
+        return compute_merit(self.t_s, self["phase"].astype(np.int64), self.error_m)
 
 
 def tabulate_references(
@@ -108,7 +127,7 @@ def simulate(
     period_s: float = 1e-3,
     output_delay_ticks: int = 0,
     longest_step_s: float = LONGEST_STEP_S,
-) -> BatchRun:
+) -> SimulatedRun:
     """Run the closed loop on a table of references, from the vented muscle at rest.
 
     `reference` and `noise` have one row a tick. The run ends early if safety trips.
@@ -151,7 +170,8 @@ def simulate(
         if done < end:
             break
     is_tripped = done > 0 and bool(call.get("loop").decision.tripped)
-    return BatchRun(reference, rows[:done], done - 1 if is_tripped else -1)
+    t_s = np.arange(done, dtype=np.float64) * period_s
+    return SimulatedRun(reference, rows[:done], t_s, done - 1 if is_tripped else -1)
 
 
 _KEPT = ("true_position_m", "true_pressure_pa", "", "", "error_m", "command_v", "valve_v")
@@ -172,36 +192,6 @@ def _find_dtype(compensates: bool) -> np.dtype[Any]:
     return row_dtype(list_tick_fields(compensates), None)
 
 
-@dataclass(frozen=True)
-class SimulatedRun:
-    """A simulated run from the vented muscle, without homing."""
-
-    settings: RunSettings
-    run: BatchRun
-    t_s: Floats
-    """Time of each tick, as long as the columns of the run."""
-
-    def __getitem__(self, column: str) -> Floats:
-        """Return a column of `pamctl.offline.closed_loop.BatchRow`, or of `Reference`."""
-        return self.run[column]
-
-    @property
-    def tripped_s(self) -> float | None:
-        """Time at which safety ended the run; None if it did not."""
-        return None if self.run.tripped_tick < 0 else float(self.t_s[-1])
-
-    @property
-    def error_m(self) -> Floats:
-        """Measured displacement minus reference; NaN in open loop."""
-        return self.run["position_m"] - self.run["reference_m"]
-
-    def merit(self) -> Merit | None:
-        """Return the figures of merit; None if safety ended the run, or nothing was tracked."""
-        if self.run.tripped_tick >= 0:
-            return None
-        return compute_merit(self.t_s, self.run["phase"].astype(np.int64), self.error_m)
-
-
 def simulate_run(settings: RunSettings) -> SimulatedRun:
     """Simulate a run; raise ValueError if the rig is not a simulated one."""
     rig, sim = settings.rig, settings.rig.device_settings
@@ -209,7 +199,7 @@ def simulate_run(settings: RunSettings) -> SimulatedRun:
         raise ValueError("only a simulated rig can be run as a batch")
     period_s = 1.0 / rig.loop.rate_hz
     table = _tabulate(plan_experiment(settings.experiment).segments, period_s, settings.duration_s)
-    run = simulate(
+    return simulate(
         build_tick_setup(settings),
         plant_parameters(settings.plant),
         sensor_chain(sim, rig.calibration),
@@ -218,7 +208,6 @@ def simulate_run(settings: RunSettings) -> SimulatedRun:
         period_s=period_s,
         output_delay_ticks=sim.output_delay_ticks,
     )
-    return SimulatedRun(settings, run, np.arange(len(run.rows), dtype=np.float64) * period_s)
 
 
 # Both are computed in plain Python, which takes longer than a run, so runs share them.

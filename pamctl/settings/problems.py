@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -189,19 +189,21 @@ def _explain_tag(place: _Place, tag: str, given: Any) -> _Complaint:
     if tag not in given:
         return _Complaint(at, message=f"missing; it must be {expected}")
     value = given[tag]
-    explain = _EXPLAIN_UNKNOWN.get(tag) if isinstance(value, str) else None
-    hint = f"; {explain(value)}" if explain else ""
-    return _Complaint(at, must=expected, got=value, hint=hint)
+    why = _explain_unknown(tag, value) if isinstance(value, str) else ""
+    return _Complaint(at, must=expected, got=value, hint=f"; {why}" if why else "")
 
 
-def _hint_at_backend(name: str) -> str:
-    from hal.backend import hint_at_missing
+def _explain_unknown(tag: str, name: str) -> str:
+    """Return why a name is not among the choices, where packages offer more of them."""
+    if tag == "backend":
+        from hal.backend import hint_at_missing
 
-    return hint_at_missing(name)
+        return hint_at_missing(name)
+    if tag == "law":
+        from pamctl.control.law_registry import explain_missing_law
 
-
-_EXPLAIN_UNKNOWN: Mapping[str, Callable[[str], str]] = {"backend": _hint_at_backend}
-"""Explains an unknown value, for keys whose values come from installed packages."""
+        return explain_missing_law(name)
+    return ""
 
 
 # --- words -----------------------------------------------------------------------------

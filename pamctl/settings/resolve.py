@@ -22,7 +22,6 @@ from pamctl.control.law_registry import (
     ControllerSettings,
     LawError,
     add_law_file,
-    explain_missing_law,
 )
 from pamctl.errors import ConfigError, Problem
 from pamctl.plant.model import PlantSettings
@@ -456,14 +455,6 @@ class RawSettings:
         return next((order.index(near) for near in _walk_outwards(at) if near in self.origins), 0)
 
 
-def _explain_law(raw: RawSettings, at: KeyPath) -> str:
-    """Return why a law is not among the choices, if a package offers it."""
-    value: Any = raw.data
-    for key in at:
-        value = value.get(key) if isinstance(value, dict) else None
-    return explain_missing_law(value) if isinstance(value, str) else ""
-
-
 def _find_slot(container: object, key: str, at: KeyPath) -> str | int:
     if isinstance(container, dict):
         return key
@@ -509,9 +500,6 @@ def validate_settings(
     except ValidationError as error:
         errors = error.errors(include_url=False)
         found = explain_errors(errors, _schema_of(adapter), title)
-        for at, message in found.items():
-            if at[-1:] == ("law",) and (why := _explain_law(raw, at)):
-                found[at] = f"{message}; {why}"
     raise ConfigError(
         Problem(raw.origin(at), join_key_path((title, *at) if title else at), message)
         for at, message in sorted(found.items(), key=lambda finding: raw.rank(finding[0]))

@@ -226,7 +226,7 @@ class GainsTrial:
         for case in self._list_cases():
             run = simulate_run(_make_settings(controller, member, rig, case.experiment))
             if run.tripped_s is not None:
-                share = len(run.t_s) / len(run.run.reference)
+                share = len(run.t_s) / len(run.reference)
                 lost = TRIP_COST * (1.0 - 0.9 * share)
                 return GainsVerdict(lost, "safety trip", {}, lost)
             errors = _measure_errors(run)

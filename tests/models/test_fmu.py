@@ -20,7 +20,12 @@ from hal.sim import sensor_chain
 from pamctl.cli.app import app
 from pamctl.control.experiment import plan_experiment
 from pamctl.models.fmu import write_fmu
-from pamctl.offline.closed_loop import BatchRun, draw_sensor_noise, simulate, tabulate_references
+from pamctl.offline.closed_loop import (
+    SimulatedRun,
+    draw_sensor_noise,
+    simulate,
+    tabulate_references,
+)
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings, plant_parameters, settings_of
 from pamctl.plant.simulated import SimulatedPlant
@@ -72,7 +77,7 @@ def paper_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return export(tmp_path_factory.mktemp("fmu") / "paper.fmu")
 
 
-def run_experiment_2() -> tuple[BatchRun, list[float]]:
+def run_experiment_2() -> tuple[SimulatedRun, list[float]]:
     """Return experiment 2 on the paper's muscle under qSMC, and the commands that the card gives.
 
     It begins with the approach from the vented muscle.

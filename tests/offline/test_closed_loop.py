@@ -31,7 +31,7 @@ from pamctl.kernel.calls import NativeCall, PlainCall
 from pamctl.log import read
 from pamctl.offline.closed_loop import (
     BatchRow,
-    BatchRun,
+    SimulatedRun,
     draw_sensor_noise,
     simulate,
     tabulate_references,
@@ -115,7 +115,7 @@ def real_loop(settings: RunSettings) -> Run:
 
 def batch(
     settings: RunSettings, asked: NDArray[np.float64], noise: NDArray[np.float64]
-) -> BatchRun:
+) -> SimulatedRun:
     rig: Any = settings.rig
     return simulate(
         build_tick_setup(settings),
@@ -128,7 +128,7 @@ def batch(
     )
 
 
-def assert_same_to_the_bit(settings: RunSettings) -> tuple[Run, BatchRun]:
+def assert_same_to_the_bit(settings: RunSettings) -> tuple[Run, SimulatedRun]:
     real = real_loop(settings)
     asked = tabulate_references(
         plan_experiment(settings.experiment).segments, 1.0 / settings.rig.loop.rate_hz

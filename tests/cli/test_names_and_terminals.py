@@ -183,15 +183,24 @@ def test_a_cleaned_text_steers_nothing_and_stays_as_it_is(text: str) -> None:
     assert "\x1b" not in json.dumps(clean_document({text: [text]}), ensure_ascii=False)
 
 
+LETTERS = "Ä µm 15 °C, 東 e\u0301, نص عربي, שלום, 👩\u200d🔬"
+
+
 @pytest.mark.parametrize(
-    "text", ["Ä µm 15 °C", "نص عربي", "日本語", "שלום", "👩\u200d🔬 measured", "a\tb\nc"]
-)
-def test_letters_of_any_script_stay(text: str) -> None:
-    assert clean_lines(text) == text
-
-
-def test_sequences_vanish_as_a_whole() -> None:
-    assert clean_text(HOSTILE) == "agnol b c"
+    ("dirty", "clean"),
+    [
+        (LETTERS, LETTERS),
+        (HOSTILE, "agnol b c"),
+        ("a\x1b[31;1mred\x1b[0m", "ared"),
+        ("\x9b2Jx\x1b(B\x1bc", "x"),
+        ("\x1b]8;;http://x\x1b\\link\x1b]8;;\x07", "link"),
+        ("two\nlines\tand\u2028more", "two lines and more"),
+        ("half \udc80 \x00\x7f\x85end", "half   end"),
+    ],
+)  # fmt: skip
+def test_letters_of_any_script_stay_and_sequences_vanish_as_a_whole(dirty: str, clean: str) -> None:
+    assert clean_text(dirty) == clean
+    assert clean_lines(f"{LETTERS}\t{clean}\n") == f"{LETTERS}\t{clean}\n"
 
 
 def test_a_progress_line_may_begin_anew_but_not_in_its_middle() -> None:

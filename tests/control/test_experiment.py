@@ -1,24 +1,30 @@
-"""The references of the shipped experiments, and the steps through their segments."""
+"""Experiments: the references of the shipped files, the motions and waves that they are made of."""
 
 from __future__ import annotations
 
 import math
 from itertools import groupby
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.polynomial import Polynomial
 from pydantic import ValidationError
 from support.runs import run_settings
 
 from pamctl.control.course import Course, Segment, make_valve_reference, reference_at
 from pamctl.control.experiment import (
+    ProgramSettings,
     SquareSettings,
     Step,
     StepsSettings,
     TrackingSettings,
     plan_experiment,
 )
+from pamctl.control.waves import Motion, rest_to_rest
+from pamctl.offline.closed_loop import tabulate_references
+from pamctl.settings.config_files import config_dir
 from pamctl.signals import Phase, Reference
 
 LOW_M, HIGH_M = 6.4e-3, 17.2e-3
@@ -157,3 +163,112 @@ def test_missed_ticks_may_skip_whole_segments_without_losing_the_time() -> None:
     times_s = [0.0, 0.005, 0.0501, 0.0999]
     assert [course.at(t).reference_valve_v for t in times_s] == [0.0, 0.0, 5.0, 9.0]
     assert course.at(0.1) is None
+
+
+# --- the motion of 7th order ---------------------------------------------------------------------
+
+positions = st.floats(-0.1, 0.1)
+durations = st.floats(0.05, 100.0)
+shares = st.floats(0.0, 1.0)
+
+# Of degree 7, from 0 to 1, velocity, acceleration and jerk zero at both ends: eight conditions.
+CONDITIONS = np.array(
+    [
+        Polynomial.basis(power).deriv(order)(end) if order else Polynomial.basis(power)(end)
+        for end in (0.0, 1.0)
+        for order in range(4)
+        for power in range(8)
+    ]
+).reshape(8, 8)
+SHAPE = Polynomial(np.round(np.linalg.solve(CONDITIONS, [0, 0, 0, 0, 1, 0, 0, 0]), 6))
+
+
+@given(positions, positions, durations, shares)
+def test_motion_and_derivatives_are_those_of_the_polynomial_that_rests_at_both_ends(
+    start, end, duration, share
+) -> None:
+    found = rest_to_rest(start, end, duration, share * duration)
+    span = end - start
+    for order, value in enumerate(found):
+        shape = SHAPE.deriv(order) if order else SHAPE
+        expected = (start if order == 0 else 0.0) + span * shape(share) / duration**order
+        assert value == pytest.approx(expected, abs=1e-11 / duration**order)
+
+
+@given(positions, positions, durations, st.floats(0.0, 10.0))
+def test_the_position_is_constant_before_and_after_the_motion(start, end, duration, beyond) -> None:
+    assert rest_to_rest(start, end, duration, -beyond) == Motion(start, 0.0, 0.0, 0.0)
+    assert rest_to_rest(start, end, duration, duration + beyond) == Motion(end, 0.0, 0.0, 0.0)
+
+
+def test_the_papers_transition_peaks_at_4_7_mm_per_s() -> None:
+    # Half way the shape's slope is 140 / 64.
+    middle = rest_to_rest(6.4e-3, 17.2e-3, 5.0, 2.5)
+    assert middle.position_m == pytest.approx(11.8e-3, rel=1e-12)
+    assert middle.velocity_m_per_s == pytest.approx(10.8e-3 / 5.0 * 140 / 64, rel=1e-12)
+    assert middle.acceleration_m_per_s2 == pytest.approx(0.0, abs=1e-15)
+
+
+# --- the excitation for a diagnosis --------------------------------------------------------------
+
+
+def shipped_command(*overrides: str) -> np.ndarray:
+    settings = run_settings(*overrides, experiment="diagnosis").experiment
+    table = tabulate_references(plan_experiment(settings).segments, 1e-3)
+    assert set(table[:, Reference._fields.index("phase")]) == {Phase.OPEN_LOOP}
+    return table[:, Reference._fields.index("reference_valve_v")]
+
+
+def test_the_shipped_program_starts_vented_and_stays_within_the_valves_range() -> None:
+    command = shipped_command()
+    assert (command[:1000] == -5.0).all()
+    assert np.abs(command).max() == 5.0
+    assert 55_000 < len(command) < 65_000
+
+
+def test_another_seed_changes_the_multisines_and_nothing_else() -> None:
+    one, other = shipped_command(), shipped_command("experiment.seed=2")
+    same = one == other
+    assert len(one) == len(other)
+    assert 18_000 * 0.99 < np.count_nonzero(~same) <= 18_000
+    assert (shipped_command() == one).all()
+
+
+def test_it_has_small_commands_about_null_and_power_up_to_100_hz() -> None:
+    command = shipped_command()
+    assert {0.1, -0.1, 0.3, -0.3} <= set(np.round(command, 9))
+    power = np.abs(np.fft.rfft(command)) ** 2
+    hertz = np.fft.rfftfreq(len(command), 1e-3)
+    assert power[(hertz > 50) & (hertz < 100)].mean() > 10 * power[hertz > 300].mean()
+
+
+def test_the_shipped_file_says_how_long_it_takes() -> None:
+    lasts_s = sum(
+        one.duration_s
+        for one in plan_experiment(run_settings(experiment="diagnosis").experiment).segments
+    )
+    said = (config_dir() / "experiment" / "diagnosis.yaml").read_text()
+    assert f"`pamctl diagnose`: {lasts_s:.0f} s," in said
+
+
+def test_a_multisine_peaks_at_its_amplitude_about_its_bias() -> None:
+    part = {"wave": "multisine", "low_hz": 1, "high_hz": 20, "amplitude_v": 2, "duration_s": 5}
+    program = ProgramSettings(kind="program", parts=[{**part, "bias_v": 0.5}])
+    wave = np.array([held.valve_v for held in plan_experiment(program).segments])
+    assert np.abs(wave - 0.5).max() == pytest.approx(2.0)
+    assert len(wave) == 5000
+
+
+def test_a_chirp_ends_at_its_high_frequency() -> None:
+    part = {"wave": "chirp", "low_hz": 2, "high_hz": 50, "amplitude_v": 3, "duration_s": 10}
+    wave = np.array(
+        [h.valve_v for h in plan_experiment(ProgramSettings(kind="program", parts=[part])).segments]
+    )
+    turns = np.count_nonzero(np.diff(np.sign(wave[-1000:])) != 0)
+    assert 2 * 40 < turns < 2 * 50  # from 36 Hz to 50 Hz within the last second
+
+
+def test_a_falling_chirp_is_refused() -> None:
+    part = {"wave": "chirp", "low_hz": 50, "high_hz": 2, "amplitude_v": 3, "duration_s": 1}
+    with pytest.raises(ValidationError, match="must lie below"):
+        ProgramSettings(kind="program", parts=[part])

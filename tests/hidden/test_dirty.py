@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from hidden.dirty import DIRT, RECALIBRATED, SHARES, Dirt, DirtyRig, run_dirty
 from hidden.rig import HiddenRig, in_floors
 from hidden.rungs import KINDS, NAMES, PLACES, Cause, Said, carried_rung, mark, named_cause
-from hidden.score_list import draw_list
 from pamctl.plant.catalogue import CATALOGUE
 
 
@@ -98,22 +97,9 @@ def test_a_set_reaches_what_its_members_have_in_common() -> None:
     assert mark([named_cause("command_delay", "kind")], late)[0] == "right at kind"
 
 
-def test_where_nothing_must_be_said_silence_and_a_true_word_are_right() -> None:
-    assert mark([BOW], Said())[0] == "silent"
-    assert mark([BOW], Said(places=frozenset({("pressure_sensor", "curve")})))[0] == "right at kind"
-    assert mark([], Said(frozenset({"creep"})))[0] == "wrong name"
-
-
 def test_a_rung_falls_with_what_is_beside_the_effect() -> None:
     assert carried_rung("creep", 3, "short") == "name"
     assert carried_rung("command_delay", 1, "short") == "kind", "a spool imitates it"
     assert carried_rung("dead_volume", 1, "short") == "none", "nobody can see it"
     assert carried_rung("encoder_scale", 3, "short") == "name"
     assert carried_rung("encoder_scale", 3, "short", beside=0.4) == "set"
-
-
-def test_a_list_has_24_cases_and_consecutive_seeds_go_round_the_catalogue() -> None:
-    lists = [draw_list(seed) for seed in range(1, 7)]
-    assert {len(cases) for cases in lists} == {24}
-    singles = {c.key.split("/")[1] for cases in lists for c in cases if c.group == "single"}
-    assert len(singles) == 34

@@ -1,4 +1,4 @@
-"""The scope's memory: what it takes from a ring, keeps, and says of what it could not take."""
+"""The memory of ticks behind the page, and the trigger that searches them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from support.made_up import columns, meta, put, tick
 
 from pamctl.live.page_orders import PageRefusal
-from pamctl.live.scope import Scope
+from pamctl.live.scope import Scope, find_crossing
 from pamctl.live.tick_memory import TickMemory, TickShelf
 from pamctl.recording.ring import Ring
 
@@ -147,3 +147,34 @@ def test_a_question_that_cannot_be_answered_is_refused(ring, tmp_path, path, que
         scope.answer(path, query)
     assert refusal.value.status == status
     memory.close()
+
+
+@pytest.mark.parametrize("slope", ["rising", "falling", "either"])
+def test_a_search_in_pieces_finds_what_a_walk_over_the_samples_finds(slope: str) -> None:
+    generator = np.random.default_rng(7)
+    for _ in range(200):
+        values = np.cumsum(generator.normal(size=60))
+        values[generator.random(60) < 0.1] = np.nan
+        level, hysteresis = generator.normal(), abs(generator.normal()) * 0.5
+        wanted = walk(values, level, slope, hysteresis)
+        armed, found, start = None, None, 0
+        for piece in np.array_split(values, generator.integers(1, 8)):
+            crossing = find_crossing(piece, level, slope, hysteresis, armed)
+            armed = crossing.armed
+            if crossing.at is not None:
+                found = start + crossing.at
+                break
+            start += len(piece)
+        assert found == wanted
+
+
+def walk(values: np.ndarray, level: float, slope: str, hysteresis: float) -> int | None:
+    was_below = was_above = False
+    for index, value in enumerate(values):
+        if was_below and value >= level and slope != "falling":
+            return index
+        if was_above and value <= level and slope != "rising":
+            return index
+        was_below = was_below or value < level - hysteresis
+        was_above = was_above or value > level + hysteresis
+    return None

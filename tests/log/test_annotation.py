@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import unicodedata
 from pathlib import Path
 
 import pytest
@@ -25,7 +24,6 @@ from pamctl.log.edit import append_metadata, cut_log, read_annotation, write_ann
 from pamctl.log.framing import map_log_file
 from pamctl.log.record_walk import walk_records
 from pamctl.log.recover import recover_file
-from pamctl.plain_text import clean_text
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "qsmc.mcap"
 
@@ -159,31 +157,6 @@ def test_texts_of_a_foreign_record_are_cleaned_when_read(tmp_path: Path) -> None
     assert read_annotation(path) == Annotation(("good", "bad"), "ab")
     append_metadata(path, ANNOTATION, {"tags": "{"})
     assert read_annotation(path) == Annotation()
-
-
-@pytest.mark.parametrize(
-    ("dirty", "clean"),
-    [
-        ("plain, µ 東 e\u0301", "plain, µ 東 e\u0301"),
-        ("a\x1b[31;1mred\x1b[0m", "ared"),
-        ("\x9b2Jx\x1b(B\x1bc", "x"),
-        ("\x1b]8;;http://x\x1b\\link\x1b]8;;\x07", "link"),
-        ("safe\u202eelif\u2066\u200f", "safeelif"),
-        ("two\nlines\tand\u2028more", "two lines and more"),
-        ("half \udc80 \x00\x7f\x85end", "half   end"),
-    ],
-)
-def test_control_characters_are_taken_out(dirty: str, clean: str) -> None:
-    assert clean_text(dirty) == clean
-
-
-@given(text=st.text(st.characters(codec=None), max_size=60))
-def test_no_control_character_is_left_whatever_comes(text: str) -> None:
-    clean = clean_text(text)
-    left = {c for c in clean if unicodedata.category(c) in {"Cc", "Cf", "Cs", "Zl", "Zp"}}
-    assert left <= {"\u200c", "\u200d"}
-    assert clean_text(clean) == clean
-    clean.encode()
 
 
 def test_a_run_carries_what_is_said_of_it(tmp_path: Path) -> None:

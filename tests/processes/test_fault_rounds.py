@@ -12,7 +12,6 @@ from support.patience import BUSY_PC, PATIENCE_S
 
 from pamctl.log.reader import read
 
-Fault = tuple[str, str]
 WELL = {"safe_after_ms": 3.0, "ticks_lost": 0}
 ROUNDS = [("sim loop killed", WELL), ("sim loop frozen", {"amiss": "8 V"})]
 
@@ -50,48 +49,6 @@ def test_what_was_done_before_ctrl_c_is_told_kept_and_not_done_again(
     assert script.main() == 3
     assert asked == [{"sim loop killed": 1, "sim loop frozen": 1}]
     assert json.loads(capsys.readouterr().out)["cases"]["sim loop killed"]["well"] == 1
-
-
-def test_rounds_that_are_done_are_left_out(script, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(script, "round_of", lambda *_: dict(WELL))
-    monkeypatch.setattr(script, "full_disk_round", lambda *_: dict(WELL))
-    monkeypatch.setattr(script, "next_start", lambda *_: None)
-    all_of_them = [case for case, _ in script.rounds(2, script.Counter())]
-    signals = len(script.PROCESSES) * len(script.SIGNALS)
-    assert len(all_of_them) == 2 * (5 * signals + 4), "and a full disk where there is no daemon"
-    done = script.Counter({all_of_them[0]: 2, all_of_them[1]: 1})
-    rest = [case for case, _ in script.rounds(2, done)]
-    assert len(rest) == len(all_of_them) - 3
-    assert all_of_them[0] not in rest
-    drawn = [case for case, _ in script.rounds(1, script.Counter(), drawn=7)]
-    assert len({*drawn}) == 7
-    assert {*drawn} < {*all_of_them}
-
-
-def test_pairs_are_all_ordered_pairs_of_two_processes(script) -> None:
-    pairs = script.list_faults(2)
-    assert len(pairs) == len({*pairs}) == 4 * 3 * 2 * 2
-    assert all(one[0] != other[0] for one, other in pairs)
-    assert (("loop", "frozen"), ("guardian", "killed")) in pairs
-
-
-def test_triples_leave_a_process_alive_that_can_make_the_valve_safe(script) -> None:
-    triples = script.list_faults(3)
-    assert len(triples) == len({*triples}) == 3 * 6 * 8
-    hit = [{process for process, _ in faults} for faults in triples]
-    assert all(len(processes & {"front", "loop", "guardian"}) == 2 for processes in hit)
-
-
-def test_the_table_has_a_row_for_each_choice_of_processes(script) -> None:
-    found = {
-        "sim loop killed, front frozen": [WELL, {"amiss": "8 V"}, {"starved": "no CPU"}],
-        "sim front killed, loop killed": [{"safe_after_ms": 80.4, "ticks_lost": 0}],
-        "daemon loop killed, guardian killed": [WELL],
-    }
-    assert script.format_cases(found).splitlines()[2:] == [
-        "| front, loop | 2 of 3, 80 ms |  |",
-        "| guardian, loop |  | 1 of 1, 3 ms |",
-    ]
 
 
 # --- real processes -------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from pamctl.plant.catalogue import Effects, pass_command, pass_opening
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import vented_state
 from pamctl.realtime.tick import first_state, freeze_state, keyframe_fields, thaw_state
+from pamctl.settings import known_effects
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.known_effects import STEEPEST, build_compensation, list_undoable
 from pamctl.settings.resolve import RunSettings, resolve
@@ -145,6 +147,16 @@ def test_what_cannot_be_undone_is_refused_with_the_reason(
         build_compensation(given, rig, base.controller)
     with pytest.raises(ConfigError):
         resolve(overrides=[f"rig.compensate={list(names)}"])
+
+
+def test_a_valve_that_closes_again_at_a_larger_command_has_no_inverse(monkeypatch) -> None:
+    def turn_back(_: Any, names: Any, wanted_v: float) -> float:
+        """An effect of a user's own: 0.1 V less for each volt beyond 2."""
+        return math.copysign(min(abs(wanted_v), 2.2 - 0.1 * abs(wanted_v)), wanted_v)
+
+    monkeypatch.setattr(known_effects, "undo_valve_v", turn_back)
+    with pytest.raises(ValueError, match="so the valve's map has no inverse"):
+        compensation_of(VALVES["dead band"])
 
 
 def test_all_static_effects_of_valve_and_sensors_can_be_undone() -> None:

@@ -389,3 +389,11 @@ def test_threads_may_begin_the_first_simulations_of_a_process(tmp_path: Path) ->
         [sys.executable, "-c", SEVERAL_AT_ONCE],
         cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True, timeout=PATIENCE_S,
     )  # fmt: skip
+
+
+def test_gains_are_searched_and_each_generation_is_told() -> None:
+    heard: list[tuple[int, float]] = []
+    found = pamctl.find_gains("pid", generations=2, progress=lambda *told: heard.append(told))
+    assert [generation for generation, _ in heard] == [1, 2]
+    assert heard[1][1] <= heard[0][1]
+    assert found["law"] == "pid"

@@ -15,11 +15,10 @@ from hidden.equations.truth import Truth
 from hidden.excitations import Excitation
 from hidden.hostile.file_of_lab import record_of, truth_over_time
 from hidden.hostile.lab import Lab
-from hidden.hostile.programs import EXCITATIONS, random_levels
+from hidden.hostile.programs import random_levels
 from hidden.hostile.situations import HostileCase, all_cases
 from hidden.rig import HiddenRig, hidden_rig
-from hidden.sensors import ENCODER_STEP_M, Sensors
-from pamctl.plant.model import PlantSettings
+from hidden.sensors import Sensors
 
 Array = NDArray[np.float64]
 
@@ -67,17 +66,6 @@ def test_without_a_fault_the_file_is_that_of_the_hidden_rig() -> None:
     assert_alike(plain(), theirs, slice(None))
     assert np.array_equal(plain()["valve_v"], theirs["valve_v"])
     assert np.ptp(theirs["position_m"]) > 5e-3
-
-
-def test_a_closed_loop_is_that_of_the_hidden_rig() -> None:
-    tracked = EXCITATIONS["closed"](2)[0][0]
-    assert tracked.wanted_m is not None
-    tracked = replace(tracked, wanted_m=tracked.wanted_m[:3000])
-    theirs = HiddenRig(PAPER, PERFECT, seed=9, step_s=STEP_S).run(tracked).record.columns()
-    mine = columns(excitation=tracked)
-    # Theirs counts the encoder's steps within the loop even if the sensors are perfect.
-    assert rms(mine["position_m"] - theirs["position_m"]) < 5 * ENCODER_STEP_M
-    assert np.ptp(mine["position_m"]) > 2e-3
 
 
 # --- the rig ---------------------------------------------------------------------------------
@@ -135,20 +123,7 @@ def test_signs_scales_and_zeros_are_of_the_column() -> None:
     assert np.allclose(scaled, 4.0 * plain()["position_m"])
 
 
-def test_a_decimated_command_is_held() -> None:
-    made, volts = columns(Lab(decimation=20))["valve_v"], plain()["valve_v"]
-    assert np.array_equal(made.reshape(-1, 20), np.repeat(volts[::20, None], 20, axis=1))
-
-
 # --- the cases -------------------------------------------------------------------------------
-
-
-def test_the_plant_file_is_wrong_where_the_case_says_so() -> None:
-    for case in all_cases():
-        plant = case.start_plant().parameters
-        usual = PlantSettings().parameters
-        wrong = {n for n in type(usual).model_fields if getattr(plant, n) != getattr(usual, n)}
-        assert wrong == {*case.lab.plant_factors, *case.lab.plant}
 
 
 LOUD = {

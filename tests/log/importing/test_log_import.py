@@ -178,9 +178,12 @@ def test_columns_of_a_matrix_are_chosen_with_a_map(tmp_path, parsed_here):
         "time: {rate_hz: 1000}\n"
         'valve: {column: "yout(:,1)", offset: -5.0}\n'
         'pressure: {column: "yout(:,2)", unit: kPa, gauge: true}\n'
-        'position: {column: "yout(:,3)", unit: mm, gain: -1.0}\n'
+        'position: {column: "yout(:,3)", unit: mm, gain: -1.0, noise: 0.05}\n'
     )
-    measured = Outcome(tmp_path / "a.mat", "--map", str(tmp_path / "map.yaml")).signals
+    done = Outcome(tmp_path / "a.mat", "--map", str(tmp_path / "map.yaml"))
+    stated = json.loads(pamctl.log.read(done.path).metadata["import"]["noise"])
+    assert stated == {"position_m": pytest.approx(5e-5)}
+    measured = done.signals
     assert measured.t_s == pytest.approx(T_S)
     assert measured.valve_v == pytest.approx(VALVE_V)
     assert measured.pressure_pa == pytest.approx(GOOD["pressure_pa"])

@@ -117,16 +117,32 @@ def test_where_both_ends_are_seen_the_zero_of_the_position_is_off() -> None:
     assert off[-0.01] < 0.1 * off[0.0]
 
 
-def test_of_a_muscle_whose_braid_does_not_rub_the_fitted_friction_goes_to_zero() -> None:
+def fit_lifting_muscle(stated: str, value: float) -> dict[str, float]:
+    """Return the fitted numbers of a muscle of which the plant file states one wrong."""
     muscle, commands = LiftingMuscle(), excite(T_S) - 1.0
     position_m, pressure_pa = muscle.simulate(T_S, commands)
     lifted = Record("lifted", T_S, commands, pressure_pa, np.round(position_m / 1e-6) * 1e-6)
     data = muscle.plant().model_dump(exclude_none=True)
-    data["parameters"]["kinetic_friction_per_m"] = 55.3
+    data["parameters"][stated] = value
     weigher, start = prepare_weigher([lifted], [], PlantSettings.model_validate(data))
-    found = weigher.settle(start, 12).values
+    return weigher.settle(start, 12).values
+
+
+def test_of_a_muscle_whose_braid_does_not_rub_the_fitted_friction_goes_to_zero() -> None:
+    found = fit_lifting_muscle("kinetic_friction_per_m", 55.3)
     assert found["kinetic_friction_per_m"] < 0.5
-    assert found["external_load.force_n"] == pytest.approx(muscle.preload_n, rel=0.005)
+    assert found["external_load.force_n"] == pytest.approx(LiftingMuscle().preload_n, rel=0.005)
+
+
+def test_a_braid_of_the_wrong_width_is_fitted_as_another_mass_and_load_of_the_same_motion() -> None:
+    """The pull is 1.21 times too small: so are all forces, and the motion is the same."""
+    rig = LiftingMuscle()
+    found = fit_lifting_muscle("braid_turns", 1.1 * rig.turns)
+    for name, true in (
+        ("mass_kg", rig.mass_kg), ("external_load.force_n", rig.preload_n),
+        ("damping_n_s_per_m", rig.damping_n_s_per_m),
+    ):  # fmt: skip
+        assert found[name] == pytest.approx(true / 1.21, rel=0.01)
 
 
 def test_a_valve_of_first_order_is_named_with_its_time_and_not_a_law_without_a_name() -> None:

@@ -19,8 +19,8 @@ from pamctl.plant.model import PlantSettings
 
 PAPER = PlantSettings()
 SETUP = (
-    "late", "smoothed", "turned", "clock", "crosstalk", "atmosphere", "rest_length", "temperature", "mass",
-    "pressure_sensor", "encoder_scale", "null_offset", "valve_deadband", "valve_spool",
+    "late", "smoothed", "turned", "clock", "crosstalk", "atmosphere", "rest_length", "temperature",
+    "mass", "pressure_sensor", "encoder_scale", "null_offset", "valve_deadband", "valve_spool",
     "command_delay", "braid_stretch", "braid_friction~curve(velocity)", "dead_volume",
 )  # fmt: skip
 """What may be wrong about a set-up, and the physics that looks most like it."""

@@ -78,7 +78,8 @@ def list_of_chain(
         yield _make_turn(short, place, channel)
         yield _make_clock(short, place, channel)
     if actuator != "direct":
-        yield from (_make_crosstalk(c, places[c], reach) for c in channels if "command" in reach)
+        analog = [(c, at) for c, at in places.items() if c in channels and "command" in reach]
+        yield from (_make_crosstalk(channel, place, reach) for channel, place in analog)
         yield _make_turn("valve", "valve", "valve_v")
         yield _make_clock("all", "clock", "t_s")
         # Logged too early it is a delay of the rig.

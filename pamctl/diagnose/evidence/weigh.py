@@ -50,6 +50,7 @@ CALIBRATED: Mapping[str, Mapping[str, float]] = {
         "damping_n_s_per_m": 0.1,
         "stiffness_n_per_m": 0.1,
         "kinetic_friction_per_m": 0.1,
+        "mass_kg": 0.2,
     },
     "chamber": {"valve_gain_m2_per_v": 0.1, "tank_pressure_pa": 0.02},
     "direct": {"mass_kg": 0.2, "damping_n_s_per_m": 0.2, "stiffness_n_per_m": 0.2},
@@ -298,6 +299,8 @@ def list_calibrated(
     found, tick = [], runs.period_s
     for name, share in CALIBRATED[plant.actuator].items():
         value = values[name]
+        if name == "mass_kg" and not _shows_mass(values, plant, tick):
+            continue
         if name in plant.known or value == 0.0 or (runs.imposed and name != "damping_n_s_per_m"):
             continue
         low, high = value * (1.0 - 6.0 * share), value * (1.0 + 6.0 * share)
@@ -324,6 +327,12 @@ def list_calibrated(
             Unknown(f"{CHAIN}zero.{channel}", 0.0, -most, most, 0.2 * min(most, np.ptp(row)))
         )
     return tuple(found)
+
+
+def _shows_mass(values: Mapping[str, float], plant: PlantSettings, tick_s: float) -> bool:
+    """Tell whether a mass may show: that of a muscle without a load settles within a sample."""
+    settles_s = values["mass_kg"] / max(values["damping_n_s_per_m"], 1e-9)
+    return plant.actuator != "muscle" or settles_s > 0.5 * tick_s
 
 
 def list_stated(
@@ -354,6 +363,8 @@ def list_pool(runs: Runs, values: Mapping[str, float], plant: PlantSettings) -> 
     if plant.actuator == "direct":
         seen = {"friction", "pull"} | ({"encoder"} if not runs.imposed else set())
         pool = [h for h in pool if h.place in seen and _is_driven(h, reach)]
+    if "mass_kg" not in plant.known and _shows_mass(values, plant, runs.period_s):  # it is fitted
+        pool = [h for h in pool if h.name != "mass"]
     if runs.imposed:
         pool = [h for h in pool if not h.scan]
     if plant.actuator in ("muscle", "cylinder") and "valve_v" not in runs.stretches[0].inputs:

@@ -48,6 +48,7 @@ PLACES: Mapping[str, str] = {
     "pressure_sensor": "the pressure sensor",
     "encoder": "the position sensor",
     "force_n": "the force sensor",
+    "clock": "the times of the file",
 }
 KINDS: Mapping[str, str] = {
     "lag": "something late or slow",
@@ -57,6 +58,7 @@ KINDS: Mapping[str, str] = {
     "onset": "a change that begins at an instant",
     "turned": "a wrong sign",
     "clock": "a clock of another rate",
+    "crosstalk": "a part of the command",
 }
 _COLUMNS = {"encoder": "position_m", "pressure_sensor": "pressure_pa", "command": "valve_v"}
 _SIGNALS = {"command": "the command", "position": "the position", "pressure": "the pressure",

@@ -4,8 +4,18 @@ import pytest
 
 from pamctl.diagnose.evidence.ladder import Finding, JudgedRival
 from pamctl.diagnose.evidence.measuring_chain import list_of_chain
+from pamctl.diagnose.evidence.pool import PAPER_SCALES, Hypothesis, list_effects, list_terms
 from pamctl.diagnose.plant_numbers import FittedNumber
-from pamctl.diagnose.report.finding_words import describe_standing, spell_best, spell_names
+from pamctl.diagnose.report.finding_words import (
+    KINDS,
+    PLACES,
+    describe_standing,
+    spell_best,
+    spell_names,
+)
+from pamctl.plant.effects.description import ACTUATORS, Actuator
+from pamctl.plant.model import PlantSettings, values_of
+from pamctl.plant.terms import DRIVERS
 
 LATE = next(list_of_chain(["position_m"], {}, 1e-3, "direct", {}))
 
@@ -52,3 +62,17 @@ def test_a_rival_of_the_measuring_chain_is_said_in_words() -> None:
     assert spell_names("skew of position_m") == "a late or early position_m"
     assert spell_names("filter of position_m") == "a smoothed position_m"
     assert spell_names("curve of position_m over time") == "curve of position_m over time"
+
+
+@pytest.mark.parametrize("actuator", ACTUATORS)
+def test_every_place_that_may_be_said_is_a_noun_of_its_own(actuator: Actuator) -> None:
+    reach = dict.fromkeys(DRIVERS, (0.0, 1.0))
+    channels = ["force_n"] if actuator == "direct" else ["pressure_pa", "position_m"]
+    plant = {**values_of(PlantSettings()), "stroke_m": 1.0}
+    pool: list[Hypothesis] = [
+        *list_effects(actuator, PAPER_SCALES),
+        *list_terms(actuator, reach, PAPER_SCALES),
+        *list_of_chain(channels, plant, 1e-3, actuator, reach),
+    ]
+    assert {h.place for h in pool} <= {*PLACES}
+    assert {h.kind for h in pool if h.kind in ("clock", "crosstalk", "turned")} <= {*KINDS}

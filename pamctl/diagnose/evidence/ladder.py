@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -29,6 +30,10 @@ from pamctl.diagnose.evidence.scores import EvidenceScore
 from pamctl.diagnose.plant_numbers import FittedNumber, unit_of
 
 Intervals = Mapping[str, tuple[float, float]]
+Doubt = Literal["", "law", "open", "freer", "range", "none", "part", "little", "larger"]
+"""Why a name is not said: it is a law without one; another is not beaten; a law does better; a
+number is at its range; it may be nothing; it may be a part of a law; it takes off little of what is
+left; a larger finding is open."""
 RIVALS = 4
 """Names that are fitted in its stead, and half as many free terms, beside the best of another kind
 and of another place."""
@@ -59,7 +64,8 @@ class Finding:
     hypothesis: Hypothesis
     says_place: bool
     says_kind: bool
-    says_name: bool
+    doubt: Doubt
+    """Why its name is not said; empty where it is."""
     gain_nats: float
     interval_nats: tuple[float, float]
     share: float
@@ -94,7 +100,7 @@ class Finding:
         if self.is_rest:
             return "rest"
         if self.says_place and self.says_kind:
-            return "name" if self.says_name else "kind"
+            return "kind" if self.doubt else "name"
         return "place" if self.says_place else "set"
 
 
@@ -147,7 +153,7 @@ def climb_ladder(
     search.weigher.meet(base, m)
     whole = max(base.total - m.total, 1e-9)
     found = [_find_level(search, base, m, name, intervals, whole, judges) for name in m.names]
-    return [replace(f, says_name=f.says_name and stands_alone(f, found)) for f in found]
+    return [f if f.doubt or stands_alone(f, found) else replace(f, doubt="larger") for f in found]
 
 
 def stands_alone(finding: Finding, found: Sequence[Finding]) -> bool:
@@ -178,7 +184,7 @@ def _find_level(
     is_small = not is_first and own.sum() < NAME_SHARE * whole
     if is_small or not judges:  # nobody asks for its rivals
         return Finding(
-            mine, False, False, False, *gained, numbers, at_range, channel, is_small, (), judges
+            mine, False, False, "little", *gained, numbers, at_range, channel, is_small, (), judges
         )
     judged = _judge_rivals(search, without, m, mine, own)
     open_ = [j.hypothesis for j in judged if not j.is_freer and not j.is_beaten]
@@ -186,25 +192,26 @@ def _find_level(
     says_place = all(h.place == mine.place for h in open_)
     says_kind = says_place and all(h.kind == mine.kind for h in (*open_, *freer))
     enough = takes_enough(weigher, without, m, LEFT_SHARE if is_first else 2.0 * LEFT_SHARE)
-    says_name = (
-        not (open_ or freer or at_range)
-        and enough
-        and _may_be_named(search, m, mine)
-        and not _may_be_none(search, m, mine, intervals)
-    )
+    may_be_none = _may_be_none(search, m, mine, intervals)
+    doubts: dict[Doubt, bool] = {
+        "law": mine.is_term, "open": bool(open_), "freer": bool(freer), "range": bool(at_range),
+        "none": may_be_none, "part": _may_be_part(search, m, mine), "little": not enough,
+    }  # fmt: skip
+    doubt: Doubt = next((why for why, holds in doubts.items() if holds), "")
     taken2 = weigher.find_robust2(without) - weigher.find_robust2(m)
     little = bool((taken2 < NAME_SHARE**2 * weigher.find_robust2(base)).all())
-    is_rest = not is_first and ((little and not says_place) or not enough)
+    doubted = (little and not says_place) or (may_be_none and not mine.is_term)
+    is_rest = not is_first and (doubted or not enough)
     return Finding(
-        mine, says_place, says_kind, says_name, *gained, numbers, at_range, channel, is_rest,
+        mine, says_place, says_kind, doubt, *gained, numbers, at_range, channel, is_rest,
         tuple(sorted(judged, key=lambda j: j.behind_nats)),
     )  # fmt: skip
 
 
-def _may_be_named(search: NameSearch, m: WeighedModel, mine: Hypothesis) -> bool:
-    """Tell whether it is a name, and no part of a law without a name that is missing too."""
+def _may_be_part(search: NameSearch, m: WeighedModel, mine: Hypothesis) -> bool:
+    """Tell whether it may be a part of a law without a name that is missing too."""
     laws = (search.pool[n].laws for n in m.names if search.pool[n].is_term)
-    return not mine.is_term and not any(its & mine.laws for its in laws)
+    return any(its & mine.laws for its in laws)
 
 
 def _may_be_none(

@@ -205,7 +205,7 @@ def write_findings(page: Report, diagnosis: Diagnosis) -> None:
 def _write_finding(page: Report, diagnosis: Diagnosis, finding: Finding) -> None:
     its, why = finding.hypothesis, {}
     if finding.level in ("kind", "place"):
-        why = {"why no name": explain_no_name(finding, diagnosis.findings)}
+        why = {"why no name": explain_no_name(finding)}
     page.add(Section(spell_finding(diagnosis, finding), is_part=True))
     page.add(
         Facts(

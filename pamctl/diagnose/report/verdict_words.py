@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import starmap
 from typing import NamedTuple
 
 from pamctl.diagnose.diagnosis import Diagnosis, HeldOutGap, Verdict
 from pamctl.diagnose.evidence.constants import LEFT_TIMES
-from pamctl.diagnose.evidence.ladder import Finding, stands_alone
+from pamctl.diagnose.evidence.ladder import Doubt, Finding
 from pamctl.diagnose.evidence.pool import CHAIN
 from pamctl.diagnose.plant_numbers import FittedNumber
 from pamctl.diagnose.report.finding_words import (
@@ -44,6 +44,19 @@ _AGAIN_ELSEWHERE = (
     "`pamctl diagnose FILE --plant plant.yaml --out next`, in the folder of this page, with your "
     "next record for FILE, and with your `--map` if it needs one,"
 )
+
+_DOUBTS: dict[Doubt, str] = {
+    "": "nothing speaks against its name",
+    "law": "a law without a name fits best",
+    "open": "{} is not ruled out",
+    "freer": "a law without a name does better",
+    "range": "a number of it stands at an end of its range",
+    "none": "its interval holds the value at which it does nothing",
+    "part": "a law without a name is missing at its place too, and this may be a part of it",
+    "little": "it takes off little of what is left there, and may be a part of that",
+    "larger": "a larger finding in the same signal has no name, and this may be a part of it",
+}
+"""Why a finding has no sure name."""
 
 
 class VerdictWords(NamedTuple):
@@ -365,23 +378,12 @@ def describe_outside(diagnosis: Diagnosis) -> str:
 def describe_unnamed(diagnosis: Diagnosis) -> str:
     """Say of each finding without a name why it has none."""
     found = [f for f in diagnosis.findings if f.level in ("kind", "place")]
-    return "; ".join(f"{spell_best(f)}: {explain_no_name(f, diagnosis.findings)}" for f in found)
+    return "; ".join(f"{spell_best(f)}: {explain_no_name(f)}" for f in found)
 
 
-def explain_no_name(finding: Finding, found: Sequence[Finding]) -> str:
-    """Say why a finding has no sure name; `found` are all findings."""
-    even = [j.hypothesis for j in finding.judged if not (j.is_freer or j.is_beaten)]
-    if finding.hypothesis.is_term:
-        return "a law without a name fits best"
-    if even:
-        return f"{spell_set([*map(label_hypothesis, even)])} is not ruled out"
-    if any(j.is_freer and j.is_better for j in finding.judged):
-        return "a law without a name does better"
-    if finding.at_range:
-        return "a number of it stands at an end of its range"
-    if not stands_alone(finding, found):
-        return "a larger finding in the same signal has no name, and this may be a part of it"
-    return "it takes off little of what is left there, and may be a part of that"
+def explain_no_name(finding: Finding) -> str:
+    """Say why a finding has no sure name."""
+    return _DOUBTS[finding.doubt].format(spell_set([*map(label_hypothesis, finding.rivals)]))
 
 
 def relative_shift(diagnosis: Diagnosis, number: FittedNumber) -> float | None:

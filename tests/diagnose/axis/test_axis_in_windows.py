@@ -252,7 +252,7 @@ def test_a_still_axis_is_smoothed_over_the_whole_width() -> None:
 @pytest.mark.long
 def test_of_an_exact_axis_nothing_is_missing_and_its_numbers_lie_in_their_intervals() -> None:
     found = diagnose([move(6.5, 45.0, 1)], [move(6.5, 45.0, 2)], axis_plant(5.0, 40.0))
-    assert not [f.name for f in found.findings if f.says_name]
+    assert not [f.name for f in found.findings if f.level == "name"]
     assert found.evidence is not None
     assert found.evidence.gap["recalibrated"]["position_m"] < 1e-5
     numbers = build_diagnosis_document(found)["recalibrated"]

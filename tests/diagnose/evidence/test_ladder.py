@@ -17,7 +17,7 @@ def found(
 ) -> Finding:
     interval = 0.9 * gain, 1.1 * gain
     return Finding(
-        hypothesis, True, True, True, gain, interval, 0.5, (), at_range, channel, False, ()
+        hypothesis, True, True, "", gain, interval, 0.5, (), at_range, channel, False, ()
     )  # fmt: skip
 
 

@@ -53,7 +53,7 @@ def test_a_late_or_smoothed_column_is_said_with_its_milliseconds(
     number = FittedNumber("~", value_s, value_s, value_s, "s")
     ends = 90.0, 110.0
     finding = Finding(
-        chain[name], True, True, False, 100.0, ends, 0.5, (number,), (), 0, False, ()
+        chain[name], True, True, "open", 100.0, ends, 0.5, (number,), (), 0, False, ()
     )  # fmt: skip
     assert spell_best(finding) == words
 

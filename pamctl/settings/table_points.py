@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.control.forms import MOST_ROWS
-from pamctl.log.importing.column_map import TIME, UNITS, parse_column_name
 from pamctl.log.importing.file_formats import read_table
+from pamctl.log.importing.headers import TIME, UNITS, parse_column_name
 from pamctl.log.importing.measured_table import ImportRefused, MeasuredTable, TableColumn
 from pamctl.new_file import describe_irregular_file
 

@@ -12,60 +12,20 @@ as `position_mm` states quantity and unit itself.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
 from hal.calibration import CalibrationSettings, Configured
 from pamctl.json_text import to_json
-from pamctl.units import find_units
+from pamctl.log.importing.headers import RADIANS, TIME, UNITS, read_unit
 
 if TYPE_CHECKING:
     from pamctl.log.importing.measured_table import Floats
 
 
 ATMOSPHERIC_PRESSURE_PA = CalibrationSettings().atmospheric_pressure_pa
-
-TIME = "t_s"
-QUANTITIES = (TIME, "valve_v", "pressure_pa", "position_m", "force_n")
-UNITS: Mapping[str, Mapping[str, float]] = {name: find_units(name) for name in QUANTITIES}
-"""SI value of each unit of a quantity."""
-
-_WORDS = {
-    "t": TIME,
-    "time": TIME,
-    "valve": "valve_v",
-    "pressure": "pressure_pa",
-    "pressure_gauge": "pressure_pa",
-    "pressure_absolute": "pressure_pa",
-    "position": "position_m",
-    "displacement": "position_m",
-    "force": "force_n",
-}
-_NAME = re.compile(rf"({'|'.join(sorted(_WORDS, key=len, reverse=True))})_([a-z]+)")
-
-
-class SaidQuantity(NamedTuple):
-    """What a name, or a unit beside it, says of a column."""
-
-    quantity: str
-    unit: str
-    is_gauge: bool | None
-    """Of a pressure; None where nothing says it."""
-
-
-def parse_column_name(name: str) -> SaidQuantity | None:
-    """Return what a name such as `position_mm` states; None if it does not state it so."""
-    match = _NAME.fullmatch(name.strip().lower())
-    if match is None:
-        return None
-    word, suffix = match.groups()
-    quantity = _WORDS[word]
-    unit = next((unit for unit in UNITS[quantity] if unit.lower() == suffix), None)
-    is_gauge = word == "pressure_gauge" if quantity == "pressure_pa" else None
-    return None if unit is None else SaidQuantity(quantity, unit, is_gauge)
 
 
 Column = Annotated[
@@ -81,7 +41,24 @@ SensorNoise = Annotated[
 ]
 
 
-class TimeMap(Configured):
+class _PartMap(Configured):
+    quantity: ClassVar[str]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_unit(cls, keys: Any) -> Any:
+        """Read a unit as in a header: `psig` is psi and gauge, `inches` are in."""
+        said = read_unit(str(keys.get("unit"))) if isinstance(keys, dict) else None
+        if said is None or said.quantity != cls.quantity:
+            return keys
+        if said.is_gauge is None:
+            return {**keys, "unit": said.unit}
+        if keys.get("gauge", said.is_gauge) is not said.is_gauge:
+            raise ValueError(f"unit: {keys['unit']} contradicts gauge: {keys['gauge']}")
+        return {**keys, "unit": said.unit, "gauge": said.is_gauge}
+
+
+class TimeMap(_PartMap):
     """The time of a row."""
 
     quantity: ClassVar[str] = TIME
@@ -98,8 +75,7 @@ class TimeMap(Configured):
         return self
 
 
-class _MeasuredMap(Configured):
-    quantity: ClassVar[str]
+class _MeasuredMap(_PartMap):
     column: Column
     gain: Annotated[float, Field(description="multiplies the column")] = 1.0
     offset: Annotated[
@@ -118,27 +94,22 @@ class _MeasuredMap(Configured):
     @classmethod
     def _refuse_other_kind(cls, unit: object) -> object:
         """Say how a column of another kind, such as a current or an angle, becomes this one."""
-        known, text = UNITS[cls.quantity], str(unit)
-        if not isinstance(unit, str) or text.lower() in map(str.lower, known):
+        known = UNITS[cls.quantity]
+        if not isinstance(unit, str) or unit in known:
             return unit
-        if cls.quantity == "position_m" and (radians := RADIANS.get(text.lower())):
+        if cls.quantity == "position_m" and (radians := RADIANS.get(unit.lower())):
             raise ValueError(
                 f"{unit} is an angle, and a position is an arc: write `unit: m, gain: G`, where G "
                 f"is the radius of the pulley or lever in m times {radians:g}"
             )
         si = next(iter(known))
         example = ""
-        if cls.quantity == "valve_v" and text == "mA":
+        if cls.quantity == "valve_v" and unit == "mA":
             example = ", such as `unit: V, gain: 0.625, offset: -7.5` for 4 to 20 mA"
         raise ValueError(
             f"{unit} is none of {', '.join(known)}: is it a slip, or of another kind? Then write "
             f"`unit: {si}, gain: G, offset: O`, where G x column + O is in {si}{example}"
         )
-
-
-RADIANS = {"deg": 0.0174533, "degree": 0.0174533, "degrees": 0.0174533,
-           "\N{DEGREE SIGN}": 0.0174533, "rad": 1.0, "radian": 1.0, "radians": 1.0}  # fmt: skip
-"""Radians in a unit of an angle: times the lever's length they make a position."""
 
 
 class ValveMap(_MeasuredMap):

@@ -14,18 +14,23 @@ import numpy as np
 
 from pamctl.log.importing.column_map import (
     KEYS,
-    RADIANS,
-    TIME,
-    UNITS,
     ColumnMap,
     ImportMap,
     PressureMap,
     describe_part,
-    parse_column_name,
     quote,
     write_key,
 )
-from pamctl.log.importing.headers import OF_A_COMMAND, OTHER, Certainty, split_words
+from pamctl.log.importing.headers import (
+    OF_A_COMMAND,
+    OTHER,
+    RADIANS,
+    TIME,
+    UNITS,
+    Certainty,
+    parse_column_name,
+    split_words,
+)
 from pamctl.log.importing.measured_table import (
     Floats,
     ImportRefused,
@@ -71,10 +76,11 @@ def _find_contradictions(
     senses = {True: "gauge", False: "absolute", None: ""}
     for quantity, part in import_map.parts().items():
         header = columns[quantity].header
-        if not names_quantity(columns[quantity], quantity) or getattr(part, "gain", 1.0) != 1.0:
+        if header.measures not in (quantity, "valve_v") or abs(getattr(part, "gain", 1.0)) != 1.0:
             continue
+        unit = header.unit or header.said_unit  # volts may be those of any sensor
         mapped_sense = senses[getattr(part, "gauge", None)]
-        for said, mapped in ((header.unit, part.unit), (senses[header.is_gauge], mapped_sense)):
+        for said, mapped in ((unit, part.unit), (senses[header.is_gauge], mapped_sense)):
             if said and said != mapped:
                 name = quote(columns[quantity].name)
                 yield "map", f"{name} says {said}, and the map {mapped}: the map is followed"
@@ -112,6 +118,7 @@ def choose_by_header(table: MeasuredTable) -> ChosenColumns:
     """
     found = {q: [c for c in table.columns if names_quantity(c, q)] for q in UNITS}
     _require_one_of_each(found)
+    _ask_for_units(table, found)
     left_out = {
         number: _say_why_unread(column)
         for number, column in enumerate(table.columns, 1)
@@ -153,6 +160,15 @@ def choose_by_header(table: MeasuredTable) -> ChosenColumns:
     asked = {q: column for q, column in columns.items() if not parse_column_name(column.name)}
     warnings += _find_unused_parts(table, asked)
     return ChosenColumns(ImportMap.model_validate(keys), columns, left_out, warnings)
+
+
+def _ask_for_units(table: MeasuredTable, found: dict[str, list[TableColumn]]) -> None:
+    """Put columns into doubt whose unit alone is that of a pressure or position that is missing."""
+    if not (found["position_m"] and found["force_n"]):
+        for quantity in ("pressure_pa", "position_m"):
+            found[quantity] = found[quantity] or [
+                c for c in table.columns if c.header.quantity == c.header.measures == quantity
+            ]
 
 
 def _is_clear(column: TableColumn) -> bool:
@@ -329,7 +345,8 @@ def _refuse(
             lines.append(_propose_time(table, usable or table.columns))
         else:
             lines += [_propose(table, column, is_first=column is usable[0]) for column in usable]
-    rest = [c for c in table.columns if c.header.certainty < Certainty.DOUBT and not c.is_text]
+    asked = [column for named in found.values() for column in named]
+    rest = [column for column in table.columns if not (column in asked or column.is_text)]
     rest = [c for c in rest if not lines[0].startswith(f"time: {{column: {quote(c.name)},")]
     lines += _propose_others(table, rest, {q for q, named in found.items() if named})
     lines += [write_key(key, value) for key, value in table.mend.items()]
@@ -391,10 +408,30 @@ def _propose(table: MeasuredTable, column: TableColumn, *, is_first: bool) -> st
     radians = RADIANS.get(header.said_unit.lower())
     if radians and header.quantity == "position_m":
         return f"# {line}  # an angle: add gain, the radius in m times {radians:g}"
+    if scale := _propose_scale(column):
+        remark = f"if it spans -5 to 5 V, and more {header.said_unit} fill"
+        return f"# {write_key(KEYS[header.quantity], keys | scale, remark)}"
     if not header.unit:
         per = f" per {header.said_unit}" if header.said_unit else ""
         return f"# {line}  # its unit is not known: write unit, or gain ({unit}{per}) and offset"
     return line if is_first else f"# {line}  # or this one"
+
+
+_SPANS_OF_A_COMMAND = {"ma": ((4.0, 20.0), (0.0, 20.0)), "%": ((0.0, 100.0), (-100.0, 100.0))}
+"""By a unit in lower case, the likeliest first."""
+
+
+def _propose_scale(column: TableColumn) -> dict[str, float] | None:
+    """Return what turns the span of a command in mA or % into -5 to 5 V; None if nothing does."""
+    header, values = column.header, column.values[np.isfinite(column.values)]
+    if header.quantity != "valve_v" or not len(values):
+        return None
+    for low, high in _SPANS_OF_A_COMMAND.get(header.said_unit.lower(), ()):
+        slack = 0.02 * (high - low)
+        if low - slack <= values.min() and values.max() <= high + slack:
+            gain = 10.0 / (high - low)
+            return {"gain": gain, "offset": -5.0 - gain * low}
+    return None
 
 
 def _propose_time(table: MeasuredTable, columns: Sequence[TableColumn]) -> str:

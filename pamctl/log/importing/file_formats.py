@@ -186,6 +186,8 @@ def _look_into_zip(source: Path) -> tuple[_Format | None, tuple[str, str] | None
 
 def _parse_apart(path: Path, kind: _Format, hints: TextHints) -> MeasuredTable:
     size = path.stat().st_size
+    if not size:
+        raise ImportRefused(f"{path} is empty")
     if size > LARGEST_BYTES:
         limit = f"the limit is {LARGEST_BYTES >> 30} GB"
         raise ImportRefused(f"{path} is too large: {size / 2**30:.1f} GB, {limit}; cut it")

@@ -13,7 +13,51 @@ from enum import IntEnum
 from functools import cache
 from typing import NamedTuple
 
-from pamctl.log.importing.column_map import RADIANS, TIME, UNITS, SaidQuantity, parse_column_name
+from pamctl.units import find_units
+
+TIME = "t_s"
+QUANTITIES = (TIME, "valve_v", "pressure_pa", "position_m", "force_n")
+UNITS: Mapping[str, Mapping[str, float]] = {name: find_units(name) for name in QUANTITIES}
+"""SI value of each unit of a quantity."""
+
+_WORDS = {
+    "t": TIME,
+    "time": TIME,
+    "valve": "valve_v",
+    "pressure": "pressure_pa",
+    "pressure_gauge": "pressure_pa",
+    "pressure_absolute": "pressure_pa",
+    "position": "position_m",
+    "displacement": "position_m",
+    "force": "force_n",
+}
+_NAME = re.compile(rf"({'|'.join(sorted(_WORDS, key=len, reverse=True))})_([a-z]+)")
+
+
+class SaidQuantity(NamedTuple):
+    """What a name, or a unit beside it, says of a column."""
+
+    quantity: str
+    unit: str
+    is_gauge: bool | None
+    """Of a pressure; None where nothing says it."""
+
+
+def parse_column_name(name: str) -> SaidQuantity | None:
+    """Return what a name such as `position_mm` states; None if it does not state it so."""
+    match = _NAME.fullmatch(name.strip().lower())
+    if match is None:
+        return None
+    word, suffix = match.groups()
+    quantity = _WORDS[word]
+    unit = next((unit for unit in UNITS[quantity] if unit.lower() == suffix), None)
+    is_gauge = word == "pressure_gauge" if quantity == "pressure_pa" else None
+    return None if unit is None else SaidQuantity(quantity, unit, is_gauge)
+
+
+RADIANS = {"deg": 0.0174533, "degree": 0.0174533, "degrees": 0.0174533,
+           "\N{DEGREE SIGN}": 0.0174533, "rad": 1.0, "radian": 1.0, "radians": 1.0}  # fmt: skip
+"""Radians in a unit of an angle: times the lever's length they make a position."""
 
 
 class Certainty(IntEnum):
@@ -45,7 +89,7 @@ class Header(NamedTuple):
     others: frozenset[str] = frozenset()
     """The words by which it says that it is another thing."""
     measures: str = ""
-    """The quantity that has the stated unit, whatever the words say."""
+    """The quantity that has the stated unit, whatever the words say; empty if it may be no unit."""
 
 
 NAMES: Mapping[str, frozenset[str]] = {
@@ -122,6 +166,8 @@ _SPELLINGS = {
     "inches": "in", '"': "in", "newton": "N", "newtons": "N", "pascal": "Pa", "torr": "Torr",
     "mm hg": "mmHg", "in hg": "inHg", "kp/cm2": "kgf/cm2", "kg/cm2": "kgf/cm2", "kp": "kgf",
 }  # fmt: skip
+_SUBSCRIPTS = {"s", "us", "ms", "min", "v", "m", "in", "n"}
+"""They end a name for another reason as often as for a unit: `p_m`, `P_in`, `x_min`."""
 _CLOCK_FORM = re.compile(r"[\[(][dhmsyf:.,/ -]+[\])]", re.I)
 """As in `Time [hh:mm:ss]`: no unit, but the form of the cells."""
 _UMLAUTS = str.maketrans({
@@ -160,11 +206,14 @@ def read_header(name: str, called: str = "", unit: str = "") -> Header:
     """Return what the names of a column say; `unit` is stated apart, as in a line below them."""
     plain = parse_column_name(name) or parse_column_name(called)
     if plain is not None:
-        return Header(*plain, Certainty.PLAIN)
+        return Header(*plain, Certainty.PLAIN, measures=plain.quantity)
     label, said, found = split_unit(called or name, unit)
     words = split_words(label)
     others = frozenset(words & OTHER)
     named = [quantity for quantity, its in NAMES.items() if its & words]
+    is_apart = bool(unit) or (called or name).endswith((")", "]"))
+    is_unit = found and (is_apart or found.quantity in named or said.lower() not in _SUBSCRIPTS)
+    measures = found.quantity if found and is_unit else ""
     is_alone = not named and bool(words) and words <= _BESIDE
     # `Load cell (N)`, `ist_mm`: volts may be those of any sensor, other units tell.
     if found and (found.quantity in named or (is_alone and found.quantity != "valve_v")):
@@ -178,15 +227,15 @@ def read_header(name: str, called: str = "", unit: str = "") -> Header:
         is_sure = words - NAMES[quantity] <= _BESIDE | of_a_command
         if not (words - NAMES[quantity]) & (OTHER - of_a_command) and (stated or is_sure):
             certainty = Certainty.SURE if is_sure else Certainty.DOUBT
-            return Header(quantity, stated, tell_gauge(found, words), certainty, said, others)
+            gauge = tell_gauge(found, words)
+            return Header(quantity, stated, gauge, certainty, said, others, measures)
     if not others and len(named) < 2:
         if found and found.quantity in (named or [found.quantity]):
             gauge = tell_gauge(found, words)
-            return Header(found.quantity, found.unit, gauge, Certainty.GUESS, said)
+            return Header(*found[:2], gauge, Certainty.GUESS, said, measures=measures)
         if named or said.lower() in RADIANS:
             return Header((*named, "position_m")[0], "", None, Certainty.GUESS, said)
-    stated, measures = (found.unit, found.quantity) if found else ("", "")
-    return Header("", stated, None, Certainty.NOTHING, said, others, measures)
+    return Header("", found.unit if found else "", None, Certainty.NOTHING, said, others, measures)
 
 
 def split_words(label: str) -> set[str]:
@@ -212,7 +261,8 @@ def split_unit(name: str, unit: str) -> tuple[str, str, SaidQuantity | None]:
     name = _drop_accents(name)
     for form in _FORMS:
         match = form.fullmatch(name.strip())
-        if match is not None and (found := read_unit(match[2])) is not None:
+        found = read_unit(match[2]) if match else None
+        if match and (found or match[2].lower() in (*RADIANS, "ma")):
             return match[1], match[2], found
     bracketed = _BRACKETED.fullmatch(name.strip())
     return (bracketed[1], bracketed[2], None) if bracketed else (name, "", None)

@@ -194,11 +194,18 @@ def parse_lvm(path: Path, hints: TextHints) -> MeasuredTable:
             # Each segment counts from its own start.
             part[TIME_S] = part[TIME_S] + (_find_lvm_start(segment) - first_s)
     joined = [(name, np.concatenate([part[name] for part in parts])) for name in parts[0]]
+    notes = []
+    stated, there = _count_lvm_rows(segments[-1])
+    if there < stated:
+        # The end of a row that was cut off is a number, too.
+        joined = [(name, values[:-1]) for name, values in joined]
+        notes = [f"its head states {stated} samples, and {there} are there: it was cut off, and "
+                 "its last row, which may lack digits, is left out"]  # fmt: skip
     if not joined or not len(joined[0][1]):
         raise ImportRefused(f"{path} holds no rows of numbers")
     channels = [name for name in parts[0] if name != TIME_S]
-    stated = {name: unit.strip() for name, unit in zip(channels, units[0], strict=False)}
-    return number_rows(make_columns(joined, stated), "LVM", [])
+    units_by_name = {name: unit.strip() for name, unit in zip(channels, units[0], strict=False)}
+    return number_rows(make_columns(joined, units_by_name), "LVM", notes)
 
 
 def _read_lvm_segment(path: Path, segment: dict[str, Any]) -> dict[str, Floats]:
@@ -220,6 +227,12 @@ def _read_lvm_segment(path: Path, segment: dict[str, Any]) -> dict[str, Floats]:
     if any(not np.array_equal(t_s, full[0]) for t_s in full):
         raise ImportRefused(f"{path}: its channels have different times; save them with one")
     return {TIME_S: full[0], **columns}
+
+
+def _count_lvm_rows(segment: dict[str, Any]) -> tuple[int, int]:
+    """Return the rows that a segment states, 0 if it does not, and those that are there."""
+    stated = [int(float(count)) for count in segment.get("Samples", []) if count == count]
+    return max(stated, default=0), len(segment["data"])
 
 
 def _count_lvm_time(path: Path, segment: dict[str, Any], rows: int) -> Floats:

@@ -21,8 +21,6 @@ from pamctl.json_text import to_json
 from pamctl.log.check import LogFindings, Severity, list_findings
 from pamctl.log.importing.column_map import (
     ATMOSPHERIC_PRESSURE_PA,
-    TIME,
-    UNITS,
     ImportMap,
     TimeMap,
     write_map,
@@ -36,6 +34,7 @@ from pamctl.log.importing.column_roles import (
     show_map,
 )
 from pamctl.log.importing.file_formats import read_table
+from pamctl.log.importing.headers import TIME, UNITS
 from pamctl.log.importing.measured_table import (
     Floats,
     ImportRefused,
@@ -250,12 +249,13 @@ class _Import:
     def write_better_map(self) -> str:
         """Return the map that may mend an error, or may read what no header names; or nothing."""
         keys = write_map(self.better_map.as_keys(), {})
-        if self.findings.any(Severity.ERROR):
-            is_new = self.better_map != self.map
-            return keys if is_new else f"# as it was read: change what is wrong\n{keys}"
         misses = not self.has_map and any(f.key == "columns" for f in self.findings.all)
-        lines = propose_missing(self.table, self.chosen) if misses else []
-        return "\n".join([keys, *lines]) if lines else ""
+        lines = [keys, *(propose_missing(self.table, self.chosen) if misses else [])]
+        if self.findings.any(Severity.ERROR):
+            if self.better_map == self.map:
+                lines.insert(0, "# as it was read: change what is wrong")
+            return "\n".join(lines)
+        return "\n".join(lines) if len(lines) > 1 else ""
 
     def describe_columns(self) -> tuple[ImportedColumn, ...]:
         """Return what became of each column of the file."""

@@ -13,14 +13,21 @@ import numpy as np
 
 from pamctl.json_text import to_json
 from pamctl.log.check import LogFindings
-from pamctl.log.importing.column_map import KEYS, UNITS, ColumnMap, ImportMap, TimeMap, ValveMap
+from pamctl.log.importing.column_map import (
+    KEYS,
+    ColumnMap,
+    ImportMap,
+    TimeMap,
+    ValveMap,
+    quote,
+)
 from pamctl.log.importing.column_roles import (
     NEVER_ABSOLUTE_PA,
     OF_THE_AIR_PA,
     ChosenColumns,
-    names_quantity,
 )
-from pamctl.log.importing.measured_table import Floats, Ints
+from pamctl.log.importing.headers import UNITS
+from pamctl.log.importing.measured_table import Floats, Ints, TableColumn
 from pamctl.log.record_problems import find_record_problems, measured_columns, nominal_period_s
 
 LONGEST_S = 2.0**62 * 1e-9
@@ -91,10 +98,11 @@ def judge_units(
     for quantity, column in quantities.items():
         values = column[np.isfinite(column)]
         part: ColumnMap = getattr(import_map, KEYS[quantity])
-        for text, name, change in _doubt(part, values) if len(values) else ():
+        named = chosen.columns.get(quantity) if has_map else None
+        doubts = _doubt_quantity(part, named) or _doubt(part, values) if len(values) else ()
+        for text, name, change in doubts:
             span = f"{values.min():.6g} to {values.max():.6g}"
-            named = chosen.columns.get(quantity) if has_map else None
-            said = named and names_quantity(named, quantity) and named.header.unit
+            said = named and named.header.measures == quantity and named.header.unit
             if said and "unit" in change and said != part.unit:
                 text, change = f"is this {said}, as the column's name says?", {"unit": said}
             if name:
@@ -160,6 +168,18 @@ def judge_sign(quantities: Mapping[str, Floats], findings: LogFindings) -> None:
 
 _Doubt = tuple[str, str, dict[str, Any]]
 """What is doubtful; the column's name, and its keys in a map, that would mend it."""
+
+
+def _doubt_quantity(part: ColumnMap, column: TableColumn | None) -> list[_Doubt]:
+    """Return the doubt that a column has the unit of another quantity, and no gain turns it."""
+    header = column.header if column else None
+    if not (column and header and header.measures) or abs(getattr(part, "gain", 1.0)) != 1.0:
+        return []
+    if header.measures in (part.quantity, "valve_v"):  # volts may be those of any sensor
+        return []
+    unit = header.unit or header.said_unit
+    said = f"{quote(column.name)} says {unit}, a unit of {header.measures}"
+    return [(f"{said}: are two columns exchanged? Only a gain makes {part.unit} of it", "", {})]
 
 
 def _doubt(part: ColumnMap, values: Floats) -> Iterator[_Doubt]:

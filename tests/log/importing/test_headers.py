@@ -193,9 +193,9 @@ def test_a_refusal_shows_a_map_for_every_quantity_with_the_names_of_the_columns(
     keys = [line.strip(" #").split("  #")[0] for line in lines]
     assert keys == [
         "time: {column: 't_s', unit: s}",
-        "valve: {column: 'Courant vanne', unit: V}",
         "pressure: {column: 'Sonda (bar)', unit: bar, gauge: false}",
         "position: {column: 'Regla (mm)', unit: mm}",
+        "valve: {column: 'Courant vanne', unit: V}",
         "other columns: 'Corrente motore [mA]'; such as",
         "force: {column: 'Corrente motore [mA]', unit: N, gain: 1.0}",
     ]

@@ -119,3 +119,128 @@ def test_an_lvm_head_above_another_table_is_refused_with_what_to_save(tmp_path):
     assert "no line of names begins with X_Value; save what is below its head" in refused.stderr
     (tmp_path / "a.txt").write_text(whole)
     assert Outcome(tmp_path / "a.txt").code == 0
+
+
+LVM = """\
+LabVIEW Measurement\t
+Writer_Version\t2
+Reader_Version\t2
+Separator\tTab
+Decimal_Separator\t.
+Multi_Headings\tNo
+X_Columns\tOne
+***End_of_Header***\t
+\t
+Channels\t3
+Samples\t{stated}\t{stated}\t{stated}
+Y_Unit_Label\tVolts\tpsig\tin
+X_Dimension\tTime\tTime\tTime
+***End_of_Header***
+X_Value\tValve AO\tMuscle Press\tStroke\tComment
+"""
+ROWS = [f"{0.001 * k:g}\t{5 + k % 5}\t{k % 7}\t{0.1 * (k % 7):g}" for k in range(400)]
+LVM_MAP = """\
+time: {{column: time_s, unit: s}}
+valve: {{column: Valve AO, unit: V, offset: -5.0}}
+pressure: {{column: {pressure}}}
+position: {{column: {position}}}
+"""
+
+
+def write_lvm(path: Path, rows: list[str] = ROWS, stated: int = len(ROWS)) -> Path:
+    """Write a file of LabVIEW whose head states so many samples."""
+    path.write_text(LVM.format(stated=stated) + "\n".join(rows))
+    return path
+
+
+def import_with(source: Path, text: str, *more: str) -> Outcome:
+    """Import with a map of this text."""
+    map_path = source.with_name("map.yaml")
+    map_path.write_text(text)
+    return Outcome(source, "--map", str(map_path), *more)
+
+
+def test_a_unit_asks_for_a_missing_pressure_whatever_its_name_is(tmp_path, parsed_here):
+    source = write_lvm(tmp_path / "a.lvm")
+    shown = Outcome(source).stderr.split("such as:\n")[1]
+    assert "  pressure: {column: 'Muscle Press', unit: psi, gauge: true}" in shown
+    assert "other columns" not in shown
+    refused = import_with(source, shown.split("A map says")[0].replace("  ", ""))
+    assert "offset: -5.0" in refused.said["error", "unit"]
+    done = follow(refused, source)
+    np.testing.assert_allclose(done.signals.pressure_pa[3], 101300.0 + 3 * 6894.757)
+
+
+def test_a_letter_behind_a_name_is_no_unit_that_asks(tmp_path):
+    done = import_names(tmp_path / "a.csv", "t_s,position_m,Zone_in", T_S, POSITION_M, T_S)
+    assert done.code == 0
+
+
+def test_a_map_that_mends_an_error_names_what_nothing_is_read_from_too(tmp_path):
+    columns = T_S, 5.0 + VALVE_V, 1e3 * POSITION_M, T_S
+    refused = import_names(tmp_path / "a.csv", "t_s,Valve [V],Position [mm],Sonda", *columns)
+    assert "offset: -5.0" in refused.report["map_text"]
+    assert "# pressure: {column: 'Sonda', unit: kPa, gauge: true}" in refused.report["map_text"]
+
+
+def test_a_map_reads_a_unit_as_a_header_has_it(tmp_path, parsed_here):
+    source = write_lvm(tmp_path / "a.lvm")
+    text = LVM_MAP.format(pressure="Muscle Press, unit: psig", position="Stroke, unit: inches")
+    done = import_with(source, text)
+    np.testing.assert_allclose(done.signals.pressure_pa[3], 101300.0 + 3 * 6894.757)
+    np.testing.assert_allclose(done.signals.position_m[3], 0.3 * 0.0254)
+    refused = import_with(source, text.replace("psig", "psig, gauge: false"))
+    assert "unit: psig contradicts gauge: False" in refused.stderr
+
+
+@pytest.mark.parametrize("unit", ["in", "mm", "mm, gain: -1"])
+def test_columns_that_a_map_exchanges_are_refused_by_the_units_of_the_file(
+    tmp_path, unit, parsed_here
+):
+    source = write_lvm(tmp_path / "a.lvm")
+    text = LVM_MAP.format(
+        pressure="Stroke, unit: psi, gauge: true", position=f"Muscle Press, unit: {unit}"
+    )
+    refused = import_with(source, text)
+    said = str(refused.report["findings"])
+    assert "'Muscle Press' says psi, a unit of pressure_pa: are two columns exchanged?" in said
+    assert "'Stroke' says in, a unit of position_m" in said
+    assert "is this mm?" not in said
+    assert import_with(source, text, "--accept-units").code == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "low", "high", "shown"),
+    [
+        ("I_valve_mA", 4.1, 19.8, "gain: 0.625, offset: -7.5"),
+        ("Valve current [mA]", 0.1, 19.8, "gain: 0.5, offset: -5.0"),
+        ("Ventil [%]", 2.0, 99.0, "gain: 0.1, offset: -5.0"),
+        ("Ventil [%]", -90.0, 99.0, "gain: 0.05, offset: 0.0"),
+    ],
+)
+def test_a_command_in_milliamperes_or_percent_gets_the_gain_of_its_span(
+    tmp_path, name, low, high, shown
+):
+    command = np.linspace(low, high, len(T_S))
+    refused = import_names(tmp_path / "a.csv", f"t,{name},x_mm", T_S, command, T_S)
+    assert f"# valve: {{column: '{name}', unit: V, {shown}}}  # if it spans" in refused.stderr
+    unknown = import_names(tmp_path / "b.csv", f"t,{name},x_mm", T_S, 10.0 * command, T_S)
+    assert "its unit is not known" in unknown.stderr
+
+
+def test_an_lvm_file_that_was_cut_off_says_so_and_loses_its_last_row(tmp_path, parsed_here):
+    cut = [*ROWS[:250], ROWS[250][:-4]]
+    source = write_lvm(tmp_path / "a.lvm", cut)
+    done = import_with(
+        source,
+        LVM_MAP.format(pressure="Muscle Press, unit: psig", position="Stroke, unit: in"),
+    )
+    assert "its head states 400 samples, and 251 are there" in done.said["warning", "file"]
+    assert len(done.signals.t_s) == 250
+
+
+@pytest.mark.parametrize("ending", [".lvm", ".mat", ".tdms", ".xlsx", ".csv"])
+def test_an_empty_file_is_called_empty_whatever_its_ending(tmp_path, ending):
+    source = tmp_path / f"a{ending}"
+    source.touch()
+    assert Outcome(source).stderr.strip() == f"error: {source} is empty"

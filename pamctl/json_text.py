@@ -27,6 +27,20 @@ def from_json(text: bytes | str) -> Any:
     return _restore(json.loads(text))
 
 
+def to_plain_json(value: Any) -> str:
+    """Write JSON for any reader: a number that is not finite is null."""
+    return json.dumps(replace_nan(value), separators=(",", ":"), allow_nan=False)
+
+
+def replace_nan(value: Any) -> Any:
+    """Return a document with None in place of each number that is not finite."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {name: replace_nan(part) for name, part in value.items()}
+    return [*map(replace_nan, value)] if isinstance(value, list | tuple) else value
+
+
 def _dump(value: object) -> bytes:
     text = json.dumps(value, allow_nan=False, separators=(",", ":"), default=_make_plain)
     return text.encode()

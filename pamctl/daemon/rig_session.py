@@ -22,6 +22,7 @@ from pamctl import __version__
 from pamctl.daemon.protocol import RequestRefusedError, order
 from pamctl.daemon.session_life import SessionLife
 from pamctl.exit_codes import EMERGENCY_STOP
+from pamctl.json_text import replace_nan
 from pamctl.plain_text import LONGEST_NAME, LONGEST_NOTE, LONGEST_REMARK, MOST_TAGS, clean_text
 
 if TYPE_CHECKING:
@@ -93,9 +94,7 @@ class RigSession(SessionLife):
             "run": None if run is None else run.name,
             "log": None if run is None else str(run.log),
             "ring": None if run is None else str(run.ring.path),
-            "tick": None
-            if tick is None
-            else {name: _finite(value) for name, value in tick.items()},
+            "tick": replace_nan(tick),
             "worst_late_s": None if carrier is None else carrier.worst_late_s,
             "missed_ticks": None if carrier is None else carrier.missed_ticks,
             "controller": settings_to_data(self._settings.controller),
@@ -144,7 +143,7 @@ class RigSession(SessionLife):
         ticks = [] if carrier is None else carrier.recent_ticks(after_tick, every, most)
         return {
             "fields": chosen,
-            "ticks": [[_finite(tick[name]) for name in chosen] for tick in ticks],
+            "ticks": replace_nan([[tick[name] for name in chosen] for tick in ticks]),
         }
 
     # --- orders ----------------------------------------------------------------------------------
@@ -299,8 +298,3 @@ class RigSession(SessionLife):
             with suppress(RequestRefusedError):  # the gains hold, whatever became of the run
                 carrier.order({"do": "mark", "text": f"{operator}: {change.describe()}"})
         return controller
-
-
-def _finite(value: float) -> float | None:
-    """Return a number for JSON, which has no NaN: an unknown value is null."""
-    return value if math.isfinite(value) else None

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
-import math
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -19,6 +17,7 @@ from pamctl.daemon.client import (
     read_ticks,
     restore_nan,
 )
+from pamctl.json_text import to_plain_json
 from pamctl.log.run_meta import spell_controller
 from pamctl.report.progress_line import format_progress
 
@@ -91,8 +90,7 @@ _STATUS_FIELDS = (
 
 def encode_glimpse(glimpse: Glimpse) -> str:
     """Return what was seen in one look as one line."""
-    document = describe_glimpses([glimpse], glimpse)
-    return json.dumps(document, separators=(",", ":"), allow_nan=False)
+    return to_plain_json(describe_glimpses([glimpse], glimpse))
 
 
 def describe_glimpses(glimpses: Sequence[Glimpse], newest: Glimpse | None) -> dict[str, Any]:
@@ -101,14 +99,8 @@ def describe_glimpses(glimpses: Sequence[Glimpse], newest: Glimpse | None) -> di
     status: dict[str, Any] | None = None
     if newest.status is not None:
         status = {name: newest.status.get(name) for name in _STATUS_FIELDS}
-    rows = [
-        [_nan_to_none(tick[name]) for name in COLUMNS] for one in glimpses for tick in one.ticks
-    ]
+    rows = [[tick[name] for name in COLUMNS] for one in glimpses for tick in one.ticks]
     return {"status": status, "problem": newest.problem, "fields": COLUMNS, "ticks": rows}
-
-
-def _nan_to_none(value: float) -> float | None:
-    return None if math.isnan(value) else value
 
 
 def format_status(status: Mapping[str, Any]) -> str:

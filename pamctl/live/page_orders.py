@@ -57,7 +57,8 @@ def describe_bench(status: Mapping[str, Any] | None) -> Form:
     gains = [] if status is None else describe_gains(status["controller"])
     limits = None if status is None else status["limits"]["stroke_mm"]
     return {
-        "fields": describe_fields(), "phases": describe_phases(), "gains": gains,
+        "fields": [{"name": field.name, "stage": field.stage} for field in TICK_FIELDS],
+        "phases": [phase.name.lower().replace("_", " ") for phase in Phase], "gains": gains,
         "experiments": list_experiments(), "stroke_mm": limits,
         "rate_hz": None if status is None else status["rate_hz"],
     }  # fmt: skip
@@ -73,16 +74,6 @@ def list_runs(status: Mapping[str, Any] | None) -> list[Form]:
     except RunsError:
         return []
     return [{name: getattr(row, name) for name in _RUN_COLUMNS} for row in reversed(rows)]
-
-
-def describe_fields() -> list[Form]:
-    """Return the columns of a tick, with the stage that makes each."""
-    return [{"name": field.name, "stage": field.stage} for field in TICK_FIELDS]
-
-
-def describe_phases() -> list[str]:
-    """Return the names of the phases by number."""
-    return [phase.name.lower().replace("_", " ") for phase in Phase]
 
 
 def describe_gains(controller: Mapping[str, Any]) -> list[Form]:

@@ -11,8 +11,6 @@ Ticks come from memory while they are there, else from the log's file.
 
 from __future__ import annotations
 
-import json
-import math
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -24,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, FiniteFloat, ValidationError, validate_call
 
+from pamctl.json_text import to_plain_json
 from pamctl.live.page_orders import PageRefusal
 from pamctl.live.tick_memory import TickMemory
 from pamctl.log.edit import cut_log
@@ -119,8 +118,7 @@ class Scope:
             raise PageRefusal(f"{where}: {first['msg']}") from None
         if isinstance(answer, bytes):
             return answer, "application/octet-stream"
-        text = json.dumps(_replace_nan(answer), separators=(",", ":"), allow_nan=False)
-        return text.encode(), "application/json"
+        return to_plain_json(answer).encode(), "application/json"
 
     @validate_call
     def state(self) -> dict[str, Any]:
@@ -237,11 +235,3 @@ def _refuse_bad_logs() -> Iterator[None]:
 def _find_rows(tick: NDArray[Any], first: int, last: int) -> slice:
     """Return the rows from tick `first` to tick `last`, both included."""
     return slice(int(np.searchsorted(tick, first, "left")), int(tick.searchsorted(last, "right")))
-
-
-def _replace_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _replace_nan(part) for key, part in value.items()}
-    if isinstance(value, list | tuple):
-        return [_replace_nan(part) for part in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

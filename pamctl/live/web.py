@@ -37,6 +37,7 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from pamctl.daemon.server import Allowance
+from pamctl.json_text import to_plain_json
 from pamctl.live.feed import COLUMNS, EVERY, LOOKS_PER_S, DaemonFeed, Glimpse, describe_glimpses
 from pamctl.live.page_orders import (
     PageOrders,
@@ -109,11 +110,7 @@ class Broadcast:
             newest = self._kept[-1] if self._kept else None
             count, age_s = self._count, time.monotonic() - self._looked_s
         document = describe_glimpses(fresh, newest)
-        return json.dumps(
-            {"look": count, "age_s": age_s, **more, **document},
-            separators=(",", ":"),
-            allow_nan=False,
-        ).encode()
+        return to_plain_json({"look": count, "age_s": age_s, **more, **document}).encode()
 
     def end(self) -> None:
         """Stop looking."""

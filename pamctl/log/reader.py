@@ -117,6 +117,15 @@ class Log:
         """Seconds since the first tick, shape (n,)."""
         return self["t_s"]
 
+    @property
+    def outcome(self) -> dict[str, Any] | None:
+        """The event that tells how the run ended; None if the log does not say it."""
+        return _find_outcome(self.events)
+
+
+def _find_outcome(events: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
+    return next((event for event in reversed(events) if event.get("event") == "outcome"), None)
+
 
 def read(path: str | Path, *topics: str, fields: Collection[str] | None = None) -> Log:
     """Read a log, or only these topics, or only these fields of the ticks.
@@ -348,8 +357,7 @@ class Scan:
     @property
     def outcome(self) -> dict[str, Any] | None:
         """How the run ended; None if the log does not say it."""
-        ended = (e for e in reversed(self.values[EVENT_TOPIC]) if e.get("event") == "outcome")
-        return next(ended, None)
+        return _find_outcome(self.values[EVENT_TOPIC])
 
     def config(self) -> dict[str, Any]:
         """Return the configuration, empty if there is none; raise LogError if it is not JSON."""

@@ -127,12 +127,6 @@ class ReportedRun:
         """Whether the run was simulated without a clock."""
         return bool(self.log.config.get("fast"))
 
-    @property
-    def outcome(self) -> dict[str, Any] | None:
-        """The outcome of the run; None if the log does not state it."""
-        ended = (e for e in reversed(self.log.events) if e.get("event") == "outcome")
-        return next(ended, None)
-
     def time_of(self, event: Mapping[str, Any]) -> float | None:
         """Return the time of an event on the axis of `t_s`; None if its tick is unknown."""
         ticks = self.log.columns.get("tick")

@@ -53,7 +53,7 @@ def _write_ending(page: Report, run: ReportedRun) -> None:
         source = run.log.metadata.get("import", {}).get("source", "another system")
         page.add(Text(f"Imported measurement of another system: {source}", "note"))
         return
-    ended = run.outcome
+    ended = run.log.outcome
     if ended is None:
         page.add(Text("The log does not say how the run ended: it was not finished.", "bad"))
         return

@@ -142,10 +142,8 @@ class Run:
     @property
     def ending(self) -> Ending:
         """How the run ended: exit code and reason."""
-        for event in reversed(self.events):
-            if event["event"] == "outcome":
-                return Ending(ExitCode(event["code"]), str(event["reason"]))
-        return Ending(ExitCode.OK, "")
+        ended = self.log.outcome or {"code": ExitCode.OK, "reason": ""}
+        return Ending(ExitCode(ended["code"]), str(ended["reason"]))
 
     @cached_property
     def metrics(self) -> RunMetrics:

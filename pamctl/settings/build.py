@@ -53,15 +53,9 @@ def safe_valve_v(settings: RunSettings, cal: Calibration) -> float:
 
 def build_program(settings: RunSettings, *, course_begin_s: float | None = None) -> Program:
     """Return the program of the run; with `course_begin_s` it leaves out homing."""
-    rig = settings.rig
     plan = plan_experiment(settings.experiment)
-    return Program(
-        build_homing(settings) if course_begin_s is None else None,
-        Course(plan.segments, settings.duration_s, plan.cues),
-        safe_valve_v=safe_valve_v(settings, calibration(rig.calibration)),
-        stop_ramp_s=rig.loop.stop_ramp_s,
-        course_begin_s=course_begin_s,
-    )
+    course = Course(plan.segments, settings.duration_s, plan.cues)
+    return _make_program(settings, course_begin_s is None, course, course_begin_s)
 
 
 def build_ordered_program(settings: RunSettings, order: Mapping[str, Any]) -> Program:
@@ -75,18 +69,22 @@ def build_ordered_program(settings: RunSettings, order: Mapping[str, Any]) -> Pr
         plan = plan_experiment(_EXPERIMENT.validate_python(order["experiment"]))
         segments = start_at_position(plan.segments, order["start_m"])
         course = Course(segments, order["duration_s"], plan.cues)
+    return _make_program(settings, order["homes"], course)
+
+
+def _make_program(
+    settings: RunSettings, homes: bool, course: Course, course_begin_s: float | None = None
+) -> Program:
+    rig, homing = settings.rig, None
+    if homes and rig.homing.enabled:
+        homing = Homing(choose_homing_settings(settings), rig.calibration)
     return Program(
-        build_homing(settings) if order["homes"] else None,
+        homing,
         course,
-        safe_valve_v=safe_valve_v(settings, calibration(settings.rig.calibration)),
-        stop_ramp_s=settings.rig.loop.stop_ramp_s,
+        safe_valve_v=safe_valve_v(settings, calibration(rig.calibration)),
+        stop_ramp_s=rig.loop.stop_ramp_s,
+        course_begin_s=course_begin_s,
     )
-
-
-def build_homing(settings: RunSettings) -> Homing | None:
-    """Return the homing of a run; None where homing is disabled."""
-    rig = settings.rig
-    return Homing(choose_homing_settings(settings), rig.calibration) if rig.homing.enabled else None
 
 
 def choose_homing_settings(settings: RunSettings) -> HomingSettings:

@@ -27,6 +27,7 @@ from pamctl.diagnose.report.next_experiment import (
     advise_own_plant,
     choose_next_experiment,
     list_blind_spots,
+    spell_next,
 )
 from pamctl.diagnose.report.verdict_words import (
     describe_noise,
@@ -180,7 +181,7 @@ def report_diagnosis(diagnosis: Diagnosis) -> Report:
     if own:
         report.add(Text(f"first: {own}"))
     if experiment:
-        report.add(Text(f"next: {experiment['do']}  # {experiment['why']}"))
+        report.add(Text(spell_next(experiment)))
     return report
 
 

@@ -95,9 +95,11 @@ def build_diagnosis_page(
 
 
 def _write_head(page: Report, diagnosis: Diagnosis) -> None:
-    """Write the verdict, the gap and the next steps."""
+    """Write the verdict, the next steps and the gap."""
     words = choose_words(diagnosis)
     page.add(Text(f"{words.why} {words.body}", words.kind))
+    page.add(Section("What to do next", is_part=True))
+    page.add(Points([*advise_next_steps(diagnosis)]))
     stages = list_stages(diagnosis)
     if stages:
         page.add(
@@ -107,8 +109,6 @@ def _write_head(page: Report, diagnosis: Diagnosis) -> None:
                 is_grid=True,
             )
         )
-    page.add(Section("What to do next", is_part=True))
-    page.add(Points([*advise_next_steps(diagnosis)]))
 
 
 def _draw_levels(name: str, gap: HeldOutGap, stages: Sequence[ModelStage]) -> Levels:

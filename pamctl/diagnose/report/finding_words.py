@@ -333,6 +333,9 @@ class FreeTerm:
 
     def _describe_size(self) -> str:
         unit, size = self.location.unit, self.values["size"]
+        sizes = [n for n in self.numbers if n.name.partition(".")[2].startswith(("size", "knot"))]
+        if sizes and all(n.low < 0.0 < n.high for n in sizes):
+            return "of a size that these data do not tell"
         if self.operator == "curve":
             low, high = (f([p["value"] for p in self.curve]) for f in (min, max))
             if unit == "1" and low < NEARLY_GONE:

@@ -107,8 +107,9 @@ def choose_next_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
         run = advise_experiment(diagnosis, f"{NEXT_EXPERIMENT}.yaml")
         if not runs_here(diagnosis):
             run = (
-                f"play {NEXT_COMMANDS}, the valve's command over time, of which each row holds "
-                "until the next, and record as before"
+                f"play {NEXT_COMMANDS}, the valve's command over time, -5 to 5 V as behind your "
+                "map's gain and offset, of which each row holds until the next, and record as "
+                "before"
             )
         return {**_describe_program(diagnosis.deciding), "do": run}
     experiment = _choose_experiment(diagnosis)
@@ -157,6 +158,24 @@ def _describe_program(chosen: DecidingProgram) -> dict[str, Any]:
     }
 
 
+def spell_next(experiment: Mapping[str, Any]) -> str:
+    """Return a line with what to do next: a command and a remark, or what to record, and why."""
+    do, effects = experiment["do"], experiment["separates"]
+    may_tell = len(effects) > 1 and experiment.get("promises", True)
+    apart = f"it tells {name_apart(effects)}" if may_tell else experiment["why"]
+    if do.startswith("pamctl"):
+        return f"next: {do}  # {apart}"
+    return f"next {'' if do.startswith('record:') else 'step: '}{do}. Why: {apart}"
+
+
+def name_apart(explanations: Sequence[str], joint: str = " from ") -> str:
+    """Return explanations as nouns, without what all of them have in common."""
+    sets = [name.split(" and ") for name in explanations]
+    shared = set(sets[0]).intersection(*sets)
+    own = [[part for part in parts if part not in shared] for parts in sets]
+    return joint.join(spell_names(*parts) if parts else "nothing more" for parts in own)
+
+
 def explain_choice(chosen: DecidingProgram) -> str:
     """Say what the program is expected to show, and against how many others it was chosen."""
     of = f"the best of {chosen.drawn} programs, of which {chosen.inside} stay within the limits"
@@ -167,9 +186,9 @@ def explain_choice(chosen: DecidingProgram) -> str:
 
 
 def _describe_separation(s: Separation) -> str:
+    pair = name_apart([s.true, s.refuted], " is true, ")
     return (
-        f"if {spell_names(s.true)} is true, {spell_names(s.refuted)} should leave "
-        f"{s.residual_over_floor:.3g} times the floor of the {s.block} block"
+        f"if {pair} should leave {s.residual_over_floor:.3g} times the floor of the {s.block} block"
     )
 
 
@@ -181,7 +200,7 @@ def format_experiment_file(chosen: DecidingProgram, logs: Sequence[str]) -> str:
 
 def _list_head_lines(chosen: DecidingProgram, logs: Sequence[str]) -> Iterator[str]:
     yield f"Written by `pamctl diagnose` from {', '.join(logs)}."
-    yield f"It decides between: {'; '.join(map(spell_names, chosen.explanations))}."
+    yield f"It decides between: {name_apart([*chosen.explanations], '; ')}."
     yield (
         f"{chosen.duration_s:.1f} s, open loop, from the vented muscle at rest. By the fitted "
         f"models it needs up to {1e-3 * chosen.pressure_pa:.0f} kPa absolute and moves from "

@@ -19,15 +19,18 @@ from pamctl.diagnose.report.finding_words import (
     spell_best,
     spell_finding,
     spell_names,
+    spell_place,
     spell_set,
 )
 from pamctl.diagnose.report.next_experiment import (
     NEXT_COMMANDS,
     advise_own_plant,
     choose_next_experiment,
+    name_apart,
     runs_here,
     words_of_rig,
 )
+from pamctl.plant.model import PlantSettings
 from pamctl.report.report import SIGNAL_DISPLAYS, spell_figure
 
 _ON_RIG = (
@@ -91,16 +94,19 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
     or the set of what it may be. A number at an end of its range stands there too.
     """
     names = spell_findings(diagnosis, "name")
-    others = spell_findings(diagnosis, "kind", "place")
+    others = spell_unnamed(diagnosis)
     gap, ended = describe_gap(diagnosis), describe_bounds(diagnosis)
     outside = describe_outside(diagnosis)
     part = "what a plant file can hold of it" if outside else ""
     predicts = "" if part or describe_left(diagnosis) else ", which predicts what was measured"
+    runs = "`pamctl run`, `tune`, `compare`"
+    takers = runs if _can_run(diagnosis.nominal) else "`pamctl compare`"
     chosen = diagnosis.deciding
     may_separate = chosen is None or chosen.promises
     separates = " Run the experiment that separates them." if may_separate else ""
     again = _AGAIN if runs_here(diagnosis) else _AGAIN_ELSEWHERE
-    parts = (describe_sizes(diagnosis), gap, describe_rest(diagnosis), outside)
+    moved = describe_moved(diagnosis)
+    parts = (describe_sizes(diagnosis), moved, gap, describe_rest(diagnosis), outside)
     body = " ".join(part for part in parts if part)
     match diagnosis.verdict:
         case Verdict.BAD_DATA:
@@ -148,9 +154,9 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
                 f"No name is sure ({describe_unnamed(diagnosis)}). This says where and how "
                 "something acts. What it is, the rig must show.",
                 (
-                    "Look at the rig at that place. plant.yaml has "
-                    f"{part or 'the law that fits best'}{predicts}. `pamctl run`, `tune`, "
-                    "`compare` and a next `diagnose` take it.",
+                    f"Look at {list_places_in_words(diagnosis)}. plant.yaml has "
+                    f"{part or 'the law that fits best'}{predicts}. "
+                    f"{takers} and a next `diagnose` take it.",
                 ),
             )
         case Verdict.AMBIGUOUS:
@@ -175,8 +181,9 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
                 "sure, or place and kind. The numbers of what is named rest on the law that stands "
                 "for the rest.",
                 (
-                    f"Look at the rig there. plant.yaml has {part or 'all of it'}. The next "
-                    f"diagnosis may start from it: {again} asks what else is missing.",
+                    f"Look at {list_places_in_words(diagnosis)}. plant.yaml has "
+                    f"{part or 'all of it'}. The next diagnosis may start from it: {again} asks "
+                    "what else is missing.",
                 ),
                 "note",
             )
@@ -221,7 +228,7 @@ def advise_next_steps(diagnosis: Diagnosis) -> Iterator[str]:
     if not experiment:
         return
     effects = experiment["separates"]
-    apart = f", which tells {' from '.join(map(spell_names, effects))}" if len(effects) > 1 else ""
+    apart = f", which tells {name_apart(effects)}" if len(effects) > 1 else ""
     do = f"`{experiment['do']}`" if is_command else experiment["do"]
     yield f"Next experiment: {do}{apart}. Why: {experiment['why']}."
     done = {"diagnosis"} >= {record.experiment for record in diagnosis.train}
@@ -233,22 +240,26 @@ def advise_next_steps(diagnosis: Diagnosis) -> Iterator[str]:
         yield f"The experiment `diagnosis` contains them all: `{_RECORD}`."
 
 
+def _can_run(plant: PlantSettings) -> bool:
+    """Tell whether a law of pamctl can move it."""
+    return plant.actuator != "chamber" and (plant.actuator != "direct" or bool(plant.drive_n_per_v))
+
+
 def _advise_after_naming(diagnosis: Diagnosis, again: str) -> tuple[str, ...]:
     plant = diagnosis.nominal
     part = "what a plant file can hold of it" if describe_outside(diagnosis) else "what was found"
-    if plant.actuator == "chamber" or (plant.actuator == "direct" and not plant.drive_n_per_v):
+    if not _can_run(plant):
         return (f"Go on with plant.yaml, which has {part}: {again} asks whether it holds.",)
-    tune = "`pamctl tune --plant plant.yaml --rig rig.yaml --experiment motion.yaml`"
-    run = (
-        "`pamctl run --controller gains.yaml --plant plant.yaml --rig rig.yaml "
-        "--experiment motion.yaml`"
-    )
-    if plant.actuator == "muscle":
-        tune = "`pamctl tune --law qsmc --plant plant.yaml --out gains.yaml`"
-        run = "`pamctl run --controller gains.yaml --plant plant.yaml`"
-    go_on = (
-        f"Go on with plant.yaml, which has {part}. In the folder of this page: {tune}, then {run}."
-    )
+    law = "--law qsmc " if plant.actuator == "muscle" else ""
+    tune, run = f"tune {law}--plant plant.yaml", "run --controller gains.yaml --plant plant.yaml"
+    steps = [f"{tune} --out gains.yaml", run]
+    own = ""
+    if not runs_here(diagnosis):
+        of_rig = "--rig rig.yaml --experiment sine"
+        steps = ["plant rig plant.yaml rig.yaml", f"{tune} {of_rig}", f"{run} {of_rig}"]
+        own = " These tune and run a simulation of your rig; `sine` stands for a motion of yours."
+    typed = ", then ".join(f"`pamctl {step}`" for step in steps)
+    go_on = f"Go on with plant.yaml, which has {part}. In the folder of this page: {typed}.{own}"
     if runs_here(diagnosis) and any(f.name == "null_offset" for f in diagnosis.findings):
         null = "The null of the valve is measured by `pamctl calibrate valve --out rig.yaml`."
         return null, go_on
@@ -283,6 +294,27 @@ def spell_findings(diagnosis: Diagnosis, *levels: str) -> str:
         ]
         or [""]
     )
+
+
+MOST_DESCRIBED = 2
+"""Findings without a name that a title describes; of more it has the places."""
+
+
+def spell_unnamed(diagnosis: Diagnosis) -> str:
+    """Return the findings without a name as nouns; where they are, if they are many."""
+    if len(_list_unnamed(diagnosis)) <= MOST_DESCRIBED:
+        return spell_findings(diagnosis, "kind", "place")
+    return f"something in {list_places_in_words(diagnosis)}"
+
+
+def list_places_in_words(diagnosis: Diagnosis) -> str:
+    """Return the places of what has no name, the first found first."""
+    places = (spell_place(f.hypothesis.place) for f in _list_unnamed(diagnosis))
+    return join_words([*dict.fromkeys(places)])
+
+
+def _list_unnamed(diagnosis: Diagnosis) -> list[Finding]:
+    return [f for f in diagnosis.findings if f.level in ("kind", "place")]
 
 
 def describe_sizes(diagnosis: Diagnosis) -> str:
@@ -376,8 +408,10 @@ def describe_outside(diagnosis: Diagnosis) -> str:
 
 
 def describe_unnamed(diagnosis: Diagnosis) -> str:
-    """Say of each finding without a name why it has none."""
-    found = [f for f in diagnosis.findings if f.level in ("kind", "place")]
+    """Say of each finding without a name why it has none; of many, where it is said."""
+    found = _list_unnamed(diagnosis)
+    if len(found) > MOST_DESCRIBED:
+        return "what was found, one by one, stands below"
     return "; ".join(f"{spell_best(f)}: {explain_no_name(f)}" for f in found)
 
 
@@ -392,6 +426,22 @@ def relative_shift(diagnosis: Diagnosis, number: FittedNumber) -> float | None:
     if number.low <= nominal <= number.high or nominal == 0.0:
         return None
     return number.value / nominal - 1.0
+
+
+MUCH = 0.2
+"""A number of the start model that is off by a larger share stands in every verdict."""
+
+
+def describe_moved(diagnosis: Diagnosis) -> str:
+    """Say which numbers of the start model are far off; empty where none is."""
+    shifts = [(abs(relative_shift(diagnosis, n) or 0.0), n) for n in diagnosis.recalibrated]
+    moved = sorted((s for s in shifts if s[0] > MUCH), key=lambda s: -s[0])
+    listed = [
+        f"{n.name} is {spell_figure(n.value)}{f' {n.unit}' if n.unit else ''} and not "
+        f"{spell_figure(diagnosis.start_value(n.name))}"
+        for _, n in moved
+    ]
+    return f"Of the start model's numbers, {join_words(listed)}." if listed else ""
 
 
 def list_shifts(diagnosis: Diagnosis) -> str:

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from pamctl.cli.app import app
 from pamctl.diagnose import Diagnosis, Verdict, diagnose, report_diagnosis, sentence
 from pamctl.diagnose.evidence.ladder import Finding
-from pamctl.diagnose.plant_numbers import FittedNumber
+from pamctl.diagnose.plant_numbers import FittedNumber, with_values
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
 from pamctl.diagnose.report.finding_words import list_numbers
@@ -199,6 +199,27 @@ def test_a_number_at_its_range_stands_in_the_first_sentence(named: Diagnosis) ->
         found, evidence=replace(named.evidence, findings=(replace(ended, is_rest=True),))
     )
     assert "at the low end" not in sentence(only_mends).split(". ")[0]
+
+
+def test_a_number_of_the_start_model_that_is_far_off_stands_in_the_sentence(
+    named: Diagnosis,
+) -> None:
+    first = named.recalibrated[0]
+    for share, is_said in ((1.5, True), (1.1, False)):
+        stated = with_values(named.nominal, {first.name: first.value / share})
+        found = replace(named, nominal=stated)
+        told = f"{first.name} is {spell_figure(first.value)}"
+        assert (told in sentence(found)) == is_said
+        assert (told in page(found).split("<h2 id=")[0]) == is_said
+
+
+def test_many_findings_without_a_name_stand_in_the_title_by_their_places(named: Diagnosis) -> None:
+    many = replace(with_level(named, "kind", "place", "kind"), verdict=Verdict.DESCRIBED)
+    html = page(many)
+    assert headline(html) == "Missing from the model, and without a name: something in the valve"
+    first = html.split("<h2 id=", 1)[0]
+    assert "Look at the valve." in first
+    assert first.index(">What to do next</h2>") < first.index('class="levels"')
 
 
 def test_a_number_at_the_upper_end_of_its_range_says_so(named: Diagnosis) -> None:

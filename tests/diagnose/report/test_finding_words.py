@@ -13,6 +13,7 @@ from pamctl.diagnose.report.finding_words import (
     spell_best,
     spell_names,
 )
+from pamctl.diagnose.report.next_experiment import name_apart, spell_next
 from pamctl.plant.effects.description import ACTUATORS, Actuator
 from pamctl.plant.model import PlantSettings, values_of
 from pamctl.plant.terms import DRIVERS
@@ -62,6 +63,24 @@ def test_a_rival_of_the_measuring_chain_is_said_in_words() -> None:
     assert spell_names("skew of position_m") == "a late or early position_m"
     assert spell_names("filter of position_m") == "a smoothed position_m"
     assert spell_names("curve of position_m over time") == "curve of position_m over time"
+
+
+def test_explanations_are_told_apart_by_what_they_do_not_share() -> None:
+    shared = "all_clock and chamber_leak"
+    curve = "curve of position_m over position"
+    one, other = f"{shared} and {curve}", f"{shared} and encoder_scale"
+    assert name_apart([one, other]) == f"{curve} from encoder scale"
+    assert name_apart([shared, one], "; ") == f"nothing more; {curve}"
+
+
+def test_a_next_step_is_a_command_with_a_remark_or_plain_words() -> None:
+    asked = {"separates": ["null_offset", "valve_curve"], "why": "a long reason"}
+    command = spell_next({**asked, "do": "pamctl run --experiment chirp"})
+    assert command == "next: pamctl run --experiment chirp  # it tells null offset from valve curve"
+    recorded = spell_next({"do": "record: a sine", "separates": ["tank"], "why": "it is blind"})
+    assert recorded == "next record: a sine. Why: it is blind"
+    unsure = spell_next({**asked, "do": "play it", "promises": False})
+    assert unsure == "next step: play it. Why: a long reason"
 
 
 @pytest.mark.parametrize("actuator", ACTUATORS)

@@ -242,3 +242,14 @@ def test_a_law_that_takes_a_force_away_says_so(knots: tuple[float, ...], said: s
         LOCATIONS["braid_friction"], "curve", "time", {"size": 1.0}, numbers, (0.0, 9.0)
     )
     assert term.text == f"a change of the braid's friction that follows time along a curve, {said}"
+
+
+def test_a_curve_of_which_no_knot_is_sure_has_no_size_in_its_words() -> None:
+    knots = [FittedNumber(f"f.knot_{k}", v, v - 9.0, v + 9.0, "1") for k, v in enumerate(range(5))]
+    place, values, span = LOCATIONS["braid_friction"], {"size": 1.0}, (0.0, 9.0)
+    unsure = FreeTerm(place, "curve", "time", values, (*knots,), span)
+    assert unsure.text.endswith("along a curve, of a size that these data do not tell")
+    sure = replace(unsure, numbers=(*knots[:4], replace(knots[4], low=1.0)))
+    assert sure.text.endswith("along a curve, from 0 % to 400 %")
+    wave = replace(unsure, operator="wave", numbers=(FittedNumber("f.size", 1.0, 0.5, 1.5, "1"),))
+    assert wave.text.endswith("+-100 %")

@@ -18,10 +18,10 @@ from pamctl.commissioning.guided import (
     CalibrationError,
     CalibrationOutcome,
     Operator,
+    RigValue,
     read_while_held,
 )
 from pamctl.commissioning.rig_checks import judge_valve_sign, pulse_valve
-from pamctl.commissioning.rig_file_text import RigValue
 
 PRESSURE_POINTS_KPA = (100.0, 200.0, 300.0)
 _CODE_V = 10.0 / 65536

@@ -5,12 +5,15 @@ The new file is the text of the old one with the values put in; its comments and
 
 from __future__ import annotations
 
+import copy
 import math
+import re
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hal.rig import RawSample
 from pamctl.commissioning.bench import (
@@ -20,7 +23,6 @@ from pamctl.commissioning.bench import (
     open_workplace,
     summarise_samples,
 )
-from pamctl.commissioning.rig_file_text import RigValue, insert_values
 from pamctl.errors import ConfigError, Problem
 from pamctl.exit_codes import ExitCode
 from pamctl.new_file import NewFileError, require_place, write_files
@@ -35,6 +37,7 @@ from pamctl.settings.resolve import (
     shorten_path,
     validate_settings,
 )
+from pamctl.settings.yaml12 import YamlError, dump_yaml, parse_yaml
 
 
 def calibrate_rig(
@@ -203,3 +206,88 @@ def read_while_held(
     while len(latest) < _AVERAGED:
         hold_on()
     return summarise_samples(latest), answer
+
+
+class RigValue(NamedTuple):
+    """One value for the rig file, with its uncertainty."""
+
+    keys: tuple[str, str]
+    """Section and key."""
+    value: float
+    unit: str
+    uncertainty: float
+    """Two standard deviations, of one measurement alone; 0 for what is exact."""
+    how: str
+
+
+def insert_values(text: str, values: Sequence[RigValue], notes: Sequence[str]) -> str:
+    """Return the text of a rig file with values put in.
+
+    The notes become comments at the top; the first begins with the date and gives the command and
+    the source file. A comment above each value says how it was found.
+    """
+    wanted = _change_data(parse_yaml(text, Path("rig file")).data, values)
+    edited = text
+    for value in values:
+        edited = _edit_line(edited, value, notes[0])
+    found: object = None
+    with suppress(YamlError):
+        found = parse_yaml(edited, Path("rig file")).data
+    if found != wanted:  # written in a way that lines cannot follow: flow style, anchors
+        edited = dump_yaml(wanted)
+    # The notes stand below the comments that the file begins with.
+    lines = edited.splitlines()
+    first = next((i for i, line in enumerate(lines) if not line.startswith("#")), len(lines))
+    lines[first:first] = [f"# {note}" for note in notes]
+    return "\n".join(lines) + "\n"
+
+
+def _change_data(data: dict[str, object], values: Sequence[RigValue]) -> dict[str, Any]:
+    changed: dict[str, Any] = copy.deepcopy(data)
+    for value in values:
+        section, key = value.keys
+        changed[section] = {**(changed.get(section) or {}), key: value.value}
+    return changed
+
+
+def _edit_line(text: str, value: RigValue, heading: str) -> str:
+    """Change or add one line, with a comment above it."""
+    section, key = value.keys
+    marks = parse_yaml(text, Path("rig file")).marks
+    lines = text.splitlines()
+    if value.keys in marks:
+        at = marks[value.keys].line - 1
+        old = re.match(rf"(\s*{key}\s*:\s*)([^\s#]*)(.*)", lines[at])
+        if old is None:
+            return text
+        before, was, after = old.groups()
+        indent = re.match(r"\s*", before)
+        assert indent is not None
+        comment = f"{indent[0]}# {_describe_value(value, heading)}; was {was}"
+        lines[at : at + 1] = [comment, f"{before}{_format_value(value)}{after}"]
+        return "\n".join(lines) + "\n"
+    if (section,) not in marks:
+        lines += [
+            f"{section}:",
+            f"  # {_describe_value(value, heading)}",
+            f"  {key}: {_format_value(value)}",
+        ]
+        return "\n".join(lines) + "\n"
+    at = marks[(section,)].line
+    columns = [mark.column for at, mark in marks.items() if len(at) == 2 and at[0] == section]
+    indent_text = " " * (min(columns, default=3) - 1)
+    lines[at:at] = [
+        f"{indent_text}# {_describe_value(value, heading)}; was the default",
+        f"{indent_text}{key}: {_format_value(value)}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _describe_value(value: RigValue, heading: str) -> str:
+    date = heading.split(maxsplit=1)[0]
+    within = f", +-{value.uncertainty:.2g} {value.unit}" if value.uncertainty else ""
+    return f"{date}: {value.how}{within}"
+
+
+def _format_value(value: RigValue) -> str:
+    return f"{value.value:d}" if isinstance(value.value, int) else repr(value.value)

@@ -17,7 +17,7 @@ import numpy as np
 
 from hal.backend import get_backend
 from hal.calibration import CalibrationSettings
-from pamctl.commissioning.rig_file_text import RigValue, insert_values
+from pamctl.commissioning.guided import RigValue, insert_values
 from pamctl.plant.drive import drive_coupled
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.safety import LimitSettings

@@ -34,8 +34,13 @@ from pamctl.commissioning.calibrations import (
     calibrate_valve,
     slope,
 )
-from pamctl.commissioning.guided import CalibrationError, CalibrationOutcome, PreparedAnswers
-from pamctl.commissioning.rig_file_text import RigValue, insert_values
+from pamctl.commissioning.guided import (
+    CalibrationError,
+    CalibrationOutcome,
+    PreparedAnswers,
+    RigValue,
+    insert_values,
+)
 from pamctl.kernel.calls import prepare
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.simulated import SimulatedPlant

@@ -16,10 +16,10 @@ from scipy.optimize import nnls
 
 from pamctl.diagnose.evidence.measured_motion import SMOOTH_S, find_rates
 from pamctl.diagnose.record import Record
-from pamctl.plant.drive import accumulate_times
 from pamctl.plant.effects.description import ACTUATORS
 from pamctl.plant.paper import PaperParameters, force_area_m2, orifice_flow, volume_m3
 from pamctl.plant.parameters import ACTUATOR, parameters_of
+from pamctl.plant.sample_grid import accumulate_times
 
 Array = NDArray[np.float64]
 

@@ -23,20 +23,11 @@ from pamctl.diagnose.evidence.measured_motion import find_starts, judge_motion
 from pamctl.diagnose.evidence.run_pieces import WINDOW_S
 from pamctl.log import NO_PHASE, Log, LogError, Signals, signals
 from pamctl.log.record_problems import find_frozen
-from pamctl.plant.drive import (
-    NO_RESTARTS,
-    Restarts,
-    accumulate_times,
-    build_grid,
-    count_steps,
-    drive_coupled,
-    drive_mechanics,
-    drive_pressure,
-    find_period_s,
-)
+from pamctl.plant.drive import NO_RESTARTS, Restarts, drive_coupled, drive_mechanics, drive_pressure
 from pamctl.plant.effects.description import USED_SIGNALS, Actuator, describe_unused
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.parameters import PlantParameters, PlantState, rest_state
+from pamctl.plant.sample_grid import accumulate_times, build_grid, count_steps, find_period_s
 from pamctl.settings.config_files import DEFAULT_NAMES, find_config_file
 from pamctl.settings.resolve import SECTIONS, RawSettings, read_section_file, validate_settings
 from pamctl.signals import Phase

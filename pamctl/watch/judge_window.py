@@ -18,9 +18,10 @@ from scipy.signal import butter, savgol_filter, sosfiltfilt
 
 from pamctl.diagnose.record import Array, Record, estimate_white_noise
 from pamctl.log.record_problems import find_sensor_step
-from pamctl.plant.drive import build_grid, count_steps, drive_mechanics, drive_pressure
+from pamctl.plant.drive import drive_mechanics, drive_pressure
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import PlantParameters, rest_state
+from pamctl.plant.sample_grid import build_grid, count_steps
 
 REST, FILLING, EXHAUST, CHOKED, SWING = "rest", "filling", "exhaust", "choked flow", "swing"
 CONTRACTION, EXTENSION, STROKE = "contraction", "extension", "strokes"

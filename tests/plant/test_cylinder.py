@@ -15,10 +15,11 @@ from pydantic import ValidationError
 from scipy.linalg import expm
 from support.cylinder import AIR_PA, Cylinder, LiftingMuscle, excite
 
-from pamctl.plant.drive import build_grid, drive_coupled, drive_pressure
+from pamctl.plant.drive import drive_coupled, drive_pressure
 from pamctl.plant.effects.valve import ValveSpool, spool_step
 from pamctl.plant.model import PlantSettings, plant_parameters, settings_of, values_of
 from pamctl.plant.parameters import parameters_of, vented_state
+from pamctl.plant.sample_grid import build_grid
 
 PERIOD_S = 2e-3
 T_S = np.arange(0.0, 2.5, PERIOD_S)

@@ -12,17 +12,11 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from pamctl.plant import drive
-from pamctl.plant.drive import (
-    Restarts,
-    build_grid,
-    build_steps,
-    drive_coupled,
-    drive_mechanics,
-    drive_pressure,
-)
+from pamctl.plant.drive import Restarts, drive_coupled, drive_mechanics, drive_pressure
 from pamctl.plant.model import PlantSettings, plant_parameters, settings_of, values_of
 from pamctl.plant.paper import mechanics_step, middle_pressure_pa
 from pamctl.plant.parameters import parameters_of, vented_state
+from pamctl.plant.sample_grid import build_grid, build_steps
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.plant.step import plant_step, pressure_block_step
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pamctl.diagnose.evidence.constants import REST_SHARE
 from pamctl.diagnose.evidence.sample_masks import find_resolution
-from pamctl.plant.drive import accumulate_times
+from pamctl.plant.sample_grid import accumulate_times
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

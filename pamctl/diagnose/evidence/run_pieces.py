@@ -38,16 +38,7 @@ from pamctl.diagnose.evidence.measured_motion import (
 from pamctl.diagnose.evidence.pool import CHAIN
 from pamctl.diagnose.evidence.sample_masks import fill_gone, find_neighbours
 from pamctl.log.record_problems import find_frozen
-from pamctl.plant.drive import (
-    NO_RESTARTS,
-    Restarts,
-    SampleGrid,
-    accumulate_times,
-    build_grid,
-    drive_coupled,
-    drive_mechanics,
-    drive_pressure,
-)
+from pamctl.plant.drive import NO_RESTARTS, Restarts, drive_coupled, drive_mechanics, drive_pressure
 from pamctl.plant.effects.description import ACTUATORS
 from pamctl.plant.parameters import (
     ACTUATOR,
@@ -57,6 +48,7 @@ from pamctl.plant.parameters import (
     rest_state,
 )
 from pamctl.plant.required_force import required_force_n
+from pamctl.plant.sample_grid import SampleGrid, accumulate_times, build_grid
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

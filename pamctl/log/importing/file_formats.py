@@ -48,23 +48,24 @@ LARGEST_BYTES = 4 << 30
 class _Format(NamedTuple):
     name: str
     function: str
+    """What parses it, with its module in this folder."""
     package: str = ""
     """What `pip` calls the package that reads it; empty for one that is always there."""
 
 
-_MAT = _Format("MAT", "parse_mat")
-_HDF5 = _Format("HDF5 (MAT -v7.3)", "parse_hdf5", "h5py")
-_EXCEL = _Format("Excel", "parse_excel", "openpyxl")
-_NUMPY = _Format("NPZ", "parse_npz")
-_TDMS = _Format("TDMS", "parse_tdms", "nptdms")
-_LVM = _Format("LVM", "parse_lvm", "lvm-read")
+_MAT = _Format("MAT", "matlab_tables.parse_mat")
+_HDF5 = _Format("HDF5 (MAT -v7.3)", "matlab_tables.parse_hdf5", "h5py")
+_EXCEL = _Format("Excel", "parsed_tables.parse_excel", "openpyxl")
+_NUMPY = _Format("NPZ", "parsed_tables.parse_npz")
+_TDMS = _Format("TDMS", "parsed_tables.parse_tdms", "nptdms")
+_LVM = _Format("LVM", "parsed_tables.parse_lvm", "lvm-read")
 _PARSED = {
     b"MATLAB 5.0": _MAT,
     b"MATLAB 7.3": _HDF5,
     b"\x89HDF\r\n\x1a\n": _HDF5,
     b"TDSm": _TDMS,
     b"LabVIEW Measurement": _LVM,
-    b"PAR1": _Format("Parquet", "parse_parquet", "pyarrow"),
+    b"PAR1": _Format("Parquet", "parsed_tables.parse_parquet", "pyarrow"),
     b"\x93NUMPY": _NUMPY,
 }
 _BY_ENDING = {".mat": _MAT, ".tdms": _TDMS, ".lvm": _LVM, ".xlsx": _EXCEL, ".xlsm": _EXCEL}
@@ -225,7 +226,8 @@ def _parse_here(path: Path, kind: _Format, hints: TextHints) -> MeasuredTable | 
     """Return the table, or why there is none."""
     _limit_memory()
     try:
-        parse: Any = getattr(import_module("pamctl.log.importing.parsed_tables"), kind.function)
+        module, name = kind.function.split(".")
+        parse: Any = getattr(import_module(f"pamctl.log.importing.{module}"), name)
         table: MeasuredTable = parse(path, hints)
         return table
     except ImportRefused as refusal:

@@ -146,3 +146,9 @@ def refuse_bomb(path: Path, unpacked: int) -> None:
     if unpacked > max(BOMB_BYTES, BOMB_RATIO * path.stat().st_size):
         size = f"{unpacked / 2**30:.1f} GB unpacked"
         raise ImportRefused(f"{path} is too large: {size}; save a part of it, or as CSV")
+
+
+def number_rows(columns: list[TableColumn], form: str, notes: list[str]) -> MeasuredTable:
+    """Return the table of columns that have no lines: their rows count from 1."""
+    longest = max((len(column.values) for column in columns), default=0)
+    return MeasuredTable(columns, np.arange(1, longest + 1), form, notes)

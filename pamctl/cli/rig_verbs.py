@@ -62,17 +62,13 @@ def run(asked: RunOptions) -> None:
         return
     if not settings.fast:
         require_linux()
-    from pamctl.control.experiment import plan_experiment
     from pamctl.processes.interrupts import restore_signals
     from pamctl.processes.run_once import run_once
     from pamctl.recording.recorder import ignore_signals
-    from pamctl.report.progress_line import ProgressLine
 
-    length_s = plan_experiment(settings.experiment).duration_s
-    length_s = min(length_s, settings.duration_s or length_s)
-    progress = ProgressLine(quiet=asked.quiet or asked.as_json, length_s=length_s)
+    quiet, follows = asked.quiet, not (asked.quiet or asked.as_json)
     with restore_signals():
-        done = run_once(settings, names, asked.log, progress, quiet=asked.quiet, said=said)
+        done = run_once(settings, names, asked.log, quiet=quiet, shows_progress=follows, said=said)
         if done.note:
             print(f"warning: {done.note}", file=sys.stderr)
         if asked.as_json or done.text:

@@ -231,10 +231,9 @@ def sweep(asked: SweepOptions) -> None:
         require_linux()
         require_folder(asked.logs)
         asked.logs.mkdir(parents=True, exist_ok=True)
-        from pamctl.report.progress_line import ProgressLine
         from pamctl.session.run_sweep import OwnRunner, run_sweep
 
-        own_runner = OwnRunner(points, names, asked.logs, lambda: ProgressLine(quiet=silent))
+        own_runner = OwnRunner(points, names, asked.logs, not silent)
         plan = own_runner.plan_sweep(base, request, asked.repeats, title, said)
         end = run_sweep(plan, own_runner, tell_run)
     _conclude(plan, end, as_json=asked.as_json)

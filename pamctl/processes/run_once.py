@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from hal.backend import find_backends
 from hal.calibration import Zero, calibration
+from pamctl.control.experiment import plan_experiment
 from pamctl.control.filters import warp_cutoff
 from pamctl.control.law_registry import describe_law, law_of
 from pamctl.exit_codes import Ending, ExitCode
@@ -64,15 +65,16 @@ def run_once(
     settings: RunSettings,
     names: dict[str, str],
     log: Path | None,
-    progress: ProgressLine,
     *,
     quiet: bool,
+    shows_progress: bool,
     said: Annotation = NOTHING_SAID,
     records: Mapping[str, Mapping[str, str]] | None = None,
 ) -> FinishedRun:
     """Run once; `names` are those of the configuration files, by section.
 
     What is `said` of the run goes into its log, and so do further metadata `records` by name.
+    Standard error gets a line of progress, and what is worth a note unless `quiet`.
 
     Raises `LogPathError`, and `RigError` or `RingError` where the device cannot be had.
     """
@@ -82,6 +84,9 @@ def run_once(
     build_machine_code(settings, quiet=quiet)
     path = choose_log_path(log, names["controller"], names["experiment"])
     meta = annotate_meta(make_run_meta(settings, names, path), said, records)
+    length_s = plan_experiment(settings.experiment).duration_s
+    length_s = min(length_s, settings.duration_s or length_s)
+    progress = ProgressLine(quiet=not shows_progress, length_s=length_s)
     if settings.fast:
         from pamctl.processes.run_here import run_here  # numpy, which the daemon does without
 

@@ -23,7 +23,6 @@ from pamctl.log.annotation import SWEEP, Annotation
 from pamctl.log.run_meta import bare_name, make_dated_path
 from pamctl.processes.interrupts import restore_signals
 from pamctl.processes.run_once import run_once
-from pamctl.report.progress_line import ProgressLine
 from pamctl.runs.run_index import RunIndex
 from pamctl.runs.run_row import RunRow, read_row
 from pamctl.session.sweep_plan import SweepError, SweepRequest, SweepRun, list_runs
@@ -126,14 +125,14 @@ class OwnRunner:
         points: Sequence[RunSettings],
         names: Mapping[str, str],
         folder: Path,
-        progress: Callable[[], ProgressLine],
+        shows_progress: bool,
     ) -> None:
         """`points` are the settings of each point, by its number."""
         self._points = points
         self.goes_on = points[0].rig.record.is_simulated
         self._names = dict(names)
         self._folder = folder
-        self._progress = progress
+        self._shows_progress = shows_progress
 
     def plan_sweep(
         self,
@@ -158,8 +157,8 @@ class OwnRunner:
                 settings,
                 self._names,
                 make_dated_path(self._folder, what),
-                self._progress(),
                 quiet=True,
+                shows_progress=self._shows_progress,
                 said=said,
                 records={SWEEP: record},
             )

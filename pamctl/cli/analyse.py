@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from pamctl.cli.options import (
     CONTROLLER_FROM,
     INTERACTIVE,
     JOBS,
+    MAP,
     NO_CHANGES,
     DataOptions,
     Options,
@@ -20,7 +22,15 @@ from pamctl.cli.options import (
     option,
     verb,
 )
-from pamctl.cli.output import PAGE_BEGIN, Saving, print_report, print_result, tell, warn
+from pamctl.cli.output import (
+    PAGE_BEGIN,
+    Saving,
+    print_report,
+    print_result,
+    read_map,
+    tell,
+    warn,
+)
 from pamctl.exit_codes import ExitCode
 from pamctl.json_text import to_json
 from pamctl.new_file import require_empty_folder, require_folder, require_place, write_files
@@ -156,7 +166,10 @@ def _run_what_if(log: Log, asked: ReplayOptions) -> ExitCode:
 class CompareOptions(Options):
     """`pamctl compare`."""
 
-    paths: list[Path] = argument("LOG...", "Logs that the models are held to, one by one")
+    paths: list[Path] = argument(
+        "LOG...", "Logs, or measured files such as CSV, that the models are held to, one by one"
+    )
+    map_path: Path | None = MAP
     plants: list[str] = option(
         "--plant NAME|FILE", "Plant file with a model to compare; can be repeated",
         shown="the log's own, else paper",
@@ -175,7 +188,8 @@ def compare(asked: CompareOptions) -> None:
         raise typer.BadParameter("there is no page; give --plot too", param_hint="--interactive")
     if plot is not None:
         require_place(plot, replaces=PAGE_BEGIN)
-    from pamctl.log.measured_signals import SIGNAL_FIELDS, judge_ticks
+    from pamctl.diagnose.record import list_notes, open_as_log
+    from pamctl.log.measured_signals import SIGNAL_FIELDS
     from pamctl.log.reader import read, read_some
     from pamctl.models.comparison import compare_plants
     from pamctl.models.comparison_report import report_comparison
@@ -183,19 +197,23 @@ def compare(asked: CompareOptions) -> None:
     from pamctl.report.progress_line import WorkProgress
     from pamctl.report.report import format_terminal
 
-    found, count = [], len(asked.paths)
+    found, count, whole = [], len(asked.paths), None
+    column_map = read_map(asked.map_path)
     with WorkProgress("compare") as progress:
         for number, path in enumerate(asked.paths):
             progress(number, count, f"reading {path.name}")
-            log = read_some(path, SIGNAL_FIELDS)
-            warn(path, judge_ticks(log))
+            with open_as_log(path, column_map) as (log_path, told):
+                log = replace(read_some(log_path, SIGNAL_FIELDS), path=path)
+                whole = None if plot is None else replace(read(log_path), path=path)
+            warn(path, () if told else list_notes(log))
+            for note in told:
+                tell(f"{path.stem}: {note}")
 
             def show_plant(done: float, of: float, doing: str, before: int = number) -> None:
                 progress(before + done / of, count, doing)
 
             found.append((path, compare_plants(log, asked.plants, show_plant)))
-        whole = None if plot is None else read(asked.paths[0])
-        reports = [report_comparison(path, models, whole) for path, models in found]
+        reports = [report_comparison(path, models, whole, asked.map_path) for path, models in found]
     if len(reports) > 1:
         documents = [{**one.document, "plot": None} for one in reports]
         text = "\n\n".join(map(format_terminal, reports))

@@ -261,6 +261,7 @@ def make_rig(asked: RigForPlantOptions) -> None:
 
 def _split_given(given: list[str], actuator: str) -> dict[str, str]:
     """Return the texts by name; leave with 2 for a name that this actuator does not have."""
+    from pamctl.plant.catalogue import CATALOGUE
     from pamctl.settings.datasheet import list_questions
 
     names = [question.name for question in list_questions(actuator)]
@@ -268,10 +269,14 @@ def _split_given(given: list[str], actuator: str) -> dict[str, str]:
     for text in given:
         name, equals, number = (part.strip() for part in text.partition("="))
         if name not in names or not equals or not number:
-            hint = hint_at_nearest(name, names)
+            effect, _, key = name.partition(".")
+            asked = f"; its numbers are {', '.join(names)}"
+            if effect in CATALOGUE and key:
+                written = f"effects: {{{effect}: {{{key}: {number or 'NUMBER'}}}}}"
+                asked = f": write an effect into the plant file, below its numbers: `{written}`"
             raise typer.BadParameter(
-                f"{text!r} is no NAME=NUMBER of the actuator {actuator}{hint}; its numbers are "
-                f"{', '.join(names)}",
+                f"{text!r} is no NAME=NUMBER of the actuator {actuator}"
+                f"{hint_at_nearest(name, names)}{asked}",
                 param_hint="--value",
             )
         texts[name] = number

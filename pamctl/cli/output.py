@@ -61,16 +61,12 @@ def read_map(path: Path | None) -> ImportMap | None:
 
 def read_records(paths: Iterable[Path], map_path: Path | None = None) -> list[Record]:
     """Read logs and measured files; say on standard error what is doubtful in which of them."""
-    from pamctl.diagnose.record import record_of
+    from pamctl.diagnose.record import group_notes, record_of
 
     column_map = read_map(map_path)
     records = [record_of(path, column_map) for path in paths]
-    names: dict[str, list[str]] = {}
-    for record in records:
-        for note in record.notes:
-            names.setdefault(note, []).append(record.name)
-    for note, of in names.items():
-        tell(f"{', '.join(dict.fromkeys(of))}: {note}")
+    for note in group_notes(records):
+        tell(note)
     return records
 
 

@@ -86,14 +86,15 @@ def _suit_limits(plant: PlantSettings, limits: LimitSettings, limit_pa: float) -
     speed_mm_per_s = max(ABOVE_SPEED * reach.fastest_m_per_s * 1e3, limits.speed_mm_per_s)
     tank_pa = plant_parameters(plant).tank_pressure_pa
     stroke_mm = reach.highest_m * 1e3
-    of_stroke = "from a simulated fill at the full command"
+    fill = "of a simulated fill at the full command"
+    beyond = f"{BEYOND_STROKE:g} of the stroke beyond both ends {fill}"
     rows = (
         ("pressure_pa", limit_pa, "Pa", "from the supply's pressure"),
         ("pressure_model_pa", MODEL_SHARE * tank_pa, "Pa", "from the supply's pressure"),
-        ("stroke_low_mm", -BEYOND_STROKE * stroke_mm, "mm", of_stroke),
-        ("stroke_high_mm", (1.0 + BEYOND_STROKE) * stroke_mm, "mm", of_stroke),
-        ("speed_mm_per_s", speed_mm_per_s, "mm/s", of_stroke),
-        ("tracking_error_mm", ERROR_SHARE * stroke_mm, "mm", of_stroke),
+        ("stroke_low_mm", -BEYOND_STROKE * stroke_mm, "mm", beyond),
+        ("stroke_high_mm", (1.0 + BEYOND_STROKE) * stroke_mm, "mm", beyond),
+        ("speed_mm_per_s", speed_mm_per_s, "mm/s", f"{ABOVE_SPEED:g} times the fastest {fill}"),
+        ("tracking_error_mm", ERROR_SHARE * stroke_mm, "mm", f"{ERROR_SHARE:g} of that stroke"),
     )
     return [
         RigValue(("limits", key), _bound(key, value), unit, 0.0, how)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from hashlib import sha256
@@ -328,12 +329,45 @@ def record_of(path: str | Path, column_map: ImportMap | None = None) -> Record:
     Raises `LogError`.
     """
     path = Path(path)
+    with open_as_log(path, column_map) as (log_path, told):
+        log = replace(pamctl.log.read(log_path), path=path)
+        return _make_record(log, told or list_notes(log))
+
+
+@contextmanager
+def open_as_log(
+    path: Path, column_map: ImportMap | None = None
+) -> Iterator[tuple[Path, tuple[str, ...]]]:
+    """Yield the path of a log, and notes; a measured file is imported, and its log removed after.
+
+    Raises `LogError`.
+    """
     if _is_log(path):
-        return _make_record(path, pamctl.log.read(path), ())
+        yield path, ()
+        return
     with TemporaryDirectory() as folder:
         imported = Path(folder, "imported.mcap")
-        notes = _import_beside(path, imported, column_map)
-        return _make_record(path, pamctl.log.read(imported), notes)
+        yield imported, _import_beside(path, imported, column_map)
+
+
+_OF_THE_FILE = {"file", "columns", "map", "unit", "gauge", "sign", "aliasing"}
+"""Warnings of an import that its log cannot show by itself."""
+
+
+def list_notes(log: Log) -> tuple[str, ...]:
+    """Return what is doubtful in a log; of an imported one, also what was told of its file."""
+    kept = json.loads(log.metadata.get("import", {}).get("report", "[]"))
+    kept = [f for f in kept if f["severity"] == Severity.WARNING and f["kind"] in _OF_THE_FILE]
+    return (*(escape_name(f["message"]) for f in kept), *judge_ticks(log))
+
+
+def group_notes(records: Iterable[Record]) -> list[str]:
+    """Return each note once, behind the names of its records."""
+    names: dict[str, list[str]] = {}
+    for record in records:
+        for note in record.notes:
+            names.setdefault(note, []).append(record.name)
+    return [f"{', '.join(dict.fromkeys(of))}: {note}" for note, of in names.items()]
 
 
 def _is_log(path: Path) -> bool:
@@ -390,15 +424,14 @@ def _refuse_import(done: ImportSummary, *, has_map: bool) -> pamctl.log.LogError
     return MapWanted(show_map(f"{text}; with --map FILE, such as:", done.map_text.splitlines()))
 
 
-def _make_record(path: Path, log: Log, notes: tuple[str, ...]) -> Record:
-    doubts = [] if notes else judge_ticks(log)  # a measured file's were told as it was imported
+def _make_record(log: Log, notes: tuple[str, ...]) -> Record:
     measured = pamctl.log.signals(log)
     usable = (measured.phase != Phase.HOMING) & (measured.phase != Phase.STOPPING)
     if measured.valve_v is not None:
         usable &= np.isfinite(measured.valve_v)
     ticks = np.flatnonzero(usable)
     if not len(ticks):
-        raise pamctl.log.LogError(f"{path} holds nothing but homing")
+        raise pamctl.log.LogError(f"{log.path} holds nothing but homing")
     whole = slice(int(ticks[0]), int(ticks[-1]) + 1)
     part = measured[whole]
     channels = {
@@ -413,13 +446,13 @@ def _make_record(path: Path, log: Log, notes: tuple[str, ...]) -> Record:
     story = log.metadata.get("import", {})
     atmosphere = story.get("atmospheric_pressure_pa")
     return Record(
-        path.stem,
+        log.path.stem,
         part.t_s - part.t_s[0],
         **channels,
         reference_m=reference_m,
         acts_after_s=part.acts_after_s,
         held_v=part.held_v,
-        notes=(*notes, *doubts),
+        notes=notes,
         experiment=experiment,
         is_imported=log.is_imported,
         stated_noise=json.loads(story.get("noise") or "{}"),

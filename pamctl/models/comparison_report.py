@@ -18,8 +18,14 @@ _UM, _KPA = 1e6, 1e-3
 _Models = Mapping[str, Comparison]
 
 
-def report_comparison(path: Path, found: _Models, log: Log | None = None) -> Report:
-    """Return the gaps of every model to a log; with its plots where the whole log is given."""
+def report_comparison(
+    path: Path, found: _Models, log: Log | None = None, map_path: Path | None = None
+) -> Report:
+    """Return the gaps of every model to a log; with its plots where the whole log is given.
+
+    `map_path` is the map by which a measured file was read.
+    """
+    proposed = _suggest_next(path, found, map_path)
     comparisons = [*found.values()]
     measured = comparisons[0].measured
     coupled, alone = ([], []) if log is None else _draw_plots(log, found)
@@ -27,7 +33,7 @@ def report_comparison(path: Path, found: _Models, log: Log | None = None) -> Rep
         f"Model against {path.name}",
         f"{path}: {len(measured)} ticks from {measured.t_s[0]:.3f} s on, model minus measurement",
         subtitle=", ".join(found),
-        document=_make_document(path, found),
+        document={**_make_document(path, found), "next": proposed},
     )
     report.add(Section("The gaps"), ReportTable(*list_gaps(found)).drop_empty())
     if coupled:
@@ -57,7 +63,7 @@ def report_comparison(path: Path, found: _Models, log: Log | None = None) -> Rep
     frozen = comparisons[0].frozen
     if frozen is not None:
         report.add(Text(f"A sensor is frozen at {int(frozen.sum())} ticks: they count in no gap."))
-    return report.add(Text(f"next: `{_suggest_next(path, found)}`"))
+    return report.add(Text(f"next: `{proposed}`"))
 
 
 def list_gaps(found: _Models) -> tuple[list[str], list[list[str]]]:
@@ -93,10 +99,11 @@ def list_regimes(found: _Models) -> tuple[list[str], list[list[str]]]:
     return header, rows
 
 
-def _suggest_next(path: Path, found: _Models) -> str:
-    plants = [f" --plant {name}" for name in found if name != OWN_PLANT]
-    log, plant = shlex.quote(str(path)), plants[0] if plants else ""
-    return f"pamctl diagnose {log}{plant} --out diagnosis  # names what the model lacks"
+def _suggest_next(path: Path, found: _Models, map_path: Path | None) -> str:
+    plant = next((["--plant", name] for name in found if name != OWN_PLANT), [])
+    words = [str(path), *(["--map", str(map_path)] if map_path else []), *plant]
+    command = f"pamctl diagnose {shlex.join(words)} --out diagnosis"
+    return f"{command}  # names what the model lacks"
 
 
 def _format_cell(value: float) -> str:
@@ -134,7 +141,6 @@ def _make_document(path: Path, found: _Models) -> dict[str, Any]:
             }
             for name, comparison in found.items()
         ],
-        "next": _suggest_next(path, found),
     }
 
 

@@ -8,6 +8,13 @@ import pytest
 from scipy.integrate import solve_ivp
 from support.command_line import run_pamctl
 
+from pamctl.diagnose import Diagnosis, Verdict
+from pamctl.diagnose.record import record_of
+from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
+from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
+from pamctl.plant.model import PlantSettings
+from pamctl.report.html_page import write_html
+
 MASS_KG, DAMPING, STIFFNESS = 2.0, 35.0, 900.0
 MAP = """\
 time: {column: Zeit_ms, unit: ms}
@@ -110,10 +117,51 @@ def test_with_a_map_they_make_a_plant_file_and_a_diagnosis(table: Path) -> None:
     assert mass["value"] == pytest.approx(MASS_KG, rel=0.005)
 
 
-def test_compare_says_how_a_measured_file_becomes_a_log(table: Path) -> None:
-    refused = run_pamctl("compare", table)
+def test_compare_takes_a_measured_file_and_its_map_as_diagnose_does(
+    table: Path, tmp_path: Path
+) -> None:
+    plant, page = tmp_path / "axis.yaml", tmp_path / "page.html"
+    column_map = table.with_name("map.yaml")
+    made = ["plant", "new", "--from", table, "--map", column_map, "--out", plant]
+    assert run_pamctl(*made).returncode == 0
+    refused = run_pamctl("compare", table, "--plant", plant)
     assert refused.returncode == 65
-    assert "`pamctl log import FILE LOG`" in refused.stderr
+    assert "add --map MAP.yaml" in refused.stderr
+    words = ["compare", table, "--map", column_map, "--plant", plant, "--plot", page]
+    done = run_pamctl(*words)
+    assert done.returncode == 0, done.stderr
+    assert "run 1: imported: Zeit_ms as t_s, ms" in done.stderr
+    assert f"next: pamctl diagnose '{table}' --map {column_map} --plant {plant}" in done.stdout
+    assert "<svg" in page.read_text()
+    log = tmp_path / "run 1.mcap"
+    assert run_pamctl("log", "import", table, log, "--map", column_map).returncode == 0
+    gaps = [line for line in done.stdout.splitlines() if "mechanics" in line]
+    same = run_pamctl("compare", log, "--plant", plant).stdout.splitlines()
+    assert [line for line in same if "mechanics" in line] == gaps != []
+
+
+def test_what_an_import_warned_of_goes_on_to_the_diagnosis(tmp_path: Path) -> None:
+    table, log = write_muscle(tmp_path / "rig.csv"), tmp_path / "rig.mcap"
+    (tmp_path / "map.yaml").write_text(
+        "time: {column: t_s}\nvalve: {column: valve_V}\n"
+        "pressure: {column: pressure_kPa, unit: kPa, gauge: false}\n"
+        "position: {column: position_mm, unit: cm}\n"
+    )
+    done = run_pamctl("log", "import", table, log, "--map", tmp_path / "map.yaml")
+    assert done.returncode == 0, done.stderr
+    record = record_of(log)
+    told = "'position_mm' says mm, and the map cm: the map is followed"
+    assert told in record.notes
+    found = Diagnosis(Verdict.BAD_DATA, PlantSettings(), PlantSettings(), "x", train=(record,))
+    assert f"rig: {told}" in build_diagnosis_document(found)["notes"]
+    assert "says mm, and the map cm" in write_html(build_diagnosis_page(found, [record]))
+
+
+def test_a_stated_effect_is_told_its_place_in_the_plant_file(tmp_path: Path) -> None:
+    made = ["plant", "new", "--value", "coulomb_friction.force_n=15", "--out", tmp_path / "a.yaml"]
+    refused = run_pamctl(*made)
+    assert refused.returncode == 2
+    assert "`effects: {coulomb_friction: {force_n: 15}}`" in refused.stderr
 
 
 def test_a_frozen_sensor_of_a_measured_file_is_told_once(tmp_path: Path) -> None:

@@ -84,6 +84,14 @@ def test_for_the_paper_s_muscle_the_limits_are_near_the_shipped_ones():
         assert made[key] == pytest.approx(getattr(shipped.rig.limits, key), rel=0.25), key
 
 
+def test_a_limit_says_by_how_much_it_is_beyond_what_moves_and_speaks_of_no_muscle():
+    stops = PlantSettings.model_validate(parse_yaml(CYLINDER, Path("c.yaml")).data)
+    text, _ = make_rig_file(stops, "c.yaml", "sim")
+    assert "0.1 of the stroke beyond both ends of a simulated fill" in text
+    assert "2 times the fastest of a simulated fill" in text
+    assert "muscle" not in text
+
+
 def test_a_real_rig_keeps_its_sensor_and_is_told_where_it_cannot_show_the_pressure():
     strong = PlantSettings.model_validate(
         {"actuator": "muscle", "parameters": {"tank_pressure_pa": 1.1e6}}

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -320,6 +321,10 @@ def test_a_score_says_how_many_plants_are_inside_and_what_is_too_large_on_the_ot
     assert said.startswith("pid, named plants: 1 of 3 inside every bound of Table IV (33.3 %)")
     assert "outside: plant bad: safety trip" in said
     assert "outside: plant worse: RMS error of experiment 2 is 1.50 times the paper's" in said
+    own = replace(task, whole_trial=GainsTrial("whole", own_motion=True))
+    assert "errors over those of the median plant: 95 % 60.00" in format_terminal(
+        report_gains(own, {"named": scores}, {})
+    )
     best = BestGains({"law": "pid"}, 1.25, 3, 75)
     header = format_gains_file(task, best, {"named": scores}, "pamctl tune --law pid")
     words = " ".join(header.replace("# ", "").split())
@@ -418,6 +423,7 @@ def test_gains_are_sought_for_a_motion_of_ones_own_at_another_rate_and_on_a_card
     made = tune("--law", "pid", *which, *rate, *size, "--out", "g.yaml", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
     assert "pid, named plants: largest error " in made.stdout
+    assert "paper" not in made.stdout + (tmp_path / "g.yaml").read_text().split("Score:")[1]
     found = yaml.safe_load((tmp_path / "g.yaml").read_text())
     assert max(found["lpf1_hz"], found["lpf2_hz"]) <= 225.0
     open_loop = ["--experiment", "square-1", "--out", "x.yaml"]

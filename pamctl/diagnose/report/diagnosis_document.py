@@ -9,6 +9,7 @@ from typing import Any
 from pamctl.diagnose.diagnosis import Diagnosis, Verdict
 from pamctl.diagnose.evidence.ladder import Finding, JudgedRival
 from pamctl.diagnose.evidence.run_pieces import HELD_OUT, TWELFTHS, Runs
+from pamctl.diagnose.record import group_notes
 from pamctl.diagnose.report.finding_words import (
     describe_standing,
     find_form,
@@ -74,6 +75,7 @@ def build_diagnosis_document(diagnosis: Diagnosis) -> dict[str, Any]:
         "blind_spots": list_blind_spots(diagnosis),
         "next_experiment": choose_next_experiment(diagnosis),
         "forecasts": [judged.as_dict() for judged in diagnosis.forecasts],
+        "notes": group_notes((*diagnosis.train, *diagnosis.holdout)),
         "accepted": [doubt.as_dict() for doubt in diagnosis.accepted],
         "noise": {name: about.as_dict(name) for name, about in diagnosis.noise.items()},
     }

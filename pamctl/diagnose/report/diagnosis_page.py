@@ -11,7 +11,7 @@ from pamctl.diagnose.diagnosis import Diagnosis, HeldOutGap
 from pamctl.diagnose.evidence.ladder import Finding
 from pamctl.diagnose.evidence.run_pieces import Runs
 from pamctl.diagnose.plant_numbers import FittedNumber, look_up_parameter
-from pamctl.diagnose.record import SOURCES, ChannelNoise, Record
+from pamctl.diagnose.record import SOURCES, ChannelNoise, Record, group_notes
 from pamctl.diagnose.report.diagnosis_document import (
     build_diagnosis_document,
     find_masked_shares,
@@ -327,6 +327,7 @@ def write_compared_runs(page: Report, diagnosis: Diagnosis, records: Sequence[Re
     page.add(
         ReportTable(["record", "use", "duration, s", "samples", "period, ms", "measured"], rows)
     )
+    page.add(Points(group_notes(records)))
     if diagnosis.accepted:
         page.add(
             ReportTable(

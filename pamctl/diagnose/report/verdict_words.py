@@ -250,15 +250,20 @@ def _advise_after_naming(diagnosis: Diagnosis, again: str) -> tuple[str, ...]:
     part = "what a plant file can hold of it" if describe_outside(diagnosis) else "what was found"
     if not _can_run(plant):
         return (f"Go on with plant.yaml, which has {part}: {again} asks whether it holds.",)
-    law = "--law qsmc " if plant.actuator == "muscle" else ""
-    tune, run = f"tune {law}--plant plant.yaml", "run --controller gains.yaml --plant plant.yaml"
-    steps = [f"{tune} --out gains.yaml", run]
-    own = ""
+    own, steps = "", [
+        "`pamctl tune --law qsmc --plant plant.yaml --out gains.yaml`",
+        "`pamctl run --controller gains.yaml --plant plant.yaml`",
+    ]  # fmt: skip
     if not runs_here(diagnosis):
-        of_rig = "--rig rig.yaml --experiment sine"
-        steps = ["plant rig plant.yaml rig.yaml", f"{tune} {of_rig}", f"{run} {of_rig}"]
+        law = "qsmc" if plant.actuator == "muscle" else "pid"
         own = " These tune and run a simulation of your rig; `sine` stands for a motion of yours."
-    typed = ", then ".join(f"`pamctl {step}`" for step in steps)
+        steps = [
+            "`pamctl plant rig plant.yaml rig.yaml`",
+            f"`pamctl tune --law {law} --plant plant.yaml --rig rig.yaml --experiment sine`",
+            "`pamctl run --controller gains.yaml --plant plant.yaml --rig rig.yaml "
+            "--experiment sine`",
+        ]
+    typed = ", then ".join(steps)
     go_on = f"Go on with plant.yaml, which has {part}. In the folder of this page: {typed}.{own}"
     if runs_here(diagnosis) and any(f.name == "null_offset" for f in diagnosis.findings):
         null = "The null of the valve is measured by `pamctl calibrate valve --out rig.yaml`."

@@ -323,7 +323,7 @@ def test_a_score_says_how_many_plants_are_inside_and_what_is_too_large_on_the_ot
     assert "outside: plant worse: RMS error of experiment 2 is 1.50 times the paper's" in said
     own = replace(task, whole_trial=GainsTrial("whole", own_motion=True))
     assert "errors over those of the median plant: 95 % 60.00" in format_terminal(
-        report_gains(own, {"named": scores}, {})
+        report_gains(own, {"named": scores._replace(errors_um={"max": 9.0, "RMS": 2.0})}, {})
     )
     best = BestGains({"law": "pid"}, 1.25, 3, 75)
     header = format_gains_file(task, best, {"named": scores}, "pamctl tune --law pid")

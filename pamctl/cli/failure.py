@@ -216,10 +216,7 @@ class _Reader:
             return None
         if isinstance(value, str) and kind is str:
             return value
-        if isinstance(value, str) and kind is Path and _can_be_read(value):
+        is_path = isinstance(value, str) and kind is Path
+        if is_path and (not os.path.exists(value) or os.access(value, os.R_OK)):
             return Path(value)
         return self._build().coerce(value, param=param, ctx=ctx)
-
-
-def _can_be_read(path: str) -> bool:
-    return not os.path.exists(path) or os.access(path, os.R_OK)

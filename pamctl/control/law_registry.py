@@ -154,14 +154,9 @@ ControllerSettings = Annotated[LawSettings, ChosenModel("law", installed_laws, _
 # --- what a log says of its law ------------------------------------------------------------
 
 
-def origin_of(law: Law) -> LawOrigin:
-    """Return where a law comes from."""
-    return _load_registry().origins[law.name]
-
-
 def describe_law(law: Law) -> dict[str, str]:
     """Return the metadata record `law` of a log: where the law is from, and its words."""
-    origin = origin_of(law)
+    origin = _load_registry().origins[law.name]
     if origin.is_file:
         where = {"file": str(origin.source)}
     else:

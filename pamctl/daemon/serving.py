@@ -126,7 +126,9 @@ async def _serve(service: RigSession, path: Path, group: str | None, tell: Tell)
     """Answer until a signal comes; then leave the valve safe. A second signal ends it at once."""
     events = asyncio.get_running_loop()
     stop: asyncio.Future[Ending] = events.create_future()
-    _listen_for_signals(lambda number: _stop(stop, service, _make_signal_ending(number)))
+    _listen_for_signals(  # an ending by a signal is the normal one
+        lambda number: _stop(stop, service, Ending(ExitCode.OK, f"stopped by {number.name}"))
+    )
     server = Server(methods_of(service))
     await server.listen(path, group)
     watch = _Watch(
@@ -169,11 +171,6 @@ def _stop(stop: asyncio.Future[Ending], service: RigSession, ending: Ending) -> 
     else:
         stop.set_result(ending)
         service.leave()
-
-
-def _make_signal_ending(number: signal.Signals) -> Ending:
-    """Return the ending by a signal, which is the normal one: exit code 0."""
-    return Ending(ExitCode.OK, f"stopped by {number.name}")
 
 
 class _Watch(threading.Thread):

@@ -141,7 +141,8 @@ class FunctionWriter(ExpressionWriter):
         return False
 
     def _assign(self, target: ast.expr, value: ast.expr, indent: str) -> None:
-        read = self._read if _has_index(target) else self._read_whole
+        has_index = any(isinstance(part, ast.Subscript) for part in ast.walk(target))
+        read = self._read if has_index else self._read_whole
         if not isinstance(target, ast.Tuple):
             self._store(target, read(value), indent)
             return
@@ -268,10 +269,6 @@ class FunctionWriter(ExpressionWriter):
         self._lines.append(f"{indent}continue;")
         self._set = set(self._assigned)
         return False
-
-
-def _has_index(target: ast.expr) -> bool:
-    return any(isinstance(part, ast.Subscript) for part in ast.walk(target))
 
 
 def _are_apart(target: ast.Tuple, value: ast.Tuple) -> bool:

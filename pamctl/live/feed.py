@@ -88,11 +88,6 @@ _STATUS_FIELDS = (
 )  # fmt: skip
 
 
-def encode_glimpse(glimpse: Glimpse) -> str:
-    """Return what was seen in one look as one line."""
-    return to_plain_json(describe_glimpses([glimpse], glimpse))
-
-
 def describe_glimpses(glimpses: Sequence[Glimpse], newest: Glimpse | None) -> dict[str, Any]:
     """Return the ticks of several looks, and the state of the newest."""
     newest = newest or Glimpse(None, [])
@@ -156,7 +151,8 @@ def watch_in_terminal(socket: Path, count: int | None = None, *, as_json: bool =
             glimpse = feed.look()
             seen = seen or glimpse.status is not None
             if picture is None:
-                print((encode_glimpse if as_json else format_glimpse)(glimpse), flush=True)
+                line = to_plain_json(describe_glimpses([glimpse], glimpse)) if as_json else ""
+                print(line or format_glimpse(glimpse), flush=True)
                 continue
             shown = format_glimpse(glimpse) if not glimpse.status else format_status(glimpse.status)
             picture.update(Text(shown, no_wrap=True, overflow="ellipsis"), refresh=True)

@@ -217,7 +217,8 @@ class Ring:
         self._barrier = barrier_of_this_machine() if fd >= 0 else _do_nothing
         self._map = mapped
         self._buffer = memoryview(self._map)
-        self._check_header()
+        if len(self._buffer) < HEADER_BYTES or self._buffer[: len(_MAGIC)] != _MAGIC:
+            raise RingError(f"{self.path} is not a ring of pamctl")
         self._words = self._buffer[:HEADER_BYTES].cast("Q")
         self._check_layout()
         text = self._buffer[HEADER_BYTES:][: self._meta_bytes]
@@ -311,10 +312,6 @@ class Ring:
     def populate_in_steps(self) -> Iterator[None]:
         """Touch every page: the first write to a mapped page would fault within a tick."""
         return _populate(self._map, _POPULATE_BYTES)
-
-    def _check_header(self) -> None:
-        if len(self._buffer) < HEADER_BYTES or self._buffer[: len(_MAGIC)] != _MAGIC:
-            raise RingError(f"{self.path} is not a ring of pamctl")
 
     def _check_layout(self) -> None:
         if (self._version, self._row_bytes) != (_VERSION, ROW_BYTES):

@@ -8,7 +8,7 @@ was found so far.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from math import sqrt
 from pathlib import Path
@@ -296,11 +296,6 @@ def _make_full_program(investigation: Investigation, why: str) -> NextProgram | 
     return NextProgram(settings_to_data(again), FULL_PROGRAM, why, lasts_s)
 
 
-def list_logs(investigation: Investigation) -> Sequence[str]:
-    """Return the names of the records, in their order."""
-    return [record.name for record in investigation.records]
-
-
 def write_investigation(investigation: Investigation, out: Path) -> list[str]:
     """Write the folder and return the names in it; nothing where nothing was diagnosed yet.
 
@@ -311,7 +306,7 @@ def write_investigation(investigation: Investigation, out: Path) -> list[str]:
     return write_diagnosis(
         investigation.diagnosis,
         out,
-        list_logs(investigation),
+        [record.name for record in investigation.records],
         investigation.records,
         beside={"on_rig": investigation.as_dict()},
         story=lambda page: tell_rounds(page, investigation),

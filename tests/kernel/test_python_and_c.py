@@ -547,10 +547,11 @@ def test_machine_code_is_that_of_the_numbers_and_the_modules_that_it_uses(monkey
     (tmp_path / "outer.py").write_text("from inner import g\ndef f(x):\n    return g(x)\n")
     (tmp_path / "inner").mkdir()
     (tmp_path / "inner/__init__.py").write_text(
-        "from inner.numbers import FACTOR\ndef g(x):\n    return FACTOR * x\n"
+        "from inner.gains import Gains\ndef g(x):\n    return Gains(x).factor * x\n"
     )
+    head = "from typing import NamedTuple\nclass Gains(NamedTuple):\n    x: float\n"
     for factor in ("2.0", "3.0"):
-        (tmp_path / "inner/numbers.py").write_text(f"FACTOR = {factor}\n")
+        (tmp_path / "inner/gains.py").write_text(f"{head}    factor: float = {factor}\n")
         done = run_process(
             [sys.executable, "-B", "-c", program],
             env=os.environ | {"PYTHONPATH": str(tmp_path)},

@@ -24,6 +24,7 @@ from pamctl.diagnose.record import record_of
 from pamctl.log.export import export_ticks
 from pamctl.log.importing.pipeline import import_log, write_imported
 from pamctl.log.schema import unit_of_column
+from pamctl.signals import Phase
 
 
 def pamctl_(*arguments: str | Path) -> Any:
@@ -34,7 +35,8 @@ def pamctl_(*arguments: str | Path) -> Any:
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the log of a closed-loop run of 6 s after homing."""
     path = tmp_path_factory.mktemp("run") / "run.mcap"
-    run_pamctl("run", "--fast", "--duration", "3", "--quiet", "--log", path).check_returncode()
+    changes = ("--set", "rig.loop.stop_ramp_s=1.5")  # a frozen state within the stop
+    run_pamctl("run", "--fast", "--duration", "3", *changes, "--quiet", "--log", path)
     return path
 
 
@@ -96,6 +98,19 @@ def test_a_piece_replays_from_its_first_frozen_state_and_says_so(run: Path, tmp_
     said = pamctl_("replay", short)
     assert said.exit_code == 65
     assert "holds no frozen state" in said.stderr
+
+
+def test_of_a_piece_that_begins_within_the_stop_all_but_the_ramp_is_compared(
+    run: Path, tmp_path: Path
+) -> None:
+    whole = pamctl.log.read(run)
+    stop = int(np.argmax(whole["phase"] == Phase.STOPPING))
+    state = next(k["tick"] for k in whole.keyframes if k["tick"] > stop)
+    pamctl_("log", "cut", run, "--out", tmp_path / "end.mcap", "--from-row", state + 1)
+    said = pamctl_("replay", tmp_path / "end.mcap")
+    ticks = len(whole) - state - 1
+    assert f"{ticks} of {ticks} ticks were replayed and do not differ" in said.stdout
+    assert f"reference not compared in {ticks} ticks" in said.stdout
 
 
 def test_a_piece_of_a_piece_keeps_the_whole_story(run: Path, tmp_path: Path) -> None:

@@ -376,6 +376,7 @@ def test_a_disk_that_fails_is_not_called_full(log, monkeypatch):
     monkeypatch.setattr(drain, "_fallocate", allocate)
     with new_ring(log) as ring:
         put_with_events(ring, range(6000))
+        ring.loop_done = 1
         said = record(ring, Here())
         assert said.startswith("writing the log failed: Input/output error; ")
         assert said.endswith(f" rows are kept in {ring.path}")

@@ -10,7 +10,7 @@ import pytest
 import score_diagnosis
 
 from hidden import score_list
-from hidden.changes import CHANGES, compare_said
+from hidden.changes import CHANGES
 from hidden.rungs import Said, mark
 from hidden.score_list import Handed, ScoredCase, draw_hostile, draw_list, draw_nulls, draw_suite
 
@@ -47,13 +47,6 @@ def test_silence_is_right_only_where_nothing_must_be_said() -> None:
     for case in CASES:
         asked = any(cause.rung != "none" for cause in case.causes)
         assert mark(case.causes, Said())[0] == ("missed" if asked else "silent"), case.key
-
-
-def test_a_refusal_for_the_right_reason_is_right() -> None:
-    case = next(c for c in CASES if c.key.startswith("hostile/sign_valve_v"))
-    refused = Said(refusal="the sign of the command is wrong")
-    assert case.correct_verdict("refused", refused) == "right at name"
-    assert case.correct_verdict("refused", Said(refusal="too short")) == "refused"
 
 
 def nothing(records: Handed, plant: object) -> Said:
@@ -118,12 +111,3 @@ def test_a_name_that_is_taken_out_is_not_asked_but_its_place_is() -> None:
     at_place = Said(places=frozenset({("force", "curve")}))
     assert mark([cause], at_place)[0].startswith("right")
     assert mark([cause], Said(frozenset({"stribeck"})))[0] == "wrong name"
-
-
-def test_a_number_outside_the_other_interval_is_told() -> None:
-    plain = Said(frozenset({"creep"}), numbers={"k": (1.0, 0.9, 1.1)})
-    near = Said(frozenset({"creep"}), numbers={"k": (1.15, 1.05, 1.3)})
-    far = Said(frozenset({"creep"}), numbers={"k": (2.0, 1.9, 2.1)})
-    assert compare_said(plain, near) == []
-    assert len(compare_said(plain, far)) == 1
-    assert len(compare_said(plain, Said())) == 1

@@ -26,8 +26,6 @@ from support.small_log import write_small
 
 from pamctl.json_text import from_json, to_json
 from pamctl.log import LogError, info, read
-from pamctl.log.framing import map_log_file
-from pamctl.log.record_walk import walk_records
 from pamctl.log.recover import recover_file
 from pamctl.log.schema import SCHEMA_VERSION, TICK_TOPIC, tick_descriptor, unit_of_column
 from pamctl.recording.ring import Ring
@@ -327,18 +325,3 @@ def test_a_truncated_log_is_refused_with_what_to_do_and_info_still_tells_of_it(l
     summary = info(path)
     assert not summary["complete"]
     assert 0 < summary["ticks"] < TICKS
-
-
-def test_recovery_leaves_out_a_damaged_chunk_and_saves_the_next(log_path, tmp_path):
-    whole = bytearray(log_path.read_bytes())
-    chunks = [record for record in walk_records(map_log_file(log_path)) if record.opcode == 6]
-    assert len(chunks) > 2
-    whole[(chunks[0].start + chunks[0].end) // 2] ^= 1
-    (tmp_path / "a.mcap").write_bytes(whole)
-    recovery = recover_file(tmp_path / "a.mcap", tmp_path / "b.mcap")
-    log = read(tmp_path / "b.mcap")
-    assert not recovery.lossless
-    assert recovery.bytes_lost == chunks[0].end - chunks[0].start
-    assert "makes no sense" in recovery.damage[0]
-    assert log["tick"][-1] == TICKS - 1
-    assert 0 < len(log) < TICKS

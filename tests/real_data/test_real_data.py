@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 import real_data
 import yaml
-from hand_fit import HandFigures, HandFit, columns_of, evaluate, fit_by_hand, slope_of, steady_rows
+from hand_fit import HandFigures, HandFit, columns_of, evaluate, fit_by_hand
 from measured_set import (
     VARIABLE,
-    SetRefused,
     find_failures,
     find_sets,
     read_set,
@@ -27,16 +26,6 @@ SHIPPED = sorted(path.parent for path in HERE.glob("*/set.yaml"))
 
 
 # --- the hand fit ----------------------------------------------------------------------------
-
-
-def test_the_slope_of_a_parabola_is_its_derivative_and_stops_at_a_gap() -> None:
-    t = np.concatenate([np.arange(200), np.arange(260, 400)]) * 0.01
-    x = 3.0 * t**2
-    x[200:] += 50.0
-    slope = slope_of(t, x, 0.1)
-    inner = np.r_[10:190, 210:330]
-    assert np.allclose(slope[inner], 6.0 * t[inner], atol=1e-9)
-    assert np.abs(slope).max() < 6.0 * t[-1] + 0.5
 
 
 def test_dry_friction_that_grows_with_pressure_is_found_by_hand() -> None:
@@ -59,15 +48,6 @@ def test_dry_friction_that_grows_with_pressure_is_found_by_hand() -> None:
     assert found.coefficients["p*sgn(v)"] == pytest.approx(per_pa, rel=0.05)
     assert found.held_out == pytest.approx(0.3, rel=0.1)
     assert found.base_held_out > 4.0
-
-
-def test_rows_near_a_reversal_are_not_steady() -> None:
-    t = np.arange(1000) * 0.01
-    columns = {"t": t, "v": np.where(t < 5.0, 1.0, -1.0)}
-    steady = steady_rows(columns, 0.5)
-    assert not steady[460:540].any()
-    assert steady[:440].all()
-    assert steady[560:].all()
 
 
 @pytest.mark.parametrize(
@@ -100,44 +80,6 @@ def make_set(folder: Path, **changes: Any) -> Path:
     )
     (folder / "plant.yaml").write_text("actuator: direct\nparameters: {mass_kg: 2.0}\n")
     return folder
-
-
-def test_parts_of_a_file_become_files_with_names(tmp_path: Path) -> None:
-    measured = read_set(make_set(tmp_path / "set"), None)
-    (tmp_path / "out").mkdir()
-    pieces = write_pieces(measured, tmp_path / "out")
-    assert [len(pieces[part]) for part in ("fitted", "chosen", "confirmed")] == [1, 0, 1]
-    lines = pieces["fitted"][0].read_text().splitlines()
-    assert lines[0] == "time_ms,position_mm,force_n"
-    assert len(lines) == 201
-    assert lines[-1].startswith("1990,")
-
-
-def test_guesses_are_scaled_and_nothing_else() -> None:
-    plant = {"actuator": "direct", "parameters": {"mass_kg": 2.0, "damping_n_s_per_m": 5.0}}
-    scaled = scale_guesses(plant, ("parameters.mass_kg",), 0.5)
-    assert scaled["parameters"] == {"mass_kg": 1.0, "damping_n_s_per_m": 5.0}
-    assert plant["parameters"]["mass_kg"] == 2.0  # type: ignore[index]
-    with pytest.raises(SetRefused, match="area_m2"):
-        scale_guesses(plant, ("parameters.area_m2",), 2.0)
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"colour": "red"}, "unknown"),
-        ({"parts": {"confirmed": ["b.txt"]}}, "fitted"),
-        ({"parts": {"fitted": [{"file": "a.txt", "rows": [0.6, 0.5]}]}}, "rows"),
-        ({"hand_fit": {"terms": ["v"]}}, "target"),
-        ({"expect": {"mood": "good"}}, "mood"),
-    ],
-)
-def test_a_set_with_a_mistake_is_refused(
-    tmp_path: Path, changes: dict[str, Any], words: str
-) -> None:
-    folder = make_set(tmp_path / "set", **changes)
-    with pytest.raises(SetRefused, match=words):
-        read_set(folder, None)
 
 
 DOCUMENT: dict[str, Any] = {

@@ -1,17 +1,21 @@
-"""The experiments of a session have the keys, defaults and bounds of an experiment file."""
+"""What a user writes in Python: forms of experiments, types for an editor, the notebook."""
 
 from __future__ import annotations
 
 import ast
+import json
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from support.command_line import run_process
 
 import pamctl
 from pamctl.control.forms import FORMS as FORMS_OF_FILES
 from pamctl.exit_codes import ExitCode
+from pamctl.manual import list_pages
 from pamctl.session.experiment_form import FORMS, list_keys, list_models
 from pamctl.settings.config_files import list_shipped
 from pamctl.settings.resolve import resolve, settings_to_data
@@ -77,3 +81,114 @@ def test_a_part_of_a_sequence_is_checked_with_it() -> None:
     part = pamctl.Pause(duration_s=-1)
     with pytest.raises(pamctl.PamctlError, match=r"parts\.1\.duration_s"):
         pamctl.MotionSequence(parts=[pamctl.Move(to_mm=9, duration_s=1), part])
+
+
+# --- types ---------------------------------------------------------------------------------------
+
+ROOT = Path(__file__).resolve().parents[2]
+
+SCRIPT = """
+import asyncio
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import pamctl
+
+
+def steer(rig: pamctl.SteeredRig) -> pamctl.Run:
+    rig.goto(12e-3, within_s=2)
+    rig.set(lambda_per_s=90, ramp_s=1)
+    log: Path = rig.start(pamctl.Chirp(amplitude_mm=1, start_hz=0.5, end_hz=8, duration_s=20))
+    for tick in rig.live(rate_hz=10, duration_s=3):
+        print(tick["position_m"] * 1e3, log)
+    rig.mark("half way")
+    parts = [pamctl.Move(to_mm=9, duration_s=1), pamctl.Pause(duration_s=2)]
+    rig.run(pamctl.MotionSequence(parts=parts))
+    return rig.run("sine", duration_s=5)
+
+
+with pamctl.connect() as here, pamctl.simulate("paper", controller="pid") as there:
+    error_m: NDArray[np.float64] = steer(here).error_m - steer(there).error_m
+    try:
+        there.run(pamctl.Sine(amplitude_mm=2, frequency_hz=1))
+    except pamctl.PamctlError as error:
+        print(error.fix, int(error.exit_code), error.log)
+
+
+async def wait() -> float:
+    async with pamctl.aio.connect("/tmp/sock") as rig:
+        await rig.goto(12e-3)
+        run = await rig.run(pamctl.Sine(amplitude_mm=2, frequency_hz=1))
+        async for tick in rig.live(20):
+            print(tick["pressure_pa"])
+    return run.metrics.rms_error_m
+
+
+asyncio.run(wait())
+"""
+WRONG = """
+import pamctl
+
+with pamctl.simulate("paper") as rig:
+    rig.goto("12mm")
+    pamctl.Sine(amplitude=2, frequency_hz=1)
+    rig.run(3)
+    rig.metrics
+"""
+
+
+@pytest.mark.long
+def test_a_strict_script_has_no_error_and_a_wrong_one_has_each(tmp_path: Path) -> None:
+    right, wrong = tmp_path / "right.py", tmp_path / "wrong.py"
+    right.write_text(SCRIPT)
+    wrong.write_text(WRONG)
+    # With the house's own settings, which are strict, its cache serves here too.
+    settings = ["--config-file", str(ROOT / "pyproject.toml"), "--strict"]
+    command = [sys.executable, "-m", "mypy", *settings, str(right), str(wrong)]
+    done = run_process(command, cwd=ROOT)
+    lines = [line for line in done.stdout.splitlines() if ": error:" in line]
+    assert not [line for line in lines if "right.py" in line], done.stdout
+    found = {int(line.split(":")[1]) for line in lines if "wrong.py" in line}
+    assert found == {5, 6, 7, 8}, done.stdout
+
+
+# --- the notebook --------------------------------------------------------------------------------
+
+SHORTER = {
+    "GENERATIONS = 15": "GENERATIONS = 2",
+    "(0.5, 1.0, 2.0)": "(1.0,)",
+    '"amplitude_v": 3, "duration_s": 4': '"amplitude_v": 3, "duration_s": 2',
+}
+"""The same with less of each."""
+NOTEBOOK = list_pages()[0].path.parent / "afternoon.ipynb"
+
+
+@pytest.mark.long
+def test_the_notebook_finds_the_dead_band_and_better_gains(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    cells = [c for c in json.loads(NOTEBOOK.read_text())["cells"] if c["cell_type"] == "code"]
+    assert not any(cell["outputs"] for cell in cells)
+    seen: dict[str, Any] = {}
+    done: set[str] = set()
+    for number, cell in enumerate(cells, 1):
+        source = "".join(cell["source"])
+        for long, short in SHORTER.items():
+            taken = source.replace(long, short)
+            done.update([long] if taken != source else [])
+            source = taken
+        exec(compile(source, f"cell {number}", "exec"), seen)
+    assert done == {*SHORTER}
+    assert seen["diagnosis"].verdict == "named"
+    effects = settings_to_data(seen["diagnosis"].plant)["effects"]
+    assert effects["valve_deadband"]["fill_width_v"] == pytest.approx(0.25, abs=0.01)
+    assert "valve deadband" in capsys.readouterr().out
+    assert seen["after"].metrics.rms_error_m < seen["before"].metrics.rms_error_m
+    assert len(seen["softer"].marks) == 1
+    logs = sorted(tmp_path.glob("logs/*.mcap"))
+    assert len(logs) == 7
+    assert seen["rig"].state == "idle"
+    assert all(pamctl.Run.open(log).ending.code == 0 for log in logs)

@@ -16,7 +16,8 @@ from pathlib import Path
 
 from pamctl.log import read
 from pamctl.models.reproduction import PRINTED_QSMC, TUNED, reproduce_paper
-from pamctl.report.figure import Plot, PlotAxis
+from pamctl.report.axes import PlotAxis
+from pamctl.report.figure import Plot
 from pamctl.report.html_page import write_html
 from pamctl.report.report import Figure, Report
 from pamctl.report.run_page import compose_report

@@ -9,7 +9,8 @@ from typing import Any
 
 from pamctl.log import Log
 from pamctl.models.comparison import OWN_PLANT, Comparison, ComparisonGap
-from pamctl.report.figure import MUTED, Plot, PlotAxis, plot_apart
+from pamctl.report.axes import PlotAxis
+from pamctl.report.figure import MUTED, Plot, plot_apart
 from pamctl.report.report import SIGNAL_DISPLAYS, Figure, Report, ReportTable, Section, Text
 from pamctl.report.reported_run import ReportedRun
 from pamctl.report.run_motion import make_time_axis, mark_moments

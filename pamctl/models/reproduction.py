@@ -18,7 +18,8 @@ from pamctl.control.smc import linearise_model
 from pamctl.offline.closed_loop import SimulatedRun, simulate_run
 from pamctl.offline.merit import NO_MERIT, find_paper_rows
 from pamctl.plant.model import plant_parameters
-from pamctl.report.figure import MUTED, Plot, PlotAxis
+from pamctl.report.axes import PlotAxis
+from pamctl.report.figure import MUTED, Plot
 from pamctl.report.report import (
     Figure,
     Points,

@@ -20,7 +20,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from pamctl.control.experiment import ExperimentSettings, plan_experiment
 from pamctl.control.forms import ChirpForm, MultisineForm
-from pamctl.report.figure import Plot, PlotAxis
+from pamctl.report.axes import PlotAxis
+from pamctl.report.figure import Plot
 from pamctl.report.report import Figure, Report, Section, Text
 from pamctl.report.reported_run import ReportedRun
 

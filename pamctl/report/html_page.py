@@ -20,7 +20,8 @@ import numpy as np
 
 from pamctl.json_text import to_json
 from pamctl.plain_text import clean_lines, clean_text
-from pamctl.report.figure import Floats, Levels, Plot, PlotAxis, Scale, share_axis
+from pamctl.report.axes import Floats, PlotAxis, Scale
+from pamctl.report.figure import Levels, Plot, share_axis
 from pamctl.report.picture import draw_levels, draw_plot
 from pamctl.report.report import (
     Facts,

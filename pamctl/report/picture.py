@@ -12,20 +12,16 @@ from html import escape
 
 import numpy as np
 
+from pamctl.report.axes import Floats, Scale, find_unbroken, keep_extremes, thin_cloud
 from pamctl.report.figure import (
     FRAME_WIDTH,
     PIXEL,
-    Floats,
     Levels,
     Plot,
     PlotMark,
-    Scale,
     css_of,
-    find_unbroken,
-    keep_extremes,
     place_across,
     place_down,
-    thin_cloud,
 )
 from pamctl.report.report import spell_figure
 

@@ -11,7 +11,8 @@ from pamctl.control.law import Term
 from pamctl.control.law_registry import find_law
 from pamctl.log.run_meta import Moment
 from pamctl.offline.merit import find_paper_rows
-from pamctl.report.figure import MUTED, Plot, PlotAxis, plot_apart
+from pamctl.report.axes import PlotAxis
+from pamctl.report.figure import MUTED, Plot, plot_apart
 from pamctl.report.report import Figure, Points, Report, Section, Text
 from pamctl.report.reported_run import MICRO, ReportedRun
 

@@ -17,7 +17,8 @@ from pamctl.log.measured_signals import judge_ticks
 from pamctl.log.run_meta import describe_running_changes, list_gain_changes, spell_controller
 from pamctl.offline.merit import compute_log_merits, find_paper_rows, summarise_durations
 from pamctl.plain_text import clean_text
-from pamctl.report.figure import Plot, PlotAxis
+from pamctl.report.axes import PlotAxis
+from pamctl.report.figure import Plot
 from pamctl.report.frequency import write_frequency_response
 from pamctl.report.report import Facts, Figure, Fold, Report, ReportTable, Section, Text
 from pamctl.report.reported_run import (

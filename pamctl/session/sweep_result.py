@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pamctl.json_text import to_json
-from pamctl.report.figure import COLOURS, Plot, PlotAxis
+from pamctl.report.axes import PlotAxis
+from pamctl.report.figure import COLOURS, Plot
 from pamctl.report.report import Figure, Report, ReportTable, Section, Text
 from pamctl.runs.run_row import METRICS, RunRow, is_number, read_value
 

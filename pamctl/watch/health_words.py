@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from pamctl.report.figure import Plot, PlotAxis
+from pamctl.report.axes import PlotAxis
+from pamctl.report.figure import Plot
 from pamctl.report.report import Figure, Report, ReportTable, Section, Text
 from pamctl.settings.yaml12 import dump_yaml
 from pamctl.watch.follow_health import MISFIT, FittedRun, FollowedDrift, RigHealth

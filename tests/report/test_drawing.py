@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pamctl.report.figure import (
-    Plot,
+from pamctl.report.axes import (
     PlotAxis,
     Scale,
     break_at_gaps,
@@ -21,9 +20,9 @@ from pamctl.report.figure import (
     fit_scale,
     format_tick,
     keep_extremes,
-    plot_apart,
     thin_cloud,
 )
+from pamctl.report.figure import Plot, plot_apart
 from pamctl.report.html_page import write_html
 from pamctl.report.picture import draw_plot
 from pamctl.report.report import Facts, Figure, Fold, Points, Report, ReportTable, Section, Text

@@ -14,7 +14,8 @@ from support.chromium import page as open_browser
 from typer.testing import CliRunner
 
 from pamctl.cli.app import app
-from pamctl.report.figure import MOST_POINTS, MUTED, Plot, PlotAxis
+from pamctl.report.axes import MOST_POINTS, PlotAxis
+from pamctl.report.figure import MUTED, Plot
 from pamctl.report.html_page import embed_plots, write_html
 from pamctl.report.report import Figure, Report
 

@@ -16,7 +16,8 @@ from pamctl.cli.app import app
 from pamctl.log import read
 from pamctl.log.importing.pipeline import write_imported
 from pamctl.log.reader import read_some
-from pamctl.report.figure import Plot, PlotAxis
+from pamctl.report.axes import PlotAxis
+from pamctl.report.figure import Plot
 from pamctl.report.html_page import write_html
 from pamctl.report.report import Figure, Report
 from pamctl.report.reported_run import REPORT_FIELDS, name_runs

@@ -50,7 +50,8 @@ from pamctl.diagnose.report.verdict_words import (
 )
 from pamctl.new_file import write_files
 from pamctl.plant.catalogue import CATALOGUE
-from pamctl.report.figure import MUTED, Levels, Plot, PlotAxis
+from pamctl.report.axes import PlotAxis
+from pamctl.report.figure import MUTED, Levels, Plot
 from pamctl.report.html_page import write_html
 from pamctl.report.report import (
     SIGNAL_DISPLAYS,

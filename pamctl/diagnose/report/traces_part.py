@@ -12,7 +12,8 @@ from pamctl.diagnose.diagnosis import Diagnosis, Verdict
 from pamctl.diagnose.evidence.fit import WeighedModel
 from pamctl.diagnose.record import Array
 from pamctl.log.run_meta import Moment
-from pamctl.report.figure import MUTED, Plot, PlotAxis, plot_apart
+from pamctl.report.axes import PlotAxis
+from pamctl.report.figure import MUTED, Plot, plot_apart
 from pamctl.report.report import SIGNAL_DISPLAYS, Figure, Report, Section, spell_figure
 from pamctl.report.run_motion import mark_moments
 

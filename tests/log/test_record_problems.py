@@ -55,6 +55,11 @@ def put(start: int, stop: int, value: float | None = None) -> Change:
     return change
 
 
+def freeze_twice(values: Any) -> Any:
+    """Freeze a short stretch, and most of the record: its noise is that of the rest."""
+    return put(1100, 5500)(put(500, 530)(values))
+
+
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 1000), st.sampled_from([1e-7, 3e-6, 5e-5]), st.floats(1e-5, 1.0))
 def test_a_sound_record_has_no_problem(seed, encoder_m, period_s):
@@ -66,6 +71,7 @@ def test_a_sound_record_has_no_problem(seed, encoder_m, period_s):
     [
         ("pressure_pa", put(3000, 6000 - 1000), "frozen", ((3000, 5000),)),
         ("pressure_pa", put(2500, 2530), "frozen", ((2500, 2530),)),
+        ("pressure_pa", freeze_twice, "frozen", ((500, 530), (1100, 5500))),
         ("position_m", put(2500, 3500), "frozen", ((2500, 3500),)),
         ("pressure_pa", put(10, 20, np.nan), "missing", ((10, 20),)),
         ("valve_v", put(10, 20, np.nan), "missing", ((10, 20),)),

@@ -11,6 +11,7 @@ from scipy.signal import butter, filtfilt
 from support.made_records import ask_only, measured
 
 from pamctl.diagnose import Record, diagnose
+from pamctl.diagnose.evidence.weigh import prepare_weigher
 from pamctl.diagnose.mend import (
     AROUND,
     align_resting_pressure,
@@ -152,6 +153,20 @@ def test_a_filter_is_found_by_the_noise_of_the_rest() -> None:
     assert [(f.channel, f.kind) for f in faults] == [("pressure_pa", "filtered")]
     walk = 1e5 + np.cumsum(np.random.default_rng(6).normal(0.0, 10.0, len(record)))
     assert not is_filtered(replace(record, pressure_pa=walk), "pressure_pa")
+
+
+def test_a_change_counts_at_each_scale_where_half_of_its_samples_do() -> None:
+    record = measured("fit", 7)
+    counts = np.random.default_rng(1).random(len(record)) > 0.4
+    weigher, _ = prepare_weigher([replace(record, counts=counts)], (), PlantSettings())
+    seen, kept = ~weigher.train.hidden, weigher.like.keep
+    at, samples = 0, 2
+    while samples <= weigher.train.block:
+        shares = seen.reshape(*seen.shape[:2], -1, samples).mean(axis=-1)
+        end = at + shares.shape[-1]
+        assert np.array_equal(kept[..., at:end], shares >= 0.5), samples
+        at, samples = end, 2 * samples
+    assert 0.0 < kept.mean() < 1.0
 
 
 # --- zeros that homing left ----------------------------------------------------------------------

@@ -111,8 +111,18 @@ def doubt_actuator(record: Record, plant: PlantSettings) -> Iterator[Problem]:
             "not move",
             fix=f"{_ANOTHER_PLANT}, as a muscle or a cylinder",
         )
+    if plant.stroke_m and (span_m := _find_motion_m(record)) > BEYOND_STROKE * plant.stroke_m:
+        yield Problem(
+            record.name,
+            "actuator",
+            f"position_m moves by {1e3 * span_m:.3g} mm, and the plant file's stroke_m is "
+            f"{1e3 * plant.stroke_m:.3g} mm between two stops",
+            fix="give the column's unit, or the stroke, as it is",
+        )
 
 
+BEYOND_STROKE = 1.05
+"""Stops give way, and a position sensor's scale is off, by less."""
 _ANOTHER_PLANT = "make the plant file of what was measured (`pamctl plant new`)"
 
 

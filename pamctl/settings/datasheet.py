@@ -193,7 +193,7 @@ _OF_BRAID = {
     "braid_contact_area_m2",
 }  # fmt: skip
 _OF_MOTION = {"mass_kg", "damping_n_s_per_m", "stiffness_n_per_m"}
-_NOT_OF = {
+NOT_OF: Mapping[str, set[str]] = {
     "muscle": set(),
     "direct": _OF_AIR | _OF_BRAID,
     "chamber": _OF_BRAID | _OF_MOTION,
@@ -242,7 +242,7 @@ def list_questions(actuator: str) -> tuple[PlantQuestion, ...]:
     fields |= {
         name: field
         for name, field in MuscleParameters.model_fields.items()
-        if name not in _NOT_OF[actuator]
+        if name not in NOT_OF[actuator]
     }
     ordered = sorted(fields, key=lambda name: name not in _FIRST)
     asked = [_make_question(actuator, name, fields[name]) for name in ordered]

@@ -150,6 +150,10 @@ def choose_by_header(table: MeasuredTable) -> ChosenColumns:
             keys[KEYS[quantity]] = _read_as(table, first, doubts, warnings)
     if not doubts and TIME in columns and not columns.keys() & {"pressure_pa", "position_m"}:
         doubts.append("no column is a pressure or a position by its name")
+        rest = [column for column in table.columns if column is not columns[TIME]]
+        if all(c.header.said_unit and not (c.header.unit or c.header.quantity) for c in rest):
+            units = ", ".join(dict.fromkeys(column.header.said_unit for column in rest))
+            doubts.append(f"pamctl describes air and what it moves, and {units} measure neither")
         for column in table.columns:
             if column.header.others and column.header.measures in ("pressure_pa", "position_m"):
                 word = quote(min(column.header.others))
@@ -375,17 +379,20 @@ def _propose_others(
     others = [column for column in rest if column not in guessed]
     if others:
         open_ones = _EXAMPLES.keys() - known - {column.header.quantity for column in guessed}
-        listed = ", ".join(quote(column.name) for column in others[:20])
-        yield f"# other columns: {listed}" + ("; such as" if open_ones else "")
+        lines = []
         for quantity, example in _EXAMPLES.items():
             # What states a unit of its own is of that quantity, if of any.
             free = [c for c in others if c.header.measures in ("", quantity)]
             fits = [c for c in free if c.header.measures or not c.header.said_unit]
-            fits = fits or (free if "gain" in example else [])
+            # A gain may turn a motor's current into a force, but no oven into a rig.
+            fits = fits or (free if "gain" in example and known - {TIME} else [])
             if quantity in open_ones and fits:
                 unit = fits[0].header.unit if fits[0].header.measures else example["unit"]
                 keys = {"column": table.name_of(fits[0]), **example, "unit": unit}
-                yield f"# {write_key(KEYS[quantity], keys)}"
+                lines.append(f"# {write_key(KEYS[quantity], keys)}")
+        listed = ", ".join(quote(column.name) for column in others[:20])
+        yield f"# other columns: {listed}" + ("; such as" if lines else "")
+        yield from lines
 
 
 def show_map(doubt: str, lines: Sequence[str]) -> str:

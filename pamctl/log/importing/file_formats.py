@@ -291,7 +291,7 @@ class TextBlock(NamedTuple):
 
 def read_text(path: Path, hints: TextHints, begin: bytes, packer: Packer | None) -> MeasuredTable:
     """Read a file of text; raise ImportRefused with the line and the cell that has no reading."""
-    encoding, notes = _find_encoding(path, hints.encoding or "", begin, packer)
+    encoding, remarks = _find_encoding(path, hints.encoding or "", begin, packer)
     with TextIOWrapper((packer or open)(path, "rb"), encoding) as file:
         try:
             delimiter, table = _read_blocks(path, _split_blocks(path, file), hints)
@@ -299,7 +299,7 @@ def read_text(path: Path, hints: TextHints, begin: bytes, packer: Packer | None)
             raise ImportRefused(f"{path} has a cell that has no end: {error}") from None
     plain = "utf-8" if encoding == "utf-8-sig" else encoding
     form = f"text in {plain}, {_DELIMITERS[delimiter]} between cells"
-    return table.finish(form, notes)
+    return table.finish(form, remarks)
 
 
 def _read_blocks(

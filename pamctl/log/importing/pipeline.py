@@ -55,6 +55,8 @@ MOST_TICKS = 50_000_000
 _MISSED = {"valve_v", "pressure_pa", "position_m"}
 _OF_A_MECHANISM = {"position_m", "force_n"}
 """A mechanism of one axis misses nothing beside these."""
+_OF_A_CHAMBER = {"valve_v", "pressure_pa"}
+"""Nor does a chamber, where the file has no more columns."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,7 @@ class _Import:
         for note in table.notes:
             self.findings.warning("file", note)
         for remark in table.remarks:
-            self.findings.note("last-line", remark)
+            self.findings.note("file", remark)
         for kind, text in self.chosen.warnings:
             self.findings.warning(kind, text)
         self._refuse_doubts()
@@ -215,13 +217,15 @@ class _Import:
             is_accepted=is_accepted,
         )
         there = self.quantities.keys()
+        is_chamber = there == _OF_A_CHAMBER and not self.chosen.left_out
+        is_whole = is_chamber or there >= _OF_A_MECHANISM
         if not {"pressure_pa", "position_m"} & there:
             findings.error(
                 "columns", "there is neither pressure nor position: nothing was measured"
             )
-        elif not there >= _OF_A_MECHANISM and (missing := _MISSED - there):
-            listed = ", ".join(sorted(missing))
-            findings.warning("columns", f"no {listed}: no analysis that needs them is possible")
+        elif not is_whole and (missing := _MISSED - there):
+            text = f"no {', '.join(sorted(missing))}: no analysis that needs this is possible"
+            findings.warning("columns", text)
 
     def _replace_time(self) -> None:
         """Put a rate into the better map where times are missing or there twice, and none falls."""

@@ -25,6 +25,7 @@ from pamctl.log.importing.column_roles import (
     NEVER_ABSOLUTE_PA,
     OF_THE_AIR_PA,
     ChosenColumns,
+    names_quantity,
 )
 from pamctl.log.importing.headers import UNITS
 from pamctl.log.importing.measured_table import Floats, Ints, TableColumn
@@ -175,7 +176,8 @@ def _doubt_quantity(part: ColumnMap, column: TableColumn | None) -> list[_Doubt]
     header = column.header if column else None
     if not (column and header and header.measures) or abs(getattr(part, "gain", 1.0)) != 1.0:
         return []
-    if header.measures in (part.quantity, "valve_v"):  # volts may be those of any sensor
+    is_any_sensor = header.measures == "valve_v" and not names_quantity(column, "valve_v")
+    if header.measures == part.quantity or is_any_sensor:
         return []
     unit = header.unit or header.said_unit
     said = f"{quote(column.name)} says {unit}, a unit of {header.measures}"

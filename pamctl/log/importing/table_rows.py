@@ -270,11 +270,11 @@ class TableBuilder:
             {"missing": [cell]},
         )
 
-    def finish(self, form: str, notes: Sequence[str] = ()) -> MeasuredTable:
+    def finish(self, form: str, remarks: Sequence[str] = ()) -> MeasuredTable:
         """Return the table; raise ImportRefused where too much below it is no part of it."""
         if len(self._odd) > _MOST_LEFT_OUT:
             self._refuse_odd(before=np.inf)
-        notes = [*notes, *([self._layout.odd_names] if self._layout.odd_names else [])]
+        notes = [self._layout.odd_names] if self._layout.odd_names else []
         notes += [f"line {number} is left out: {why}" for number, why in self._odd.items()]
         if self._comments:
             notes.append(
@@ -286,7 +286,8 @@ class TableBuilder:
         decimal = "decimal comma" if self._mark.choose() == "," else "decimal point"
         rows = np.concatenate(self._lines) if self._lines else np.zeros(0, np.int64)
         columns = list(self._finish_columns())
-        return MeasuredTable(columns, rows, f"{form}, {decimal}", notes, self._remarks, doubt, mend)
+        remarks = [*remarks, *self._remarks]
+        return MeasuredTable(columns, rows, f"{form}, {decimal}", notes, remarks, doubt, mend)
 
     def _finish_columns(self) -> Iterator[TableColumn]:
         sentinels = [n for w in self._hints.missing if (n := read_number(w, ".")) is not None]

@@ -149,6 +149,14 @@ def test_a_record_of_something_else_than_the_plant_file_says_is_refused_at_once(
         assert [*doubt_actuator(record, plant)] == []
 
 
+def test_a_motion_beyond_the_stops_of_the_plant_file_is_refused_with_both_figures() -> None:
+    muscle = sines(500.0, valve_v=2.0, position_m=0.01)  # 20 mm from end to end
+    short, long = (PAPER.model_copy(update={"stroke_m": stroke_m}) for stroke_m in (0.015, 0.0195))
+    (doubt,) = doubt_actuator(muscle, short)
+    assert "moves by 20 mm, and the plant file's stroke_m is 15 mm" in doubt.message
+    assert [*doubt_actuator(muscle, long)] == []
+
+
 @pytest.mark.parametrize("plant", [PAPER, DIRECT])
 def test_noise_alone_is_a_record_in_which_nothing_moves_and_not_one_that_is_coarse(plant) -> None:
     noise = np.random.default_rng(3).normal(size=(4, 1100))

@@ -6,6 +6,7 @@ import json
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, report_diagnos
 from pamctl.diagnose.audit import audit_run
 from pamctl.diagnose.plant_numbers import FittedNumber
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
-from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
+from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page, format_plant_file
 from pamctl.diagnose.report.finding_words import FreeTerm
 from pamctl.diagnose.report.next_experiment import (
     MOTIONS,
@@ -30,6 +31,7 @@ from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.terms import LOCATIONS
 from pamctl.report.html_page import write_html
 from pamctl.report.report import SIGNAL_DISPLAYS, format_terminal
+from pamctl.settings.yaml12 import parse_yaml
 
 pytestmark = pytest.mark.long
 
@@ -185,6 +187,9 @@ def test_a_chamber_of_constant_volume_is_diagnosed_without_a_position() -> None:
     (area,) = (n for n in found.numbers if n.name == "chamber_leak.area_m2")
     assert area.value == pytest.approx(5e-8, rel=0.02)
     assert found.plant.chamber_volume_m3 == 1e-3
+    written = parse_yaml(format_plant_file(found, ["a"]), Path("plant.yaml")).data
+    assert not {"mass_kg", "braid_turns", "stiffness_n_per_m"} & written["parameters"].keys()
+    assert PlantSettings.model_validate(written) == found.plant
     told = format_terminal(report_diagnosis(found)) + " ".join(advise_next_steps(found))
     assert "muscle" not in told
     assert "pamctl run" not in told

@@ -244,3 +244,44 @@ def test_an_empty_file_is_called_empty_whatever_its_ending(tmp_path, ending):
     source = tmp_path / f"a{ending}"
     source.touch()
     assert Outcome(source).stderr.strip() == f"error: {source} is empty"
+
+
+def test_a_map_that_exchanges_command_and_pressure_is_refused_by_names_and_units(tmp_path):
+    bar = 2.0 + np.sin(9.0 * T_S)
+    source = write_csv(
+        tmp_path / "a.csv", {"Zeit [s]": T_S, "Stellwert Ventil [V]": VALVE_V, "Druck [bar]": bar}
+    )
+    refused = import_with(
+        source,
+        "time: {column: 'Zeit [s]'}\nvalve: {column: 'Druck [bar]', unit: V}\n"
+        "pressure: {column: 'Stellwert Ventil [V]', unit: bar, gauge: true}\n",
+    )
+    said = str(refused.report["findings"])
+    assert "'Stellwert Ventil [V]' says V, a unit of valve_v" in said
+    assert "'Druck [bar]' says bar, a unit of pressure_pa" in said
+
+
+def test_volts_of_a_sensor_are_told_and_followed(tmp_path):
+    columns = {"t_s": T_S, "valve_v": VALVE_V, "Druck [V]": 2.0 + np.sin(9.0 * T_S)}
+    source = write_csv(tmp_path / "a.csv", columns)
+    text = "time: {column: t_s}\nvalve: {column: valve_v}\npressure: {column: 'Druck [V]', unit: "
+    bare = import_with(source, text + "bar, gauge: true}\n")
+    assert "'Druck [V]' says V, and the map bar" in bare.said["warning", "map"]
+    scaled = import_with(source, text + "bar, gauge: true, gain: 1.25}\n")
+    assert not [said for said in scaled.said if said[1] == "map"]
+
+
+def test_a_table_of_neither_air_nor_motion_is_offered_no_map(tmp_path):
+    head = "Temps (s),Puissance (W),Température (°C)"
+    refused = import_names(tmp_path / "oven.csv", head, T_S, 100.0 + T_S, 20.0 + T_S)
+    assert "pamctl describes air and what it moves, and W, °C measure neither" in refused.stderr
+    assert "# valve" not in refused.stderr
+    assert "# force" not in refused.stderr
+
+
+def test_a_chamber_that_has_all_its_columns_misses_no_position(tmp_path):
+    head, bar = "t_s,valve_v,Druck [bar rel]", 2.0 + np.sin(9.0 * T_S)
+    whole = import_names(tmp_path / "a.csv", head, T_S, VALVE_V, bar)
+    assert ("warning", "columns") not in whole.said
+    more = import_names(tmp_path / "b.csv", f"{head},Regler", T_S, VALVE_V, bar, bar)
+    assert "no position_m" in more.said["warning", "columns"]

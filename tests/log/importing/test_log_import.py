@@ -123,7 +123,7 @@ def test_a_file_of_another_encoding_is_read_and_the_encoding_is_told(tmp_path):
     source = tmp_path / "latin.csv"
     source.write_bytes("t_s,x [µm],temp °C\n0,5000,20\n1e-3,5001,20\n".encode("cp1252"))
     done = Outcome(source)
-    assert "read as Windows-1252" in done.said["warning", "file"]
+    assert "read as Windows-1252" in done.said["note", "file"]
     assert done.signals.position_m == pytest.approx([5000e-6, 5001e-6])
 
 

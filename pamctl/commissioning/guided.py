@@ -162,14 +162,12 @@ class CalibrationError(Exception):
 class PreparedAnswers:
     """Answers given in advance, in the order of the questions: for scripts."""
 
-    def __init__(self, answers: Sequence[float], idle_times: int = 30) -> None:
-        """`idle_times` is how often the rig goes on before each answer."""
+    def __init__(self, answers: Sequence[float]) -> None:
         self._answers = list(answers)
-        self._idle_times = idle_times
 
     def wait(self, request: str, idle: Callable[[], object]) -> None:
         """Let the rig go on for a moment, then go on as if it were done."""
-        for _ in range(self._idle_times):
+        for _ in range(30):
             idle()
 
     def number(self, question: str, idle: Callable[[], object]) -> float:

@@ -7,7 +7,7 @@ import math
 import os
 import platform
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
@@ -272,14 +272,13 @@ class CallCosts(NamedTuple):
     output: LatencySpread
 
 
-def measure_calls(
-    rig: Rig, safe_volts: float, now_ns: Callable[[], int] = time.monotonic_ns, calls: int = CALLS
-) -> CallCosts:
+def measure_calls(rig: Rig, safe_volts: float, calls: int = CALLS) -> CallCosts:
     """Read and write the safe voltage back to back; the rig is open.
 
     The times in a sample separate the encoder's call from the pressure sensor's: encoder first.
     """
     encoder_ns, pressure_ns, output_ns = [], [], []
+    now_ns = time.monotonic_ns
     until_ns = now_ns() + round(_LONGEST_S * 1e9)
     with _pause_garbage_collection():
         for _ in range(calls):

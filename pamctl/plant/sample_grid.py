@@ -46,14 +46,14 @@ def _check_intervals(dt_s: ArrayLike, samples: int) -> Array:
     return intervals
 
 
-def _check_acts_after(name: str, given: ArrayLike | None, samples: int) -> Array | None:
+def _check_acts_after(given: ArrayLike | None, samples: int) -> Array | None:
     """Return when commands act after their samples; None where all act at their samples."""
     if given is None:
         return None
     late_s: Any = np.asarray(given, dtype=np.float64)
     if late_s.ndim == 0:
         late_s = np.full(samples, late_s)
-    late_s = check_signal(name, late_s, samples)
+    late_s = check_signal("acts_after_s", late_s, samples)
     return late_s if np.any(np.abs(late_s) > SAME_INSTANT_S) else None
 
 
@@ -112,7 +112,7 @@ def build_grid(
     intervals = _check_intervals(dt_s, samples)
     longest_s = 1.1 * find_period_s(intervals) / steps if len(intervals) else 1.0
     samples_s = accumulate_times(intervals)
-    late_s = _check_acts_after("acts_after_s", acts_after_s, samples)
+    late_s = _check_acts_after(acts_after_s, samples)
     if late_s is None:
         acts_s, acting, parts_s = samples_s, np.arange(samples - 1), intervals
         begins = np.arange(samples)

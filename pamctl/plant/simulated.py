@@ -126,15 +126,12 @@ class SimulatedPlant:
     """
 
     def __init__(
-        self,
-        parameters: PlantParameters,
-        state: PlantState | None = None,
-        prepare: Callable[..., Call] = PlainCall,
+        self, parameters: PlantParameters, prepare: Callable[..., Call] = PlainCall
     ) -> None:
-        """Start from `state`; by default vented and at rest. `prepare` makes the call."""
+        """Start vented and at rest. `prepare` makes the call."""
         self.parameters = parameters
         self.line = make_line(parameters)
-        muscle = vented_state(parameters) if state is None else state
+        muscle = vented_state(parameters)
         shown = ShownMuscle(muscle, OnTheWay(), *show_muscle(parameters, muscle))
         arguments = {"p": parameters, "line": self.line, "shown": shown, "held": Held(0.0, 0.0)}
         call = self._call = prepare(advance_and_show, arguments, ("shown",))

@@ -44,12 +44,10 @@ class RingJournal:
     What puts a row raises `RingFull` if there is no room.
     """
 
-    def __init__(self, ring: Ring, now_ns: Callable[[], int] = time.monotonic_ns) -> None:
-        """`now_ns` is the monotonic clock that others compare the heartbeat with."""
+    def __init__(self, ring: Ring) -> None:
         self._ring = ring
         self._watched = ring
         """The ring whose heartbeat the guardian watches."""
-        self._now_ns = now_ns
         self._worst_late_s = 0.0
 
     @property
@@ -70,10 +68,10 @@ class RingJournal:
     def put_rows(self, rows: memoryview) -> None:
         """Put many ticks that are packed already."""
         self._ring.put_rows(rows)
-        self._watched.loop_beat_ns = self._now_ns()
+        self._watched.loop_beat_ns = time.monotonic_ns()
 
     def _show_life(self, late_s: float, missed: int) -> None:
-        self._watched.loop_beat_ns = self._now_ns()
+        self._watched.loop_beat_ns = time.monotonic_ns()
         if late_s > self._worst_late_s:
             self._worst_late_s = late_s
             self._ring.worst_late_ns = round(late_s * 1e9)
@@ -85,12 +83,12 @@ class RingJournal:
     def note_start(self, event: Mapping[str, object]) -> None:
         """Put an event before the rig is open: no heartbeat begins, as a driver may be slow."""
         self._ring.put_event(0, self.start_ns, event)
-        self._watched.loop_beat_ns = self._now_ns()
+        self._watched.loop_beat_ns = time.monotonic_ns()
 
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
         """Put an event. The first event, just before the first tick, starts the heartbeat."""
         self._ring.put_event(tick, t_ns, event)
-        self._watched.loop_beat_ns = self._now_ns()
+        self._watched.loop_beat_ns = time.monotonic_ns()
         self._watched.loop_stage = LoopStage.TICKING
 
     def put_gains(self, tick: int, t_ns: int, gains: Mapping[str, object]) -> None:
@@ -103,7 +101,7 @@ class RingJournal:
 
     def end_ticks(self) -> None:
         """Tell the guardian to wait longer: releasing a card takes longer than a tick."""
-        self._watched.loop_beat_ns = self._now_ns()
+        self._watched.loop_beat_ns = time.monotonic_ns()
         self._watched.loop_stage = LoopStage.LEAVING
 
     def end_last_run(self, ending: Ending) -> None:

@@ -565,14 +565,14 @@ class Ring:
         if self._fd >= 0:
             os.close(self._fd)
 
-    def close_in_steps(self, step_bytes: int = _POPULATE_BYTES) -> Iterator[None]:
+    def close_in_steps(self) -> Iterator[None]:
         """Give back some pages in each step, and close in the last; the ring keeps its content.
 
         All pages at once would take longer than a tick may.
         """
-        for start in range(0, len(self._map), step_bytes):
+        for start in range(0, len(self._map), _POPULATE_BYTES):
             with contextlib.suppress(OSError):  # before Linux 5.18
-                length = min(step_bytes, len(self._map) - start)
+                length = min(_POPULATE_BYTES, len(self._map) - start)
                 self._map.madvise(_MADV_DONTNEED_LOCKED, start, length)
             yield
         self.close()

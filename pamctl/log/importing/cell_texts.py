@@ -203,11 +203,11 @@ def _match_clock(text: str) -> re.Match[str] | None:
     return _CLOCK.fullmatch(text) or _ONLY_DATE.fullmatch(text)
 
 
-def tell_kind(cell: Cell, missing: Collection[str] = MISSING) -> str:
+def tell_kind(cell: Cell) -> str:
     """Return what a cell seems to be: `n`umber, `t`ime, `d`ate, `m`issing, or a `w`ord."""
     if not isinstance(cell, str):
         return "n"
-    if _word(cell) in missing:
+    if _word(cell) in MISSING:
         return "m"
     if read_number(cell, ".") is not None or read_number(cell, ",") is not None:
         return "n"

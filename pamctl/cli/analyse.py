@@ -197,14 +197,14 @@ def compare(asked: CompareOptions) -> None:
     from pamctl.report.progress_line import WorkProgress
     from pamctl.report.report import format_terminal
 
-    found, count, whole = [], len(asked.paths), None
+    reports, count = [], len(asked.paths)
     column_map = read_map(asked.map_path)
     with WorkProgress("compare") as progress:
         for number, path in enumerate(asked.paths):
             progress(number, count, f"reading {path.name}")
             with open_as_log(path, column_map) as (log_path, told):
-                log = replace(read_some(log_path, SIGNAL_FIELDS), path=path)
-                whole = None if plot is None else replace(read(log_path), path=path)
+                log = read_some(log_path, SIGNAL_FIELDS) if plot is None else read(log_path)
+                log = replace(log, path=path)
             warn(path, () if told else list_notes(log))
             for note in told:
                 tell(f"{path.stem}: {note}")
@@ -212,8 +212,8 @@ def compare(asked: CompareOptions) -> None:
             def show_plant(done: float, of: float, doing: str, before: int = number) -> None:
                 progress(before + done / of, count, doing)
 
-            found.append((path, compare_plants(log, asked.plants, show_plant)))
-        reports = [report_comparison(path, models, whole, asked.map_path) for path, models in found]
+            found = compare_plants(log, asked.plants, show_plant)
+            reports.append(report_comparison(log, found, asked.map_path, is_drawn=plot is not None))
     if len(reports) > 1:
         documents = [{**one.document, "plot": None} for one in reports]
         text = "\n\n".join(map(format_terminal, reports))

@@ -20,16 +20,17 @@ _Models = Mapping[str, Comparison]
 
 
 def report_comparison(
-    path: Path, found: _Models, log: Log | None = None, map_path: Path | None = None
+    log: Log, found: _Models, map_path: Path | None = None, *, is_drawn: bool = False
 ) -> Report:
-    """Return the gaps of every model to a log; with its plots where the whole log is given.
+    """Return the gaps of every model to a log; with plots if `is_drawn`, of a whole log.
 
     `map_path` is the map by which a measured file was read.
     """
+    path = log.path
     proposed = _suggest_next(path, found, map_path)
     comparisons = [*found.values()]
     measured = comparisons[0].measured
-    coupled, alone = ([], []) if log is None else _draw_plots(log, found)
+    coupled, alone = _draw_plots(log, found) if is_drawn else ([], [])
     report = Report(
         f"Model against {path.name}",
         f"{path}: {len(measured)} ticks from {measured.t_s[0]:.3f} s on, model minus measurement",

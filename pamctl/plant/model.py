@@ -273,8 +273,8 @@ class PlantSettings(Configured):
                 data.pop(name, None)
         if not any(data.get("terms", {}).values()):
             data.pop("terms", None)
-        if self.actuator in ("direct", "cylinder") and "parameters" in data:
-            means = AXIS if self.actuator == "direct" else (*AXIS, *AIR)
+        means = MEANS.get(self.actuator)
+        if means and "parameters" in data:
             data["parameters"] = {
                 name: value
                 for name, value in data["parameters"].items()
@@ -296,7 +296,9 @@ class PlantSettings(Configured):
 AXIS = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")
 """The parameters of a direct mechanism; all others are its effects, or the muscle's."""
 AIR = ("tank_pressure_pa", "atmospheric_pressure_pa", "temperature_k", "valve_gain_m2_per_v")
-"""What a cylinder has beside them."""
+"""What a cylinder has beside them, and a chamber alone."""
+MEANS: Mapping[str, tuple[str, ...]] = {"direct": AXIS, "cylinder": AXIS + AIR, "chamber": AIR}
+"""The parameters that an actuator without a braid has."""
 GEOMETRY_OF: Mapping[str, tuple[str, ...]] = {"chamber": GEOMETRY[:1], "cylinder": GEOMETRY[1:]}
 """The numbers that an actuator without a braid must have."""
 

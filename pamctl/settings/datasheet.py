@@ -18,7 +18,7 @@ from pydantic.fields import FieldInfo
 
 from pamctl.exit_codes import ExitCode
 from pamctl.plant.catalogue import CATALOGUE
-from pamctl.plant.model import PlantSettings
+from pamctl.plant.model import AXIS, PlantSettings
 from pamctl.plant.paper import ROOM_K, MuscleParameters
 from pamctl.settings.resolve import RawSettings, validate_settings
 from pamctl.settings.yaml12 import dump_yaml
@@ -192,8 +192,8 @@ _OF_BRAID = {
     "rest_length_m", "braid_length_m", "braid_turns", "kinetic_friction_per_m", "braid_count",
     "braid_contact_area_m2",
 }  # fmt: skip
-_OF_MOTION = {"mass_kg", "damping_n_s_per_m", "stiffness_n_per_m"}
-NOT_OF: Mapping[str, set[str]] = {
+_OF_MOTION = {*AXIS}
+_NOT_OF = {
     "muscle": set(),
     "direct": _OF_AIR | _OF_BRAID,
     "chamber": _OF_BRAID | _OF_MOTION,
@@ -242,7 +242,7 @@ def list_questions(actuator: str) -> tuple[PlantQuestion, ...]:
     fields |= {
         name: field
         for name, field in MuscleParameters.model_fields.items()
-        if name not in NOT_OF[actuator]
+        if name not in _NOT_OF[actuator]
     }
     ordered = sorted(fields, key=lambda name: name not in _FIRST)
     asked = [_make_question(actuator, name, fields[name]) for name in ordered]

@@ -117,7 +117,7 @@ def test_a_real_time_log_agrees_with_its_own_plant_for_commands_act_when_the_log
 def test_a_gap_is_drawn_as_model_minus_measurement() -> None:
     log = read(GOLDEN / "qsmc.mcap")
     found = compare_model(log, PAPER)
-    report = report_comparison(log.path, {"paper": found}, log)
+    report = report_comparison(log, {"paper": found}, is_drawn=True)
     plots = {p.title: p for part in report.parts if isinstance(part, Figure) for p in part.plots}
     for title, factor, model, seen in (
         ("Mechanics alone", 1e6, found.mechanics.position_m, found.measured.position_m),

@@ -65,7 +65,6 @@ from pamctl.report.report import (
     Text,
 )
 from pamctl.report.run_motion import mark_moments
-from pamctl.settings.datasheet import NOT_OF
 from pamctl.settings.yaml12 import dump_yaml
 
 
@@ -412,8 +411,6 @@ def format_plant_file(diagnosis: Diagnosis, logs: Sequence[str]) -> str:
     data: dict[str, Any] = diagnosis.plant.model_dump(
         mode="json", round_trip=True, exclude_none=True
     )
-    for name in NOT_OF[diagnosis.plant.actuator]:
-        data["parameters"].pop(name, None)
     return "".join(f"# {line}\n" for line in _head_lines(diagnosis, logs)) + dump_yaml(data)
 
 

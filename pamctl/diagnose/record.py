@@ -414,8 +414,8 @@ def _import_beside(path: Path, imported: Path, column_map: ImportMap | None) -> 
 
 def _refuse_import(done: ImportSummary, *, has_map: bool) -> pamctl.log.LogError:
     """Return why nothing was imported; with a map where one would mend it."""
-    from pamctl.log.importing.column_roles import show_map
     from pamctl.log.importing.measured_table import MapWanted
+    from pamctl.log.importing.shown_map import show_map
 
     wrong = [f for f in done.findings if f.level == Severity.ERROR or f.key == "map"]
     text = "not imported: " + "; ".join(f.message for f in wrong)

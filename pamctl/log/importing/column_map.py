@@ -244,6 +244,18 @@ def describe_part(part: ColumnMap) -> dict[str, Any]:
     return {"column": part.column, "unit": part.unit, **said}
 
 
+def describe_reading(part: ColumnMap) -> str:
+    """Return a quantity, the unit of its column, and what is done to it."""
+    keys = describe_part(part)
+    scaled = f" x {keys['gain']:g}" if "gain" in keys else ""
+    moved = f" {keys['offset']:+g}" if "offset" in keys else ""
+    shift = f", shifted {keys['shift_s']:+g} s" if "shift_s" in keys else ""
+    gauge = ""
+    if isinstance(part, PressureMap):
+        gauge = " gauge" if part.gauge else " absolute"
+    return f"{part.quantity}{scaled}{moved}, {part.unit}{gauge}{shift}"
+
+
 def write_map(keys: Mapping[str, Any], remarks: Mapping[str, str]) -> str:
     """Return keys as the text of a map, one a line, with remarks by key."""
     return "\n".join(write_key(key, value, remarks.get(key, "")) for key, value in keys.items())

@@ -23,15 +23,13 @@ from pamctl.log.importing.column_map import (
     ATMOSPHERIC_PRESSURE_PA,
     ImportMap,
     TimeMap,
+    describe_reading,
     write_map,
 )
 from pamctl.log.importing.column_roles import (
     choose_by_header,
     choose_by_map,
-    describe_reading,
     names_quantity,
-    propose_missing,
-    show_map,
 )
 from pamctl.log.importing.file_formats import read_table
 from pamctl.log.importing.headers import TIME, UNITS
@@ -42,6 +40,7 @@ from pamctl.log.importing.measured_table import (
     MeasuredTable,
 )
 from pamctl.log.importing.plausibility import judge_clock, judge_record, judge_units
+from pamctl.log.importing.shown_map import propose_missing, show_map
 from pamctl.log.record_problems import GAP_PERIODS, find_gaps, nominal_period_s
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import IMPORTED, TICK_TOPIC, imported_fields
@@ -254,7 +253,7 @@ class _Import:
         """Return the map that may mend an error, or may read what no header names; or nothing."""
         keys = write_map(self.better_map.as_keys(), {})
         misses = not self.has_map and any(f.key == "columns" for f in self.findings.all)
-        lines = [keys, *(propose_missing(self.table, self.chosen) if misses else [])]
+        lines = [keys, *(propose_missing(self.table, self.chosen.columns) if misses else [])]
         if self.findings.any(Severity.ERROR):
             if self.better_map == self.map:
                 lines.insert(0, "# as it was read: change what is wrong")

@@ -22,13 +22,13 @@ from pamctl.log.importing.column_map import (
     quote,
 )
 from pamctl.log.importing.column_roles import (
-    NEVER_ABSOLUTE_PA,
     OF_THE_AIR_PA,
     ChosenColumns,
     names_quantity,
 )
 from pamctl.log.importing.headers import UNITS
 from pamctl.log.importing.measured_table import Floats, Ints, TableColumn
+from pamctl.log.importing.shown_map import NEVER_ABSOLUTE_PA
 from pamctl.log.record_problems import find_record_problems, measured_columns, nominal_period_s
 
 LONGEST_S = 2.0**62 * 1e-9

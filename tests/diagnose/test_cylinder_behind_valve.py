@@ -117,13 +117,14 @@ def test_where_both_ends_are_seen_the_zero_of_the_position_is_off() -> None:
     assert off[-0.01] < 0.1 * off[0.0]
 
 
-def fit_lifting_muscle(stated: str, value: float) -> dict[str, float]:
+def fit_lifting_muscle(stated: str, value: float, *known: str) -> dict[str, float]:
     """Return the fitted numbers of a muscle of which the plant file states one wrong."""
     muscle, commands = LiftingMuscle(), excite(T_S) - 1.0
     position_m, pressure_pa = muscle.simulate(T_S, commands)
     lifted = Record("lifted", T_S, commands, pressure_pa, np.round(position_m / 1e-6) * 1e-6)
     data = muscle.plant().model_dump(exclude_none=True)
     data["parameters"][stated] = value
+    data["known"] = [*known]
     weigher, start = prepare_weigher([lifted], [], PlantSettings.model_validate(data))
     return weigher.settle(start, 12).values
 
@@ -161,3 +162,11 @@ def test_a_valve_of_first_order_is_named_with_its_time_and_not_a_law_without_a_n
     assert found.evidence is not None
     assert found.evidence.values["valve_spool.order"] == 1.0
     assert found.evidence.values["valve_spool.time_constant_s"] == pytest.approx(lag_s, rel=0.05)
+
+
+def test_a_braid_of_the_wrong_width_is_found_by_a_mass_that_was_weighed() -> None:
+    rig = LiftingMuscle()
+    found = fit_lifting_muscle("braid_turns", 1.1 * rig.turns, "mass_kg")
+    assert found["braid_turns"] == pytest.approx(rig.turns, rel=0.001)
+    assert found["external_load.force_n"] == pytest.approx(rig.preload_n, rel=0.002)
+    assert found["valve_gain_m2_per_v"] == pytest.approx(rig.gain_m2_per_v, rel=0.005)

@@ -315,9 +315,9 @@ class Weigher:
 
         What a stretch moves is known to first order by its score, under the model's own floor. A
         number is somewhere in its range: that bounds what no sample shows. The error of a sensor's
-        step stays the same while a signal rests: each block may be off by it. What is left far
-        above the noise is a law, and alike in each stretch of a motion that is repeated: then all
-        stretches are worth one.
+        step stays the same while a signal rests: each block may be off by it. What is left above
+        the noise is a law, which may be alike in each stretch: all noise, the stretches count; all
+        law, they are worth one.
         """
         if not np.array_equal(m.tangent_at, m.x):
             m.tangent = None
@@ -335,8 +335,7 @@ class Weigher:
         scores = np.add.reduceat(np.einsum("icbk,cbk->bi", weighed, m.d), begins, axis=0)
         moves = np.linalg.solve(hessian - (1.0 - LEAST_LEFT) * pieces, scores[..., None])[..., 0]
         steps = (weighed[..., -1] * np.sqrt(block * least2)[:, None]).reshape(count, -1)
-        left2 = float((self.find_robust2(m) / self.find_noise2(m)).max())
-        alike = 1.0 + (len(begins) - 1) * max(1.0 - LEFT_TIMES**2 / left2, 0.0)
+        alike = 1.0 + (len(begins) - 1) * self.find_law_share(m)
         variance = alike * (moves**2).sum(axis=0) + ((inverse @ steps) ** 2).sum(axis=1)
         variance = np.maximum(variance, np.diag(inverse))
         times = float(stdtrit(max(len(begins) - 1, 1), 0.95))
@@ -375,10 +374,14 @@ class Weigher:
         middle = np.array([np.median(f[k]) for f, k in zip(fine, kept, strict=True)])
         return np.maximum(middle / 0.455, self.like.least2) + self.start_error2
 
+    def find_law_share(self, m: WeighedModel) -> float:
+        """Return the share of what a model leaves that no noise makes, in the worst channel."""
+        left2 = self.find_robust2(m) / self.find_noise2(m)
+        return max(1.0 - 1.0 / float(left2.max()), 0.0)
+
     def is_much_left(self, m: WeighedModel) -> bool:
         """Tell whether a model leaves clearly more than the noise of some channel."""
-        left2 = self.find_robust2(m) / self.find_noise2(m)
-        return bool(left2.max() >= LEFT_TIMES**2)
+        return self.find_law_share(m) >= 1.0 - 1.0 / LEFT_TIMES**2
 
     def find_seen(self, a: WeighedModel, b: WeighedModel) -> Array:
         """Return the share of each channel's robust mean square that b takes off a."""

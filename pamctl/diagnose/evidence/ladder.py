@@ -227,7 +227,10 @@ def _may_be_none(
 def _judge_rivals(
     search: NameSearch, without: WeighedModel, m: WeighedModel, mine: Hypothesis, own: Array
 ) -> list[JudgedRival]:
-    """Fit what may stand in a name's stead; `own` is what the name gains, by block."""
+    """Fit what may stand in a name's stead; `own` is what the name gains, by block.
+
+    What another search found in its stead is a rival too: its model is fitted already.
+    """
     weigher, pool, gain = search.weigher, search.pool, float(own.sum())
     asked = [n for n in pool if n != mine.name and _may_rival(search, n, mine)]
     scored = _choose_rivals(search, search.score(without, asked), mine)
@@ -240,9 +243,11 @@ def _judge_rivals(
     for close in [r for r in rivals if weigher.leave_out(r).total < least]:
         weigher.settle(close, 4)  # as the model was: on a ridge a fit goes on for long
     weigher.meet(without, m)
-    judged = []
-    for rival in rivals:
-        its, lead = pool[rival.names[-1]], weigher.leave_out(rival).left_out - m.left_out
+    judged, asked_of = list[JudgedRival](), [(rival, rival.names[-1]) for rival in rivals]
+    if search.other is not None and mine.name not in search.other.names:
+        asked_of += [(search.other, n) for n in search.other.names if n not in m.names]
+    for rival, name in asked_of:
+        its, lead = pool[name], weigher.leave_out(rival).left_out - m.left_out
         beaten = _is_beaten(weigher, rival, m, lead, gain)
         failed = rival.total > without.total - KEPT_PROMISE * promised.get(its.name, 0.0)
         if its.place == mine.place and failed:  # its fit failed: it may be true

@@ -69,6 +69,8 @@ class NameSearch:
         self.weigher, self.pool, self.tell = weigher, pool, tell
         self.found: WeighedModel | None = None
         """The best model so far, for a search that is interrupted."""
+        self.other: WeighedModel | None = None
+        """The model of the search that did less well, where there were two."""
         self.best_scores: dict[str, float] = {}
         """The best gain that each hypothesis of a shortlist promised in any round."""
         self._scored: dict[frozenset[str], list[EvidenceScore]] = {}
@@ -89,7 +91,8 @@ class NameSearch:
         apart = self.search_apart(base)
         if frozenset(apart.names) not in self._fitted:
             apart = self.improve(base, apart)
-        return min(m, apart, key=self.weigher.weigh_alone)
+        m, self.other = sorted((m, apart), key=self.weigher.weigh_alone)
+        return m
 
     def search_apart(self, base: WeighedModel) -> WeighedModel:
         """Return a model of the names that are found with the blocks apart, fitted with both."""

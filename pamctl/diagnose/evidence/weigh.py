@@ -51,6 +51,7 @@ CALIBRATED: Mapping[str, Mapping[str, float]] = {
         "stiffness_n_per_m": 0.1,
         "kinetic_friction_per_m": 0.1,
         "mass_kg": 0.2,
+        "braid_turns": 0.05,
     },
     "chamber": {"valve_gain_m2_per_v": 0.1, "tank_pressure_pa": 0.02},
     "direct": {"mass_kg": 0.2, "damping_n_s_per_m": 0.2, "stiffness_n_per_m": 0.2},
@@ -296,12 +297,12 @@ def list_calibrated(
 
     They are the plant's guesses, the sensors' zeros, and when in a sample a force acts.
     """
-    found, tick = [], runs.period_s
+    found, tick, hidden = [], runs.period_s, _list_hidden(runs, values, plant)
     for name, share in CALIBRATED[plant.actuator].items():
         value = values[name]
-        if name == "mass_kg" and not _shows_mass(values, plant, tick):
+        if name in (*plant.known, *hidden) or value == 0.0:
             continue
-        if name in plant.known or value == 0.0 or (runs.imposed and name != "damping_n_s_per_m"):
+        if runs.imposed and name != "damping_n_s_per_m":
             continue
         low, high = value * (1.0 - 6.0 * share), value * (1.0 + 6.0 * share)
         if share >= KNOWN_WELL:
@@ -329,10 +330,17 @@ def list_calibrated(
     return tuple(found)
 
 
-def _shows_mass(values: Mapping[str, float], plant: PlantSettings, tick_s: float) -> bool:
-    """Tell whether a mass may show: that of a muscle without a load settles within a sample."""
-    settles_s = values["mass_kg"] / max(values["damping_n_s_per_m"], 1e-9)
-    return plant.actuator != "muscle" or settles_s > 0.5 * tick_s
+def _list_hidden(runs: Runs, values: Mapping[str, float], plant: PlantSettings) -> tuple[str, ...]:
+    """Return the numbers of a muscle that its records do not show.
+
+    The mass of one without a load settles within a sample. By another width of the braid all
+    forces and flows change by one factor: only a mass that shows, and is known, tells it.
+    """
+    if plant.actuator != "muscle":
+        return ()
+    if values["mass_kg"] < values["damping_n_s_per_m"] * 0.5 * runs.period_s:
+        return "mass_kg", "braid_turns"
+    return () if "mass_kg" in plant.known else ("braid_turns",)
 
 
 def list_stated(
@@ -363,8 +371,9 @@ def list_pool(runs: Runs, values: Mapping[str, float], plant: PlantSettings) -> 
     if plant.actuator == "direct":
         seen = {"friction", "pull"} | ({"encoder"} if not runs.imposed else set())
         pool = [h for h in pool if h.place in seen and _is_driven(h, reach)]
-    if "mass_kg" not in plant.known and _shows_mass(values, plant, runs.period_s):  # it is fitted
-        pool = [h for h in pool if h.name != "mass"]
+    calibrated = {n.name for n in list_calibrated(runs, values, plant)}
+    stays = {("plant_constant", name) for name in (*plant.known, *calibrated)}
+    pool = [h for h in pool if h.setup not in stays]
     if runs.imposed:
         pool = [h for h in pool if not h.scan]
     if plant.actuator in ("muscle", "cylinder") and "valve_v" not in runs.stretches[0].inputs:

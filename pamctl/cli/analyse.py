@@ -188,7 +188,7 @@ def compare(asked: CompareOptions) -> None:
         raise typer.BadParameter("there is no page; give --plot too", param_hint="--interactive")
     if plot is not None:
         require_place(plot, replaces=PAGE_BEGIN)
-    from pamctl.diagnose.record import list_notes, open_as_log
+    from pamctl.diagnose.read_record import list_notes, open_as_log
     from pamctl.log.measured_signals import SIGNAL_FIELDS
     from pamctl.log.reader import read, read_some
     from pamctl.models.comparison import compare_plants

@@ -103,7 +103,7 @@ def diagnose(asked: DiagnoseOptions) -> None:
     assert out is not None  # only --dry-run, which is for --on-rig, goes without
     from pamctl.diagnose import DiagnosisInterrupted, report_diagnosis
     from pamctl.diagnose import diagnose as find_missing_effects
-    from pamctl.diagnose.record import require_different_runs
+    from pamctl.diagnose.read_record import require_different_runs
     from pamctl.diagnose.refuse import read_acceptances
     from pamctl.diagnose.report.diagnosis_page import write_diagnosis
 
@@ -283,7 +283,7 @@ def audit(asked: AuditOptions) -> None:
 
 def _make_record(what: str, plant: str | None) -> Record:
     if Path(what).suffix == ".mcap":
-        from pamctl.diagnose.record import record_of
+        from pamctl.diagnose.read_record import record_of
 
         return record_of(what)
     find_argument_file("experiment", what)  # its error names what the user typed

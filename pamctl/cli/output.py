@@ -61,7 +61,8 @@ def read_map(path: Path | None) -> ImportMap | None:
 
 def read_records(paths: Iterable[Path], map_path: Path | None = None) -> list[Record]:
     """Read logs and measured files; say on standard error what is doubtful in which of them."""
-    from pamctl.diagnose.record import group_notes, record_of
+    from pamctl.diagnose.read_record import record_of
+    from pamctl.diagnose.record import group_notes
 
     column_map = read_map(map_path)
     records = [record_of(path, column_map) for path in paths]

@@ -9,7 +9,8 @@ Read `workflow.py` first, then `evidence/weigh.py`.
 """
 
 from pamctl.diagnose.diagnosis import Diagnosis, DiagnosisInterrupted, Verdict
-from pamctl.diagnose.record import Record, record_of
+from pamctl.diagnose.read_record import record_of
+from pamctl.diagnose.record import Record
 from pamctl.diagnose.report.diagnosis_document import report_diagnosis
 from pamctl.diagnose.report.verdict_words import sentence
 from pamctl.diagnose.workflow import diagnose

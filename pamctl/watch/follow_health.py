@@ -18,7 +18,8 @@ from pamctl.diagnose.evidence.pool import CHAIN
 from pamctl.diagnose.evidence.weigh import prepare_weigher
 from pamctl.diagnose.mend import mend_records
 from pamctl.diagnose.plant_numbers import FittedNumber, with_values
-from pamctl.diagnose.record import Array, Record, record_of
+from pamctl.diagnose.read_record import record_of
+from pamctl.diagnose.record import Array, Record
 from pamctl.diagnose.refuse import BadData, check_measured_runs
 from pamctl.exit_codes import ExitCode
 from pamctl.log.framing import LogError

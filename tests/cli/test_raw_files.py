@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from support.command_line import run_pamctl
 
 from pamctl.diagnose import Diagnosis, Verdict
-from pamctl.diagnose.record import record_of
+from pamctl.diagnose.read_record import record_of
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
 from pamctl.plant.model import PlantSettings

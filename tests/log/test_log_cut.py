@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 
 import pamctl.log
 from pamctl.cli.app import app
-from pamctl.diagnose.record import record_of
+from pamctl.diagnose.read_record import record_of
 from pamctl.log.export import export_ticks
 from pamctl.log.importing.pipeline import import_log, write_imported
 from pamctl.log.schema import unit_of_column

@@ -21,7 +21,8 @@ from pamctl.diagnose.mend import (
     mend_records,
     remove_hum,
 )
-from pamctl.diagnose.record import estimate_white_noise, parse_noise, pool_stated_noise, record_of
+from pamctl.diagnose.read_record import record_of
+from pamctl.diagnose.record import estimate_white_noise, parse_noise, pool_stated_noise
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.log.importing.column_map import ImportMap
 from pamctl.log.importing.pipeline import import_log

@@ -11,7 +11,7 @@ from support.made_records import PERIOD_S, measured, pair
 
 import pamctl
 from pamctl.diagnose import Record, Verdict, diagnose
-from pamctl.diagnose.record import record_of
+from pamctl.diagnose.read_record import record_of
 from pamctl.diagnose.refuse import (
     RULES,
     BadData,

@@ -169,3 +169,21 @@ def test_intervals_are_wider_where_much_is_left_and_not_where_noise_is_left(
         low, high = found["stiffness_n_per_m"]
         ratio = (high - low) / (narrow["stiffness_n_per_m"][1] - narrow["stiffness_n_per_m"][0])
         assert ratio > 1.5 if is_wider else 1.0 <= ratio < 1.4  # a part of the noise is slow
+
+
+def test_what_another_search_found_in_its_stead_is_a_rival_of_a_name() -> None:
+    weigher, start = prepare_weigher(records_of({"encoder_scale": 3}, 40722)[0], [], PAPER)
+    pool = {h.name: h for h in list_pool(weigher.train, weigher.base, PAPER)}
+    asked = "encoder_scale", "rest_length"
+    search = NameSearch(weigher, {name: pool[name] for name in asked})
+    base = weigher.settle(start)
+    weigher.set_floor(base)
+    weigher.leave_out(base)
+    scale, cap = (search.refit(base, search.score(base, [name]), 1)[0] for name in asked)
+    alone = judge_names(search, base, weigher.settle(scale))[1]
+    search.other = weigher.settle(cap)
+    beside = judge_names(search, base, weigher.settle(scale))[1]
+    assert [(f.name, f.level) for f in (*alone, *beside)] == [
+        ("encoder_scale", "name"), ("encoder_scale", "set"),
+    ]  # fmt: skip
+    assert [h.name for h in beside[0].rivals] == ["rest_length"]

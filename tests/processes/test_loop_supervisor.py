@@ -9,7 +9,7 @@ from pathlib import Path
 from threading import Timer
 
 import pytest
-from support.made_up import meta
+from support.made_up import meta, put
 
 from pamctl.processes.loop_supervisor import LoopSupervisor
 from pamctl.realtime.clock import LoopSettings
@@ -126,6 +126,17 @@ def test_a_full_disk_leaves_time_for_a_smooth_stop(ring: Ring) -> None:
     supervisor = make_supervisor(ring)
     ring.raise_flag(RecorderFlag.FAILED | RecorderFlag.DISK_FULL)
     assert ask_for_stop(supervisor, 8) == ("the log's disk is full", False)
+
+
+def test_a_recorder_that_is_too_far_behind_leaves_room_for_a_smooth_stop(ring: Ring) -> None:
+    supervisor = make_supervisor(ring)
+    room = LoopSettings(ring_rows=256, stop_ramp_s=0.01).stop_rows
+    assert 10 <= room < ring.rows
+    for rows, reason in ((ring.rows - room, None), (1, "the recorder is too far behind")):
+        put(ring, range(rows))
+        ring.guardian_beats += 1
+        asked = ask_for_stop(supervisor, 8)
+        assert asked == (reason and (reason, False))
 
 
 def test_a_stop_may_last_longer_than_the_ticks_kept_between_runs(

@@ -20,7 +20,7 @@ from pamctl.diagnose.audit import audit_run
 from pamctl.diagnose.evidence.weigh import forecast_simulations
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page, format_plant_file
-from pamctl.diagnose.report.verdict_words import list_shifts
+from pamctl.diagnose.report.verdict_phrases import list_shifts
 from pamctl.exit_codes import ExitCode
 from pamctl.plant.model import PlantSettings
 from pamctl.report.html_page import write_html

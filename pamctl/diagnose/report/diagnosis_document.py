@@ -30,13 +30,13 @@ from pamctl.diagnose.report.next_experiment import (
     list_blind_spots,
     spell_next,
 )
-from pamctl.diagnose.report.verdict_words import (
+from pamctl.diagnose.report.verdict_phrases import (
     describe_noise,
     relative_shift,
-    sentence,
     spell_end,
     spell_gap,
 )
+from pamctl.diagnose.report.verdict_words import sentence
 from pamctl.errors import Problem
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.report.report import Part, Points, Problems, Report, ReportTable, Section, Text

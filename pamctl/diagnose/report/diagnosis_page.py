@@ -39,15 +39,13 @@ from pamctl.diagnose.report.next_experiment import (
     words_of_rig,
 )
 from pamctl.diagnose.report.traces_part import ModelStage, list_stages, write_traces
-from pamctl.diagnose.report.verdict_words import (
-    advise_next_steps,
-    choose_words,
+from pamctl.diagnose.report.verdict_phrases import (
     describe_noise,
     explain_no_name,
     relative_shift,
-    sentence,
     spell_end,
 )
+from pamctl.diagnose.report.verdict_words import advise_next_steps, choose_words, sentence
 from pamctl.new_file import write_files
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.report.axes import PlotAxis

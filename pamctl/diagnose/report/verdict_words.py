@@ -1,25 +1,14 @@
-"""What every verdict says: title, body, why and advice; and the phrases that they share."""
+"""What every verdict says: title, body, why and advice."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import starmap
 from typing import NamedTuple
 
-from pamctl.diagnose.diagnosis import Diagnosis, HeldOutGap, Verdict
-from pamctl.diagnose.evidence.constants import LEFT_TIMES
-from pamctl.diagnose.evidence.ladder import Doubt, Finding
-from pamctl.diagnose.evidence.pool import CHAIN
-from pamctl.diagnose.plant_numbers import FittedNumber
+from pamctl.diagnose.diagnosis import Diagnosis, Verdict
 from pamctl.diagnose.report.finding_words import (
-    label_hypothesis,
     list_ambiguous,
     list_faults,
-    list_numbers,
-    spell_best,
-    spell_finding,
-    spell_names,
-    spell_place,
     spell_set,
 )
 from pamctl.diagnose.report.next_experiment import (
@@ -30,8 +19,21 @@ from pamctl.diagnose.report.next_experiment import (
     runs_here,
     words_of_rig,
 )
+from pamctl.diagnose.report.verdict_phrases import (
+    describe_bounds,
+    describe_gap,
+    describe_left,
+    describe_moved,
+    describe_outside,
+    describe_rest,
+    describe_sizes,
+    describe_unnamed,
+    list_places_in_words,
+    list_shifts,
+    spell_findings,
+    spell_unnamed,
+)
 from pamctl.plant.model import PlantSettings
-from pamctl.report.report import SIGNAL_DISPLAYS, spell_figure
 
 _ON_RIG = (
     "`pamctl diagnose --on-rig --out decided` runs such programs, one after the other, on the rig "
@@ -47,19 +49,6 @@ _AGAIN_ELSEWHERE = (
     "`pamctl diagnose FILE --plant plant.yaml --out next`, in the folder of this page, with your "
     "next record for FILE, and with your `--map` if it needs one,"
 )
-
-_DOUBTS: dict[Doubt, str] = {
-    "": "nothing speaks against its name",
-    "law": "a law without a name fits best",
-    "open": "{} is not ruled out",
-    "freer": "a law without a name does better",
-    "range": "a number of it stands at an end of its range",
-    "none": "its interval holds the value at which it does nothing",
-    "part": "a law without a name is missing at its place too, and this may be a part of it",
-    "little": "it takes off little of what is left there, and may be a part of that",
-    "larger": "a larger finding in the same signal has no name, and this may be a part of it",
-}
-"""Why a finding has no sure name."""
 
 
 class VerdictWords(NamedTuple):
@@ -269,194 +258,3 @@ def _advise_after_naming(diagnosis: Diagnosis, again: str) -> tuple[str, ...]:
         null = "The null of the valve is measured by `pamctl calibrate valve --out rig.yaml`."
         return null, go_on
     return (go_on,)
-
-
-# --- phrases with numbers: a figure is one of the document, in the unit of a reader --------------
-
-LEAST_SHIFT = 2e-3
-"""A number that is off by a smaller share is not mentioned in a sentence."""
-
-
-def join_words(parts: list[str]) -> str:
-    """Return `a, b and c`."""
-    return " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)
-
-
-def spell_number(number: FittedNumber) -> str:
-    """Return a fitted number in one line: `fill_width_v 0.25 V (90 %: 0.249 to 0.251)`."""
-    name = number.name.removeprefix(CHAIN).split(".")[-1]
-    value, interval, unit = number.spell()
-    return f"{name} {f'{value} {unit}'.rstrip()} (90 %: {interval})"
-
-
-def spell_findings(diagnosis: Diagnosis, *levels: str) -> str:
-    """Return the findings of these levels as a list of nouns."""
-    return join_words(
-        [
-            spell_finding(diagnosis, f)
-            for f in diagnosis.findings
-            if f.level in levels and (f.level != "name" or f.hypothesis.setup is None)
-        ]
-        or [""]
-    )
-
-
-MOST_DESCRIBED = 2
-"""Findings without a name that a title describes; of more it has the places."""
-
-
-def spell_unnamed(diagnosis: Diagnosis) -> str:
-    """Return the findings without a name as nouns; where they are, if they are many."""
-    if len(_list_unnamed(diagnosis)) <= MOST_DESCRIBED:
-        return spell_findings(diagnosis, "kind", "place")
-    return f"something in {list_places_in_words(diagnosis)}"
-
-
-def list_places_in_words(diagnosis: Diagnosis) -> str:
-    """Return the places of what has no name, the first found first."""
-    places = (spell_place(f.hypothesis.place) for f in _list_unnamed(diagnosis))
-    return join_words([*dict.fromkeys(places)])
-
-
-def _list_unnamed(diagnosis: Diagnosis) -> list[Finding]:
-    return [f for f in diagnosis.findings if f.level in ("kind", "place")]
-
-
-def describe_sizes(diagnosis: Diagnosis) -> str:
-    """Return the numbers of the named effects; empty where none is named."""
-    parts = [
-        f"{spell_names(f.hypothesis.family)}: {', '.join(map(spell_number, list_numbers(f)))}"
-        for f in diagnosis.findings
-        if f.level == "name" and f.hypothesis.setup is None
-    ]
-    return f"{'; '.join(parts)}." if parts else ""
-
-
-def describe_bounds(diagnosis: Diagnosis) -> str:
-    """Name the numbers at an end of their range, but of what only mends; empty where none is."""
-    only_mends = {n.name for f in diagnosis.findings if f.level == "rest" for n in f.numbers}
-    ended = [n for n in diagnosis.at_bound if n not in only_mends]
-    if not ended:
-        return ""
-    at = join_words([f"{n.removeprefix(CHAIN)} {spell_end(diagnosis, n)}" for n in ended])
-    return f", with {at} of {'its range' if len(ended) == 1 else 'their ranges'}"
-
-
-def spell_end(diagnosis: Diagnosis, name: str) -> str:
-    """Say at which end of its range a fitted number stands; empty where at none."""
-    if name not in diagnosis.at_bound or diagnosis.evidence is None:
-        return ""
-    m = diagnosis.evidence.model
-    ends = (v - n.low > n.high - v for n, v in zip(m.numbers, m.x, strict=True) if n.name == name)
-    return "at the high end" if next(ends, False) else "at the low end"
-
-
-def spell_gap(channel: str, gap: HeldOutGap) -> list[str]:
-    """Return the channel, its unit, what three models leave, and the noise of its sensor."""
-    display = SIGNAL_DISPLAYS[channel]
-    factor, unit = display.choose_unit(max(gap[:3]))
-    return [display.short, unit, *(spell_figure(factor * rms) for rms in (*gap[:3], gap.floor))]
-
-
-def describe_gap(diagnosis: Diagnosis) -> str:
-    """Say what each model leaves of each channel, in plain units, and whether that is noise."""
-    evidence, parts = diagnosis.evidence, []
-    is_windowed = evidence and evidence.weigher.train.windowed
-    begins = ", and of the readings that windows begin from," if is_windowed else ""
-    for name, unit, start, again, extended, noise in starmap(spell_gap, diagnosis.gap.items()):
-        steps = [f"{start} {unit} by the start model", f"{again} {unit} recalibrated"]
-        if diagnosis.findings:
-            steps.append(f"{extended} {unit} with what was found")
-        parts.append(f"{name} {', '.join(steps)} (noise of its sensor{begins} {noise} {unit})")
-    where = "On held-out seconds" if diagnosis.is_held_out else "On the fitted records"
-    said = f"{where} the RMS that is left is: {'; '.join(parts)}."
-    return f"{said} {describe_left(diagnosis)}".rstrip()
-
-
-def describe_left(diagnosis: Diagnosis) -> str:
-    """Say of which channels more is left than noise; empty where nothing is."""
-    left = diagnosis.evidence.left_over_noise if diagnosis.evidence else {}
-    high = [
-        f"{spell_figure(times)} times the noise of its sensor in the {SIGNAL_DISPLAYS[c].short}"
-        for c, times in left.items()
-        if times > LEFT_TIMES
-    ]
-    if not high:
-        return ""
-    return (
-        f"That is still {join_words(high)}: more is missing, or the rig does not repeat itself "
-        "any better."
-    )
-
-
-def describe_rest(diagnosis: Diagnosis) -> str:
-    """Say that small findings mend the model and are not said; empty where there are none."""
-    rest = sum(f.level == "rest" for f in diagnosis.findings)
-    if not rest:
-        return ""
-    more = "One more law mends" if rest == 1 else "Further laws mend"
-    return f"{more} what is left a little; too small to be a finding beside the first."
-
-
-def describe_outside(diagnosis: Diagnosis) -> str:
-    """Say what was found between the plant and the file: no key of plant.yaml holds it."""
-    outside = [
-        spell_finding(diagnosis, f)
-        for f in diagnosis.findings
-        if f.hypothesis.setup and f.hypothesis.setup[0] != "plant_constant"
-        and all(n.name.startswith(CHAIN) for n in f.numbers)
-    ]  # fmt: skip
-    if not outside:
-        return ""
-    knows = "what runs or tunes on that file knows nothing of it"
-    return f"No key of plant.yaml holds {join_words(outside)}: {knows}."
-
-
-def describe_unnamed(diagnosis: Diagnosis) -> str:
-    """Say of each finding without a name why it has none; of many, where it is said."""
-    found = _list_unnamed(diagnosis)
-    if len(found) > MOST_DESCRIBED:
-        return "what was found, one by one, stands below"
-    return "; ".join(f"{spell_best(f)}: {explain_no_name(f)}" for f in found)
-
-
-def explain_no_name(finding: Finding) -> str:
-    """Say why a finding has no sure name."""
-    return _DOUBTS[finding.doubt].format(spell_set([*map(label_hypothesis, finding.rivals)]))
-
-
-def relative_shift(diagnosis: Diagnosis, number: FittedNumber) -> float | None:
-    """Return by which share a recalibrated number is off; None where its interval allows 0."""
-    nominal = diagnosis.start_value(number.name)
-    if number.low <= nominal <= number.high or nominal == 0.0:
-        return None
-    return number.value / nominal - 1.0
-
-
-MUCH = 0.2
-"""A number of the start model that is off by a larger share stands in every verdict."""
-
-
-def describe_moved(diagnosis: Diagnosis) -> str:
-    """Say which numbers of the start model are far off; empty where none is."""
-    shifts = [(abs(relative_shift(diagnosis, n) or 0.0), n) for n in diagnosis.recalibrated]
-    moved = sorted((s for s in shifts if s[0] > MUCH), key=lambda s: -s[0])
-    listed = [
-        f"{n.name} is {spell_figure(n.value)}{f' {n.unit}' if n.unit else ''} and not "
-        f"{spell_figure(diagnosis.start_value(n.name))}"
-        for _, n in moved
-    ]
-    return f"Of the start model's numbers, {join_words(listed)}." if listed else ""
-
-
-def list_shifts(diagnosis: Diagnosis) -> str:
-    """Return the numbers of the start model that are off, the largest change first."""
-    shifts = [(relative_shift(diagnosis, n) or 0.0, n.name) for n in diagnosis.recalibrated]
-    moved = sorted((s for s in shifts if abs(s[0]) > LEAST_SHIFT), key=lambda s: -abs(s[0]))
-    listed = ", ".join(f"{name} {100.0 * shift:+.1f} %" for shift, name in moved)
-    return listed or f"no number by more than {100.0 * LEAST_SHIFT:.1f} %"
-
-
-def describe_noise(diagnosis: Diagnosis) -> list[str]:
-    """Say which channels have faults, a line each."""
-    return [fault.says for about in diagnosis.noise.values() for fault in about.faults]

@@ -23,7 +23,7 @@ from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
 from pamctl.diagnose.report.finding_words import list_numbers
 from pamctl.diagnose.report.traces_part import STRETCH_S, ModelStage, ShownRun, find_telling_stretch
-from pamctl.diagnose.report.verdict_words import explain_no_name
+from pamctl.diagnose.report.verdict_phrases import explain_no_name
 from pamctl.plant.model import PlantSettings
 from pamctl.report.html_page import write_html
 from pamctl.report.report import format_terminal, spell_figure

@@ -341,5 +341,5 @@ def find_separating_experiment(
 def find_showing_experiment(name: str) -> dict[str, object]:
     """Return the experiment that shows an effect best."""
     effect = CATALOGUE[name]
-    why = f"these records cannot show {name}: {effect.signature}"
+    why = f"these records cannot show {name.replace('_', ' ')}: {effect.signature}"
     return {"name": effect.best_experiment, "separates": [name], "why": why}

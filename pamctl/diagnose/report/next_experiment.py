@@ -58,24 +58,17 @@ MOTIONS: Mapping[str, tuple[str, str]] = {
 """What to record instead of an experiment: behind a valve, and on a mechanism without one."""
 
 
-def describe_motion(experiment: str, actuator: str, *, has_pressure: bool = False) -> str:
-    """Say what to record where pamctl does not run the rig; empty for no experiment."""
-    if not experiment:
-        return ""
-    named = f"a run like the experiment {experiment}"
-    behind_valve, on_axis = MOTIONS.get(experiment, (named, named))
-    if actuator != "direct":
-        return behind_valve
-    return f"{on_axis}; at several pressures" if has_pressure else on_axis
-
-
 def write_advice(
     experiment: str, actuator: str, *, runs_here: bool, has_pressure: bool = False
 ) -> str:
     """Write the command that runs an experiment, or what to record where pamctl does not run it."""
     if runs_here or not experiment:
         return write_command(experiment)
-    return f"record: {describe_motion(experiment, actuator, has_pressure=has_pressure)}"
+    named = f"a run like the experiment {experiment}"
+    behind_valve, on_axis = MOTIONS.get(experiment, (named, named))
+    if has_pressure:
+        on_axis += "; at several pressures"
+    return f"record: {on_axis if actuator == 'direct' else behind_valve}"
 
 
 def write_command(experiment: str, *, by_daemon: bool = False) -> str:

@@ -181,10 +181,12 @@ def _list_papers(actuator: str, texts: dict[str, str]) -> list[str]:
 def _tell_unfit(records: list[Record], plant: PlantSettings) -> None:
     """Say at once why `diagnose` would refuse these records with this plant file."""
     if records:
+        from pamctl.diagnose.guess_plant import doubt_numbers
         from pamctl.diagnose.refuse import doubt_actuator
 
-        for problem in (p for record in records for p in doubt_actuator(record, plant)):
-            tell(f"warning: {problem.sentence}")
+        problems = (p for record in records for p in doubt_actuator(record, plant))
+        for doubt in (*(p.sentence for p in problems), *doubt_numbers(records, plant)):
+            tell(f"warning: {doubt}")
 
 
 class ExportPlantOptions(Options):

@@ -7,7 +7,7 @@ air for the valve (Eq. 7 and 8). It need only be right within a factor of some t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from scipy.optimize import nnls
 from pamctl.diagnose.evidence.measured_motion import SMOOTH_S, find_rates
 from pamctl.diagnose.record import Record
 from pamctl.plant.effects.description import ACTUATORS
+from pamctl.plant.model import PlantSettings, values_of
 from pamctl.plant.paper import PaperParameters, force_area_m2, orifice_flow, volume_m3
 from pamctl.plant.parameters import ACTUATOR, parameters_of
 from pamctl.plant.sample_grid import accumulate_times
@@ -37,6 +38,8 @@ class Guess(NamedTuple):
 
     value: float
     how: str
+    is_bound: bool = False
+    """The number may be smaller: the records hardly show it."""
 
 
 class DrivenMotion(NamedTuple):
@@ -64,6 +67,22 @@ def guess_numbers(
     return {
         name: guess._replace(value=float(f"{guess.value:.3g}")) for name, guess in found.items()
     }
+
+
+FAR = 30.0
+"""A stated number that is off by a larger factor is a slip; a guess may be three times off."""
+
+
+def doubt_numbers(records: Sequence[Record], plant: PlantSettings) -> Iterator[str]:
+    """Yield which numbers of a plant file are far from what the records show."""
+    values = values_of(plant)
+    for name, guess in guess_numbers(records, plant.actuator, values).items():
+        stated = values[name]
+        if stated > FAR * guess.value or (0.0 < stated < guess.value / FAR and not guess.is_bound):
+            yield (
+                f"{name} is stated as {stated:.4g}, and the records look like {guess.value:.3g}, "
+                f"{guess.how}: are the units right, of the number and of the columns?"
+            )
 
 
 def _guess_air(
@@ -153,7 +172,7 @@ def _guess_mechanics(
             how = f"hardly seen: {100 * LEAST_SHARE:g} % of the force"
         if name == "stiffness_n_per_m" and actuator != "muscle":
             how += "; write 0 if there is no spring"
-        found[name] = Guess(float(max(amount, least) / size), how)
+        found[name] = Guess(float(max(amount, least) / size), how, bool(amount < least))
     return found
 
 

@@ -23,6 +23,7 @@ from pamctl.diagnose.diagnosis import (
 from pamctl.diagnose.evidence import EvidenceVerdict, weigh_evidence
 from pamctl.diagnose.evidence.run_pieces import CannotBeWeighed
 from pamctl.diagnose.explanations import assemble_plant, judge_forecasts, list_explanations
+from pamctl.diagnose.guess_plant import doubt_numbers
 from pamctl.diagnose.mend import align_resting_pressure, mend_records
 from pamctl.diagnose.record import Record, SensorFault, describe_channels, pool_stated_noise
 from pamctl.diagnose.refuse import BadData, check_measured_runs, leave_out_unused
@@ -66,6 +67,8 @@ def diagnose(
     records = [*train, *holdout]
     try:
         accepted = check_measured_runs(records, plant, accept, given)
+        for doubt in doubt_numbers(records, plant):
+            progress(doubt)
         stated = pool_stated_noise(records)
         cores = jobs or os.cpu_count() or 1
         found = weigh_evidence(

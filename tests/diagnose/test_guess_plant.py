@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pamctl.diagnose.guess_plant import guess_numbers
+from pamctl.diagnose.guess_plant import doubt_numbers, guess_numbers
 from pamctl.diagnose.record import Record
+from pamctl.plant.model import PlantSettings
 from pamctl.plant.parameters import PAPER
 
 PERIOD_S = 2e-3
@@ -83,3 +84,21 @@ def test_the_gain_of_a_valve_is_guessed_within_a_third_and_the_supply_where_it_w
 def test_without_a_pressure_nothing_of_the_air_is_guessed() -> None:
     record = Record("still", T_S, valve_v=np.sin(T_S), position_m=1e-3 * np.sin(T_S))
     assert "valve_gain_m2_per_v" not in guess_numbers([record], "muscle", PAPER)
+
+
+def test_a_stated_number_far_from_what_the_records_show_is_doubted_by_name() -> None:
+    record = move_axis(4.0, 60.0, 900.0, 6.0)
+    stated = {"mass_kg": 4.0, "damping_n_s_per_m": 20.0, "stiffness_n_per_m": 900.0}
+    for name, factor, doubted in (
+        ("mass_kg", 1000.0, True),
+        ("mass_kg", 1e-3, True),
+        ("stiffness_n_per_m", 5.0, False),
+    ):
+        parameters = {**stated, name: factor * stated[name]}
+        plant = PlantSettings.model_validate({"actuator": "direct", "parameters": parameters})
+        told = [*doubt_numbers([record], plant)]
+        assert [line.split(" is stated")[0] for line in told] == [name] * doubted
+    no_spring = PlantSettings.model_validate(
+        {"actuator": "direct", "parameters": {**stated, "stiffness_n_per_m": 0.0}}
+    )
+    assert [*doubt_numbers([record], no_spring)] == []

@@ -144,21 +144,25 @@ def choose_by_header(table: MeasuredTable) -> ChosenColumns:
             columns[quantity] = first
             keys[KEYS[quantity]] = _read_as(table, first, doubts, warnings)
     if not doubts and TIME in columns and not columns.keys() & {"pressure_pa", "position_m"}:
-        doubts.append("no column is a pressure or a position by its name")
-        rest = [column for column in table.columns if column is not columns[TIME]]
-        if all(c.header.said_unit and not (c.header.unit or c.header.quantity) for c in rest):
-            units = ", ".join(dict.fromkeys(column.header.said_unit for column in rest))
-            doubts.append(f"pamctl describes air and what it moves, and {units} measure neither")
-        for column in table.columns:
-            if column.header.others and column.header.measures in ("pressure_pa", "position_m"):
-                word = quote(min(column.header.others))
-                doubts.append(f"{quote(column.name)} is left out for the word {word} in it")
+        doubts += _explain_nothing([c for c in table.columns if c is not columns[TIME]])
     if doubts or TIME not in columns:
         settled = {q: key for q in columns if (key := keys[KEYS[q]]).get("gauge", 0) is not None}
         raise MapWanted(write_refusal(table, doubts, settled, found))
     asked = {q: column for q, column in columns.items() if not parse_column_name(column.name)}
     warnings += _find_unused_parts(table, asked)
     return ChosenColumns(ImportMap.model_validate(keys), columns, left_out, warnings)
+
+
+def _explain_nothing(rest: Sequence[TableColumn]) -> Iterator[str]:
+    """Yield why none of these columns is a pressure or a position."""
+    yield "no column is a pressure or a position by its name"
+    for column in rest:
+        if column.header.others and column.header.measures in ("pressure_pa", "position_m"):
+            word = quote(min(column.header.others))
+            yield f"{quote(column.name)} is left out for the word {word} in it"
+    if rest and all(c.header.said_unit and not (c.header.unit or c.header.quantity) for c in rest):
+        units = ", ".join(dict.fromkeys(column.header.said_unit for column in rest))
+        yield f"pamctl describes air and what it moves, and {units} measure neither"
 
 
 def _ask_for_units(table: MeasuredTable, found: dict[str, list[TableColumn]]) -> None:

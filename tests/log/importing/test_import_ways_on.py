@@ -277,6 +277,7 @@ def test_a_table_of_neither_air_nor_motion_is_offered_no_map(tmp_path):
     assert "pamctl describes air and what it moves, and W, °C measure neither" in refused.stderr
     assert "# valve" not in refused.stderr
     assert "# force" not in refused.stderr
+    assert "pamctl describes" not in import_names(tmp_path / "t.csv", "t_s", T_S).stderr
 
 
 def test_a_chamber_that_has_all_its_columns_misses_no_position(tmp_path):

@@ -159,7 +159,7 @@ def test_a_huge_or_irregular_file_is_not_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        (["amplitude_mm=20"], "a position of -8.2 mm at"),
+        (["amplitude_mm=20"], "a position of -8.2 mm at 18.5 s;"),  # 11.5 s after the approach of 7
         (["amplitude_mm=4", "frequency_hz=25"], "an acceleration of"),
         (["offset_mm=3", "amplitude_mm=2.9", "frequency_hz=4"], "a pressure of"),
         (["amplitude_mm=3", "frequency_hz=6"], "a valve command of"),

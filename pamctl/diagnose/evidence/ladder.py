@@ -238,6 +238,9 @@ def _judge_rivals(
     # A rough fit may show less than half of what a rival gains: half of `gain` lets a quarter do.
     fits = search.refit(without, scored, len(scored), 0.5 * gain) if scored else []
     rivals = [r for r in fits if r.names[-1] != mine.name]
+    if list_at_range(m, mine.name):  # there it may become another of its kind
+        same = [n for n in asked if pool[n].kind == mine.kind and not pool[n].is_term]
+        rivals += search.fit_in_place(m, mine.name, same)
     weigher.meet(without, m)
     least = m.total + RIVAL_SHARE * gain
     for close in [r for r in rivals if weigher.leave_out(r).total < least]:

@@ -220,6 +220,19 @@ class NameSearch:
         weigher.meet(self._without[key], m)
         return self._without[key]
 
+    def fit_in_place(self, m: WeighedModel, name: str, asked: Sequence[str]) -> list[WeighedModel]:
+        """Return models with another name in the stead of one, from where the model stands.
+
+        Without a large name its own numbers go far, from where no fit of another finds back.
+        """
+        near = drop_name(m, name)
+        self.weigher.refine(near)
+        self.weigher.set_floor(near)
+        self.weigher.leave_out(near)
+        able = [self.pool[n] for n in asked if self.fits_in(near, self.pool[n])]
+        scored = score_all(self.weigher, near, able)
+        return self.refit(near, scored, len(scored)) if scored else []
+
     def fits_in(self, m: WeighedModel, hypothesis: Hypothesis) -> bool:
         """Tell whether a hypothesis shares no numbers, and no term's part, with the model's."""
         inside = [self.pool[n] for n in m.names]

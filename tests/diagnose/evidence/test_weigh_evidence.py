@@ -12,7 +12,7 @@ from hidden.rig import Record, hidden_rig
 from pamctl.diagnose.evidence import weigh_evidence
 from pamctl.diagnose.evidence.constants import FINE_STEP_S
 from pamctl.diagnose.evidence.ladder import judge_names
-from pamctl.diagnose.evidence.name_search import NameSearch
+from pamctl.diagnose.evidence.name_search import NameSearch, list_at_range
 from pamctl.diagnose.evidence.pool import PAPER_SCALES, list_effects
 from pamctl.diagnose.evidence.weigh import list_pool, prepare_weigher
 from pamctl.plant.catalogue import CATALOGUE
@@ -187,3 +187,21 @@ def test_what_another_search_found_in_its_stead_is_a_rival_of_a_name() -> None:
         ("encoder_scale", "name"), ("encoder_scale", "set"),
     ]  # fmt: skip
     assert [h.name for h in beside[0].rivals] == ["rest_length"]
+
+
+def test_what_stands_at_its_range_is_asked_what_it_becomes_from_where_the_model_stands() -> None:
+    """A hysteresis without a way is dry friction. Without either, spring and damping go astray."""
+    weigher, start = prepare_weigher(records_of({"coulomb_friction": 20}, 40720)[0], [], PAPER)
+    asked = "coulomb_friction", "spring_hysteresis"
+    pool = {h.name: h for h in list_pool(weigher.train, weigher.base, PAPER) if h.name in asked}
+    search, base = NameSearch(weigher, pool), weigher.settle(start)
+    weigher.set_floor(base)
+    weigher.leave_out(base)
+    held = weigher.settle(search.refit(base, search.score(base, ["spring_hysteresis"]), 1)[0])
+    assert list_at_range(held, "spring_hysteresis") == ("spring_hysteresis.way_m",)
+    (friction,) = search.fit_in_place(held, "spring_hysteresis", ["coulomb_friction"])
+    weigher.meet(held, friction)
+    assert friction.names == ("coulomb_friction",)
+    assert friction.total < held.total
+    sizes = held.values["spring_hysteresis.force_n"], friction.values["coulomb_friction.force_n"]
+    assert sizes[1] == pytest.approx(sizes[0], rel=0.1)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import isfinite, sqrt
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,9 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 from pamctl.log.edit import find_longest_step_s, split_at_gaps
 from pamctl.log.record_problems import find_sensor_step
 from pamctl.log.run_meta import Moment
-
-if TYPE_CHECKING:
-    pass
 
 Array = NDArray[np.float64]
 

@@ -200,7 +200,8 @@ def _find_level(
     doubt: Doubt = next((why for why, holds in doubts.items() if holds), "")
     taken2 = weigher.find_robust2(without) - weigher.find_robust2(m)
     little = bool((taken2 < NAME_SHARE**2 * weigher.find_robust2(base)).all())
-    doubted = (little and not says_place) or (may_be_none and not mine.is_term)
+    unsure = has_unasked_rival(search.pool, m, mine) if mine.is_term else may_be_none
+    doubted = unsure or (little and not says_place)
     is_rest = not is_first and (doubted or not enough)
     return Finding(
         mine, says_place, says_kind, doubt, *gained, numbers, at_range, channel, is_rest,
@@ -212,6 +213,17 @@ def _may_be_part(search: NameSearch, m: WeighedModel, mine: Hypothesis) -> bool:
     """Tell whether it may be a part of a law without a name that is missing too."""
     laws = (search.pool[n].laws for n in m.names if search.pool[n].is_term)
     return any(its & mine.laws for its in laws)
+
+
+def has_unasked_rival(pool: Mapping[str, Hypothesis], m: WeighedModel, law: Hypothesis) -> bool:
+    """Tell whether a law of its kind at another place cannot stand beside what was found before.
+
+    A part of the plant holds one law without a name.
+    """
+    before = m.names[: m.names.index(law.name)]
+    parts = {pool[name].part for name in before if pool[name].is_term}
+    others = (h for h in pool.values() if h.is_term and h.part in parts)
+    return any(h.kind == law.kind and h.place != law.place for h in others)
 
 
 def _may_be_none(

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
-from pamctl.diagnose.evidence.ladder import Finding, stands_alone
+from pamctl.diagnose.evidence.fit import WeighedModel
+from pamctl.diagnose.evidence.ladder import Finding, has_unasked_rival, stands_alone
 from pamctl.diagnose.evidence.pool import PAPER_SCALES, Hypothesis, list_effects, list_terms
 
 REACH = {"time": (0.0, 10.0), "position": (0.0, 0.02), "pressure": (0.0, 3e5)}
+COMMAND = {"command": (-5.0, 5.0), "velocity": (-0.1, 0.1)}
 EFFECTS = {h.name: h for h in list_effects("muscle", PAPER_SCALES)}
 TERMS = {h.name: h for h in list_terms("muscle", REACH, PAPER_SCALES)}
 
@@ -39,3 +42,23 @@ def test_nothing_is_named_beside_a_larger_law_of_its_channel_that_is_open(
     larger: Finding, is_alone: bool
 ) -> None:
     assert stands_alone(PLAY, [larger, PLAY]) is is_alone
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "is_unasked"),
+    [
+        ("braid_friction~curve(velocity)", "encoder~curve(position)", True),
+        ("braid_friction~curve(velocity)", "encoder~wave(position)", True),
+        ("braid_friction~curve(velocity)", "filling~curve(command)", False),
+        ("flow~curve(pressure)", "pressure_sensor~curve(pressure)", True),
+        ("flow~curve(pressure)", "encoder~wave(position)", False),
+        ("stribeck", "encoder~curve(position)", False),
+    ],
+)
+def test_a_second_law_may_stand_for_one_that_cannot_stand_beside_the_first(
+    first: str, second: str, is_unasked: bool
+) -> None:
+    pool = EFFECTS | {h.name: h for h in list_terms("muscle", REACH | COMMAND, PAPER_SCALES)}
+    m = WeighedModel((first, second), (), {}, np.zeros(0))
+    assert has_unasked_rival(pool, m, pool[second]) is is_unasked
+    assert not has_unasked_rival(pool, m, pool[first])

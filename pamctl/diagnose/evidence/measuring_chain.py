@@ -26,8 +26,6 @@ SWITCHED = (TURNED, ADDED)
 """Kinds that are so or not: there is nothing between."""
 STOP = "stop"
 """The kind of an end that is seen elsewhere."""
-
-
 CROSSTALK = "crosstalk"
 """The kind of a sensor's line into which the command couples."""
 FULL_SCALE_V = 10.0

@@ -1,9 +1,9 @@
 """The records, as blocks of samples with masks, and the simulation of all their sensors.
 
-A muscle or a chamber runs from the command, where a search asks for it with its blocks apart; a
-mechanism from the measured force, freely where its spring lets it forget, else in windows; where
-something else moves an axis, the equation gives the force. What a hypothesis of the measuring
-chain does is done to the simulated readings.
+A muscle or a chamber runs from the command. Where a search asks for it, each of its blocks runs by
+the other's measured signal. A mechanism runs from the measured force: freely where its spring lets
+it forget, else in windows. Where something else moves an axis, the equation gives the force. What a
+hypothesis of the measuring chain does is done to the simulated readings.
 """
 
 from __future__ import annotations

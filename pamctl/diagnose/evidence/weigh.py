@@ -297,13 +297,9 @@ def list_calibrated(
 
     They are the plant's guesses, the sensors' zeros, and when in a sample a force acts.
     """
-    found, tick, hidden = [], runs.period_s, _list_hidden(runs, values, plant)
-    for name, share in CALIBRATED[plant.actuator].items():
+    found, tick = [], runs.period_s
+    for name, share in _list_guesses(runs, values, plant).items():
         value = values[name]
-        if name in (*plant.known, *hidden) or value == 0.0:
-            continue
-        if runs.imposed and name != "damping_n_s_per_m":
-            continue
         low, high = value * (1.0 - 6.0 * share), value * (1.0 + 6.0 * share)
         if share >= KNOWN_WELL:
             most = 50.0 if plant.actuator == "direct" else 12.0
@@ -330,17 +326,26 @@ def list_calibrated(
     return tuple(found)
 
 
-def _list_hidden(runs: Runs, values: Mapping[str, float], plant: PlantSettings) -> tuple[str, ...]:
-    """Return the numbers of a muscle that its records do not show.
+def _list_guesses(
+    runs: Runs, values: Mapping[str, float], plant: PlantSettings
+) -> dict[str, float]:
+    """Return the plant's own numbers that every model frees, with a visible share of each.
 
-    The mass of one without a load settles within a sample. By another width of the braid all
+    The mass of a muscle without a load settles within a sample. By another width of the braid all
     forces and flows change by one factor: only a mass that shows, and is known, tells it.
     """
-    if plant.actuator != "muscle":
-        return ()
-    if values["mass_kg"] < values["damping_n_s_per_m"] * 0.5 * runs.period_s:
-        return "mass_kg", "braid_turns"
-    return () if "mass_kg" in plant.known else ("braid_turns",)
+    left_out = {*plant.known}
+    if plant.actuator == "muscle":
+        hides = values["mass_kg"] < values["damping_n_s_per_m"] * 0.5 * runs.period_s
+        left_out |= {"mass_kg"} if hides else set()
+        left_out |= {"braid_turns"} if hides or "mass_kg" not in plant.known else set()
+    return {
+        name: share
+        for name, share in CALIBRATED[plant.actuator].items()
+        if name not in left_out
+        and values[name] != 0.0
+        and (name == "damping_n_s_per_m" or not runs.imposed)
+    }
 
 
 def list_stated(
@@ -371,8 +376,8 @@ def list_pool(runs: Runs, values: Mapping[str, float], plant: PlantSettings) -> 
     if plant.actuator == "direct":
         seen = {"friction", "pull"} | ({"encoder"} if not runs.imposed else set())
         pool = [h for h in pool if h.place in seen and _is_driven(h, reach)]
-    calibrated = {n.name for n in list_calibrated(runs, values, plant)}
-    stays = {("plant_constant", name) for name in (*plant.known, *calibrated)}
+    fitted = _list_guesses(runs, values, plant)
+    stays = {("plant_constant", name) for name in (*plant.known, *fitted)}
     pool = [h for h in pool if h.setup not in stays]
     if runs.imposed:
         pool = [h for h in pool if not h.scan]

@@ -3,26 +3,17 @@
     python scripts/bench.py --only fast,replay --rounds 5 > bench.json
     python scripts/bench.py . ../other-checkout --rounds 3 > pair.json
     python scripts/bench.py --only cold          # from an empty home: with all compiling
-    python scripts/bench.py --only wake_up,wake_up_under_hogs,drift
-    python scripts/bench.py --only emergency_stop --rounds 5
 
-Without `--only`: what the verbs cost. JSON on stdout, a table on stderr: the median over the rounds
-and its spread. A measure has cases. A round calls each once, in turn, so that disturbances affect
-all of them; ratios to the case named as the base, and between two checkouts, are those of
-neighbouring calls. Compare only ratios within one run. A call that ended early, as on a machine
-that starves a loop, is named under `failed`.
+JSON on stdout, a table on stderr: the median over the rounds and its spread. A round calls each
+measure once for each checkout, in turn, so that disturbances affect both; the ratio between two
+checkouts is that of neighbouring calls. Compare only ratios within one run. A call that ended
+early, as on a machine that starves a loop, is named under `failed`.
 
-- The verbs: every call is a process of its own, run as a user types it, by the checkout's
-  `.venv/bin/pamctl`. Processor seconds include all its descendants. Before each call ten million
-  additions in a Python loop are timed: processors that others share are slower at times.
-- `wake_up`: `GridClock` and `pamctl run` beside cyclictest (apt-get install rt-tests), each in a
-  fresh process, since most real-time preparations cannot be undone. On a virtual machine the tail
-  belongs to the hypervisor: `stalls_ms` is the time lost in wake-ups later than 0.2 ms,
-  `queued_ms` the time that this kernel let the process wait for a CPU. A stall that was not queued
-  happened below the kernel.
-- `live_card`: the stand-in's registers are memory: `read` and `io` are the times of the nidaqmx
-  package and of our code around it, not those of a card.
-- `emergency_stop`: from before a client connects until the output is at the safe voltage.
+Every call is a process of its own, run as a user types it, by the checkout's `.venv/bin/pamctl`.
+Processor seconds include all its descendants. Before each call ten million additions in a Python
+loop are timed: processors that others share are slower at times. Of `live_card` the stand-in's
+registers are memory: `read` and `io` are the times of the nidaqmx package and of our code around
+it, not those of a card.
 """
 
 from __future__ import annotations
@@ -37,19 +28,17 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path += [str(ROOT), str(ROOT / "tests")]  # last: a worker takes pamctl of its checkout
+sys.path += [str(ROOT), str(ROOT / "tests")]
 
 from pamctl.log.reader import read  # noqa: E402
 
@@ -58,8 +47,6 @@ PLANT = "effects:\n  valve_deadband: {fill_width_v: 0.25, exhaust_width_v: 0.2}\
 LONG_S, SHORT_S, LIVE_S, LIVE_TRIM_S = 320.0, 20.0, 8.0, 1.0
 """Two runs of `--fast`, whose difference has no start-up; a run in real time, and its begin."""
 IMPORTED_ROWS = 60_000
-PERIOD_NS, DRIFT_TICKS = 1_000_000, 20_000
-STALL_US = 200.0
 
 Figures = dict[str, float]
 
@@ -126,12 +113,6 @@ class Checkout:
         device = ("--set", f"rig.sim.device=bench{os.getpid()}")
         backend = () if "--backend" in options else device
         return self.call("run", "--quiet", "--log", str(log), *backend, *options, **given), log
-
-    def work(self, worker: str) -> Any:
-        """Return what a worker of this script finds, in a fresh process with this pamctl."""
-        python = str(self.root / ".venv" / "bin" / "python")
-        command = [python, __file__, "--worker", worker, "--seconds", str(self.given.seconds)]
-        return json.loads(self.execute(command, self.environment(PYTHONPATH=str(self.root))).said)
 
     def make(self, name: str, make: Callable[[], Path]) -> Path:
         """Return what `make` makes; it is made once."""
@@ -312,299 +293,16 @@ def measure_cold(checkout: Checkout) -> Figures:
     return figures | {"together_cpu_s": sum(figures.values())}
 
 
-# --- wake-up -------------------------------------------------------------------------------------
-
-
-def measure_cyclictest(checkout: Checkout) -> Figures:
-    """The kernel developers' own yardstick, in C. It holds /dev/cpu_dma_latency at 0 by itself."""
-    ticks = round(checkout.given.seconds * 1e9 / PERIOD_NS)
-    options = f"-q -p 99 -i {PERIOD_NS // 1000} -l {ticks} --histogram=50000"
-    late_us: list[float] = []
-    for line in run_cyclictest(options).splitlines():
-        name, _, value = line.lstrip("# ").partition(":")
-        if name == "Max Latencies":
-            longest_us = float(value)
-        elif name == "Histogram Overflows":
-            late_us += [longest_us] * int(value)
-        elif line.strip() and not line.startswith("#"):
-            microsecond, count = map(int, line.split())  # spread evenly: nothing is rounded
-            late_us += [microsecond + (i + 0.5) / count for i in range(count)]
-    return summarise_lateness(np.array(late_us))
-
-
-def run_cyclictest(options: str) -> str:
-    """Return what cyclictest prints. Raises `CallFailed` without it."""
-    program = shutil.which("cyclictest")
-    if program is None:
-        raise CallFailed("cyclictest is not on the PATH: apt-get install rt-tests")
-    command = [program, "-m", *options.split()]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise CallFailed(f"cyclictest failed (it needs root): {done.stderr.strip()}")
-    return done.stdout
-
-
-def summarise_lateness(late_us: NDArray[np.float64], queued_ms: float | None = None) -> Figures:
-    """Quantiles behind the deadline, missed periods, and the time lost in stalls."""
-    shares = {"p50_us": 50, "p99_us": 99, "p99.9_us": 99.9, "max_us": 100}
-    figures = {
-        name: float(np.percentile(late_us, share, method="inverted_cdf"))
-        for name, share in shares.items()
-    }
-    return figures | {
-        "missed": float(np.sum(late_us * 1e3 // PERIOD_NS)),
-        "stalls_ms": float(late_us[late_us > STALL_US].sum() / 1e3),
-        **({} if queued_ms is None else {"queued_ms": queued_ms}),
-    }
-
-
-def wait_on_grid(ticks: int, spin: bool, phase_ns: int | None = None) -> Figures:
-    """Our clock, in a process prepared like the loop's."""
-    from pamctl.realtime.clock import SPIN_NS, GridClock
-    from pamctl.realtime.scheduling import prepare
-
-    clock = GridClock(PERIOD_NS, phase_ns, SPIN_NS if spin else 0)
-    with prepare("auto"):
-        before_ms = queued_ms()
-        wakes = [clock.wait() for _ in range(ticks)]
-        queued = queued_ms() - before_ms
-    # Lateness behind the deadline of each sleep, as in cyclictest: a sleep that ends periods
-    # late is a missed tick for the loop, but a long latency here.
-    late_ns = [wake.now_ns - wake.deadline_ns + wake.missed * PERIOD_NS for wake in wakes]
-    return summarise_lateness(np.array(late_ns) / 1e3, queued)
-
-
-def sleep_plainly(ticks: int) -> Figures:
-    """The simplest way: time.sleep in an ordinary process."""
-    late_us = []
-    before_ms, deadline_ns = queued_ms(), time.monotonic_ns()
-    for _ in range(ticks):
-        deadline_ns += PERIOD_NS
-        time.sleep(max(0, deadline_ns - time.monotonic_ns()) / 1e9)
-        late_ns = time.monotonic_ns() - deadline_ns
-        late_us.append(late_ns / 1e3)
-        deadline_ns += late_ns // PERIOD_NS * PERIOD_NS
-    return summarise_lateness(np.array(late_us), queued_ms() - before_ms)
-
-
-def queued_ms() -> float:
-    """Return how long this process has waited for a CPU so far."""
-    _, waited_ns, _ = Path("/proc/self/schedstat").read_text().split()
-    return int(waited_ns) / 1e6
-
-
-def follow_grid(ticks: int) -> Figures:
-    """Whether the grid follows the clock. Missed ticks are gaps in the index, not drift."""
-    from pamctl.realtime.clock import SPIN_NS, GridClock
-    from pamctl.realtime.scheduling import prepare
-
-    with prepare("auto") as preparation:
-        clock = GridClock(PERIOD_NS, spin_ns=SPIN_NS if preparation.may_spin else 0)
-        first = last = clock.wait()
-        missed = 0
-        while last.tick < ticks:
-            last = clock.wait()
-            missed += last.missed
-    on_grid_ns, elapsed_ns = last.tick * PERIOD_NS, last.now_ns - first.now_ns
-    return {
-        "missed": missed,
-        "deadline_error_ns": last.deadline_ns - first.deadline_ns - on_grid_ns,
-        "wake_drift_us": (elapsed_ns - on_grid_ns) / 1e3,
-        "rate_error_ppm": (on_grid_ns / elapsed_ns - 1) * 1e6,
-    }
-
-
-def whole_loop(*options: str) -> Callable[[Checkout], Figures]:
-    """Return the measure of `pamctl run` on the simulated rig: plant, tick, ring and recorder."""
-
-    def measure(checkout: Checkout) -> Figures:
-        length = ("--duration", str(checkout.given.seconds), "--set", "rig.homing.enabled=false")
-        log = read(checkout.run("wake", *length, *options)[1])
-        lateness = summarise_lateness(log["late_s"] * 1e6 + log["missed"] * PERIOD_NS / 1e3)
-        return lateness | {"tick_p50_us": float(np.median(log["compute_s"]) * 1e6)}
-
-    return measure
-
-
-@contextmanager
-def cpu_hogs(count: int) -> Iterator[None]:
-    """Ordinary processes that only compute; they end by themselves with this process."""
-    busy = f"import os\nwhile os.getppid() == {os.getpid()}:\n for _ in range(10**5): pass"
-    hogs = [subprocess.Popen([sys.executable, "-c", busy]) for _ in range(count)]
-    try:
-        yield
-    finally:
-        for hog in hogs:
-            hog.kill()
-            hog.wait()
-
-
-def under_hogs(measure: Callable[[Checkout], Figures]) -> Callable[[Checkout], Figures]:
-    """Return the same measure beside processes that only compute."""
-
-    def measure_under_hogs(checkout: Checkout) -> Figures:
-        with cpu_hogs(checkout.given.hogs):
-            return measure(checkout)
-
-    return measure_under_hogs
-
-
-def in_worker(worker: str) -> Callable[[Checkout], Figures]:
-    """Return the measure of a worker."""
-    return lambda checkout: checkout.work(worker)
-
-
-WAKE_UPS: dict[str, Callable[[Checkout], Figures]] = {
-    "cyclictest": measure_cyclictest,
-    "grid": in_worker("grid"),
-    "grid-spin": in_worker("grid-spin"),
-    "grid-spin-phase0": in_worker("grid-spin-phase0"),
-    "run": whole_loop("--set", "rig.loop.spin_us=0"),
-    "run-spin": whole_loop(),
-    "plain-sleep": in_worker("plain-sleep"),
-}
-
-
-WORKERS: dict[str, Callable[[int], Any]] = {
-    "grid": lambda ticks: wait_on_grid(ticks, spin=False),
-    "grid-spin": lambda ticks: wait_on_grid(ticks, spin=True),
-    "grid-spin-phase0": lambda ticks: wait_on_grid(ticks, spin=True, phase_ns=0),
-    "plain-sleep": sleep_plainly,
-    "drift": lambda _: follow_grid(DRIFT_TICKS),
-}
-"""What runs in a fresh process, from the number of ticks."""
-
-
-# --- the daemon ----------------------------------------------------------------------------------
-
-AO_STEP_V = 20.0 / 65536.0
-PATIENT = (
-    "rig.limits.pressure_model_pa=2e6", "rig.limits.sample_age_s=60",
-    "rig.limits.missed_ticks=1e6", "rig.limits.tracking_error_mm=20",
-    "rig.loop.heartbeat_ms=5000", "rig.loop.starved_ms=20000", "rig.homing.enabled=false",
-)  # fmt: skip
-"""Limits that only a busy PC would pass are wide."""
-PATIENCE_S = 60.0
-
-
-class Daemon(NamedTuple):
-    """A daemon on a simulated rig."""
-
-    socket: Path
-    device: str
-
-    def ask(self, method: str, **params: Any) -> Any:
-        """Ask as a verb does: connect, ask, disconnect."""
-        from pamctl.daemon.client import Client
-
-        with Client(self.socket) as client:
-            return client.call(method, params)
-
-    def wait_for(self, holds: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-        """Return the status when `holds` is true of it."""
-        from pamctl.daemon.client import DaemonUnreachableError
-
-        deadline_s = time.monotonic() + PATIENCE_S
-        while time.monotonic() < deadline_s:
-            with suppress(DaemonUnreachableError):
-                status: dict[str, Any] = self.ask("status")
-                if holds(status):
-                    return status
-            time.sleep(0.02)
-        raise CallFailed("the daemon does not reach the wanted state")
-
-    def hold(self) -> Path:
-        """Hold a position; return the log's path."""
-        log = Path(self.ask("goto", position_m=8e-3, within_s=0.5)["log"])
-        self.wait_for(lambda status: status["state"] == "ready" and bool(status["log"]))
-        return log
-
-    def is_safe(self) -> bool:
-        """Tell whether the output is 0 V, the safe voltage."""
-        from hal.sim import peek_v
-        from pamctl.processes.backends import ao_path
-
-        volts = peek_v(ao_path(self.device))
-        return volts is not None and abs(volts) <= AO_STEP_V
-
-
-@contextmanager
-def hold_daemon(checkout: Checkout) -> Iterator[Daemon]:
-    """Run a daemon of a checkout. A stall of the machine is measured, and does not end its run."""
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as temporary:
-        folder = Path(temporary)
-        daemon = Daemon(folder / "control.sock", f"sim-{folder.name}")
-        command = [sys.executable, "-m", "pamctl", "daemon"]
-        command += ["--rig", str(checkout.root / "config" / "rig" / "sim.yaml")]
-        command += ["--socket", str(daemon.socket), "--logs", str(folder / "logs")]
-        command += set_all([f"rig.sim.device={daemon.device}", *PATIENT])
-        path = os.pathsep.join(filter(None, (str(checkout.root), os.environ.get("PYTHONPATH"))))
-        said = subprocess.DEVNULL
-        process = subprocess.Popen(
-            command, env=os.environ | {"PYTHONPATH": path}, stdout=said, stderr=said
-        )
-        try:
-            daemon.wait_for(lambda status: status["state"] == "idle")
-            yield daemon
-        finally:
-            process.terminate()
-            try:
-                process.wait(PATIENCE_S)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-            for left in Path("/dev/shm").glob(f"pamctl-{daemon.device}.*"):
-                left.unlink()
-
-
-def measure_emergency_stops(checkout: Checkout) -> Figures:
-    """From before a client connects to the safe voltage, ms."""
-    from pamctl.daemon.client import DaemonDeclinedError
-
-    times_ms: list[float] = []
-    with hold_daemon(checkout) as daemon:
-        for _ in range(checkout.given.stops):
-            with suppress(DaemonDeclinedError):  # a PC too busy to start a loop: nothing to stop
-                times_ms.append(stop_at_once(daemon))
-    if not times_ms:
-        raise CallFailed("no loop started")
-    return {"p50_ms": median(times_ms), "max_ms": max(times_ms)}
-
-
-def stop_at_once(daemon: Daemon) -> float:
-    """Return the time until the output is safe, ms."""
-    daemon.hold()
-    if daemon.is_safe():
-        raise CallFailed("the output is already safe: there is nothing to measure")
-    asking = threading.Thread(target=daemon.ask, args=("estop",))
-    began_s = time.perf_counter()
-    asking.start()
-    while not daemon.is_safe():
-        time.sleep(1e-4)
-    took_ms = (time.perf_counter() - began_s) * 1e3
-    asking.join()
-    daemon.wait_for(lambda status: status["state"] == "fault" and not status["pids"])
-    daemon.ask("ack")
-    return took_ms
-
-
 # --- what is measured ----------------------------------------------------------------------------
 
 
-class Measure(NamedTuple):
-    """Cases that are called in turn; a call gives the figures of its case."""
-
-    calls: dict[str, Callable[[Checkout], Figures]]
-    base: str = ""
-    """The case whose figures of the same round the others are divided by."""
-
-
-VERBS: dict[str, Callable[[Checkout], Figures]] = {
+MEASURES: dict[str, Callable[[Checkout], Figures]] = {
     "help": measure_help,
     "first_tick": measure_first_tick,
     "fast": measure_fast,
     "live": live(),
     "live_card": live_card(),
+    "live_card_clocked": live_card(1000.0, "rig.nidaq.timing=hardware_timed"),
     "live_10_khz": live(1e4),
     "live_card_10_khz": live_card(1e4),
     "log_info": on_long_log("log", "info"),
@@ -616,46 +314,10 @@ VERBS: dict[str, Callable[[Checkout], Figures]] = {
     "diagnose": measure_diagnosis,
     "cold": measure_cold,
 }
-MEASURES: dict[str, Measure] = {name: Measure({"": measure}) for name, measure in VERBS.items()} | {
-    "live_card_clocked": Measure({"": live_card(1000.0, "rig.nidaq.timing=hardware_timed")}),
-    "wake_up": Measure(WAKE_UPS, "cyclictest"),
-    "wake_up_under_hogs": Measure(
-        {name: under_hogs(measure) for name, measure in WAKE_UPS.items()}, "cyclictest"
-    ),
-    "drift": Measure({"": in_worker("drift")}),
-    "emergency_stop": Measure({"": measure_emergency_stops}),
-}
-
-
-class Target(NamedTuple):
-    """An aim of the manual: which figure of which case, and how much it may or must be."""
-
-    measure: str
-    case: str
-    figure: str
-    of: str
-    """`median`, `most`, or the median `ratio` to the base."""
-    limit: float
-    at_least: bool = False
-
-
-TARGETS = [
-    *(
-        Target(f"wake_up{where}", f"{clock}{spin}", f"{share}_us", "ratio", limit)
-        for where in ("", "_under_hogs")
-        for spin, limits in (("", (1.2, 1.3)), ("-spin", (0.05, 0.1)))
-        for clock in ("grid", "run")
-        for share, limit in zip(("p50", "p99"), limits, strict=True)
-    ),
-    Target("fast", "", "times_real_time", "median", 500.0, at_least=True),
-]
-
-
-# --- rounds --------------------------------------------------------------------------------------
 
 
 class Rounds(NamedTuple):
-    """What the calls of one case and one checkout found, by round."""
+    """What the calls of one measure and one checkout found, by round."""
 
     figures: list[Figures | None]
     additions_s: list[float]
@@ -671,66 +333,46 @@ def time_additions() -> float:
 
 def measure_in_turn(
     name: str, checkouts: dict[str, Checkout], given: argparse.Namespace, until_s: float
-) -> dict[str, dict[str, Rounds]]:
-    """Return the rounds by case and checkout; the order changes each round.
+) -> dict[str, Rounds]:
+    """Return the rounds by checkout; which one is first changes each round.
 
     No call begins after `until_s` of the monotonic clock.
     """
-    calls = {
-        case: call for case, call in MEASURES[name].calls.items() if case in (given.cases or [case])
-    }
-    if name in VERBS and name != "cold":
+    if name != "cold":
         for checkout in checkouts.values():  # once without counting: libraries and logs are made
             with suppress(CallFailed):
-                VERBS[name](checkout)
-    found: dict[str, dict[str, Rounds]] = {}
+                MEASURES[name](checkout)
+    found = {which: Rounds([], [], []) for which in checkouts}
     for index in range(given.rounds):
-        first = index % max(1, len(calls))  # no case always follows the same neighbour
-        for case in [*calls, *calls][first : first + len(calls)]:
-            for which, checkout in list(checkouts.items())[:: 1 if index % 2 else -1]:
-                if time.monotonic() > until_s:
-                    return found
-                additions_s, reason = time_additions(), ""
-                figures: Figures | None = None
-                try:
-                    figures = calls[case](checkout)
-                except CallFailed as failure:
-                    reason = str(failure)
-                rounds = found.setdefault(case, {}).setdefault(which, Rounds([], [], []))
-                rounds.figures.append(figures)
-                rounds.additions_s.append(additions_s)
-                rounds.failed.extend([reason] if reason else [])
-                label = " ".join(filter(None, (name, case, which)))
-                said = reason or tell(figures or {})
-                print(f"{label} round {index + 1}: {said}", file=sys.stderr, flush=True)
+        for which, checkout in list(checkouts.items())[:: 1 if index % 2 else -1]:
+            if time.monotonic() > until_s:
+                return found
+            figures: Figures | None = None
+            found[which].additions_s.append(time_additions())
+            try:
+                figures = MEASURES[name](checkout)
+                said = tell(figures)
+            except CallFailed as failure:
+                said = str(failure)
+                found[which].failed.append(said)
+            found[which].figures.append(figures)
+            print(f"{name} {which} round {index + 1}: {said}", file=sys.stderr, flush=True)
     return found
 
 
-def summarise(found: dict[str, dict[str, Rounds]], base: str) -> dict[str, Any]:
-    """Add medians and spread, and the ratios to the base and to the first of two checkouts."""
-    report: dict[str, Any] = {}
-    for case, by_checkout in found.items():
-        report[case] = {
-            which: rounds._asdict() | spread(rounds.figures)
-            for which, rounds in by_checkout.items()
-        }
-        for which, rounds in by_checkout.items():
-            if case != base and which in found.get(base, {}):
-                ratios = divide(rounds.figures, found[base][which].figures)
-                report[case][which]["ratio"] = spread(ratios) | {"rounds": ratios}
-        if len(by_checkout) == 2:
-            ratios = divide(*(rounds.figures for rounds in by_checkout.values()))
-            report[case]["ratio"] = spread(ratios) | {"rounds": ratios}
+def summarise(found: dict[str, Rounds]) -> dict[str, Any]:
+    """Add medians and spread, and the ratio to the first of two checkouts."""
+    report: dict[str, Any] = {
+        which: rounds._asdict() | spread(rounds.figures) for which, rounds in found.items()
+    }
+    if len(found) == 2:
+        ratios = [
+            {key: one[key] / other[key] for key in one if other.get(key)}
+            for one, other in zip(*(rounds.figures for rounds in found.values()), strict=False)
+            if one and other
+        ]
+        report["ratio"] = spread(ratios) | {"rounds": ratios}
     return report
-
-
-def divide(some: Sequence[Figures | None], others: Sequence[Figures | None]) -> list[Figures]:
-    """Return the ratios of the rounds that both have."""
-    return [
-        {key: one[key] / other[key] for key in one if other.get(key)}
-        for one, other in zip(some, others, strict=False)
-        if one and other
-    ]
 
 
 def spread(rounds: Sequence[Figures | None]) -> dict[str, Figures]:
@@ -752,50 +394,14 @@ def tell(figures: Figures, found: dict[str, Figures] | None = None) -> str:
     return ", ".join(cells) or "-"
 
 
-def format_report(report: dict[str, Any]) -> Iterator[str]:
-    """Yield a line for each case of each checkout, its ratios, and the aims."""
-    for name, cases in report.items():
-        for case, by_checkout in cases.items():
-            for which, found in by_checkout.items():
-                label = f"{name}, {case}" if case else name
-                yield f"{label:<32}{which}: {tell(found['median'], found)}"
-                if found.get("failed"):
-                    yield f"{'':32}{len(found['failed'])} failed: {found['failed'][-1]}"
-                if "ratio" in found:
-                    base = MEASURES[name].base
-                    yield f"{'':32}over {base}: {tell(found['ratio']['median'], found['ratio'])}"
-    for target in TARGETS:
-        for which, found in report.get(target.measure, {}).get(target.case, {}).items():
-            part = (
-                found.get("ratio", {}).get("median") if target.of == "ratio" else found[target.of]
-            )
-            if which == "ratio" or not part or target.figure not in part:
-                continue
-            value = part[target.figure]
-            is_met = value >= target.limit if target.at_least else value <= target.limit
-            bound = "at least" if target.at_least else "at most"
-            yield (
-                f"  {target.measure}, {target.case}: {target.figure}, {target.of} {value:.3g}, "
-                f"{bound} {target.limit:g}: {'met' if is_met else 'NOT MET'}"
-            )
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("checkouts", nargs="*", type=Path, default=[ROOT], help="with a .venv each")
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--only", default=",".join(VERBS), help=f"of {','.join(MEASURES)}")
-    parser.add_argument("--cases", nargs="+", metavar="NAME", help="only these cases")
+    parser.add_argument("--only", default=",".join(MEASURES), help=f"of {','.join(MEASURES)}")
     parser.add_argument("--minutes", type=float, default=math.inf, help="begin no call later")
     parser.add_argument("--hours", type=float, default=1.0, help="length of the long log")
-    parser.add_argument("--seconds", type=float, default=2.0, help="length of each wake-up run")
-    parser.add_argument("--hogs", type=int, default=3, help="processes that only compute")
-    parser.add_argument("--stops", type=int, default=20, help="emergency stops a round")
-    parser.add_argument("--worker", choices=WORKERS, help=argparse.SUPPRESS)
     given = parser.parse_args()
-    if given.worker:
-        print(json.dumps(WORKERS[given.worker](round(given.seconds * 1e9 / PERIOD_NS))))
-        return
     names = given.only.split(",")
     if unknown := set(names) - set(MEASURES):
         parser.error(f"unknown: {', '.join(sorted(unknown))}")
@@ -807,10 +413,13 @@ def main() -> None:
             for index, root in enumerate(given.checkouts)
         }
         report = {
-            name: summarise(measure_in_turn(name, checkouts, given, until_s), MEASURES[name].base)
-            for name in names
+            name: summarise(measure_in_turn(name, checkouts, given, until_s)) for name in names
         }
-    print(*format_report(report), sep="\n", file=sys.stderr)
+    for name, by_checkout in report.items():
+        for which, found in by_checkout.items():
+            print(f"{name:<20}{which}: {tell(found['median'], found)}", file=sys.stderr)
+            if found.get("failed"):
+                print(f"{'':20}failed: {', '.join(found['failed'])}", file=sys.stderr)
     print(json.dumps(report | {"load": os.getloadavg()}, indent=1))
 
 

@@ -2,11 +2,10 @@
 
     python scripts/soak_daemon.py --minutes 30 > soak.json
 
-JSON on stdout, progress on stderr; exit code 3 if anything went wrong. For most of the time one
-daemon lives, while its loops, recorders and guardians are killed and frozen: its memory and file
-descriptors are compared between idle moments. Then the daemon itself is killed and restarted many
-times. At the end no process and nothing in shared memory may be left, and every log must pass
-`pamctl log check` and `pamctl replay`.
+JSON on stdout, progress on stderr; exit code 3 if anything went wrong. The loops, recorders and
+guardians of one daemon are killed and frozen: its memory and file descriptors are compared between
+idle moments. At the end no process and nothing in shared memory may be left, and every log must
+pass `pamctl log check` and `pamctl replay`. Deaths of the daemon itself: `fault_rounds.py`.
 """
 
 from __future__ import annotations
@@ -35,7 +34,6 @@ from pamctl.offline.tick_replay import replay_log
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
 from pamctl.settings.resolve import resolve, settings_to_data
 
-SHARE_OF_ONE_LIFE = 0.75
 SAMPLE_EVERY_S = 10.0
 WARM_UP_SHARE = 0.25
 MOST_GROWTH_BYTES = 4e6
@@ -104,17 +102,6 @@ class Rig:
             with suppress(OSError):
                 if which in Path(f"/proc/{pid}/cmdline").read_text():
                     os.kill(pid, number)
-
-    def restart(self, number: signal.Signals) -> None:
-        """End the daemon itself, and start it again."""
-        left = children(self.process.pid)
-        self.process.send_signal(number)
-        code = self.process.wait(PATIENCE_S)
-        if number == signal.SIGTERM and code:
-            raise Amiss(f"the daemon left with {code} on SIGTERM")
-        await_that(lambda: not any(map(lives, left)), f"processes left behind: {left}")
-        self.require_safe()
-        self.process = self._start()
 
     def to_idle(self) -> None:
         """Acknowledge a latched fault, end the current run, and wait until the daemon is idle."""
@@ -243,21 +230,6 @@ def one_life(rig: Rig, dice: random.Random, seconds: float, done: Counter[str]) 
     return samples
 
 
-def many_lives(rig: Rig, dice: random.Random, seconds: float, done: Counter[str]) -> None:
-    """Kill and restart the daemon itself, busy or idle."""
-    choice = acts(rig, dice)
-    end_s = time.monotonic() + seconds
-    while time.monotonic() < end_s:
-        for name in dice.choices(["start", "goto", "ack", "set", "mark"], k=4):
-            choice[name][1]()
-            done[name] += 1
-            time.sleep(dice.choice([0.05, 0.5, 1.0]))
-        number = dice.choice([signal.SIGKILL, signal.SIGTERM])
-        done[f"daemon {number.name}"] += 1
-        rig.restart(number)
-        print(f"{sum(done.values())} acts, restarted after {number.name}", file=sys.stderr)
-
-
 def judge_logs(folder: Path) -> tuple[int, int, list[str]]:
     """Return the number of logs and of ticks, and the problems of the logs."""
     logs, ticks, wrong = sorted(folder.glob("*.mcap")), 0, []
@@ -316,20 +288,18 @@ def main() -> int:
     if options.minutes < 2.0:
         parser.error("less than two minutes cannot show a leak")
     dice, done, wrong = random.Random(options.seed), Counter[str](), list[str]()
-    seconds = options.minutes * 60.0
     report: dict[str, Any] = {"minutes": options.minutes, "seed": options.seed}
     with tempfile.TemporaryDirectory() as temporary:
         folder = options.keep or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
         rig = Rig(folder)
         try:
-            samples = one_life(rig, dice, SHARE_OF_ONE_LIFE * seconds, done)
+            samples = one_life(rig, dice, options.minutes * 60.0, done)
             report["growth"] = found = growth(samples)
             if found["rss_growth_bytes"] > MOST_GROWTH_BYTES:
                 wrong.append("memory grows")
             if found["fds"] > 0 or found["threads"] > 1 or found["shared_memory"]:
                 wrong.append("file descriptors, threads or shared memory grow")
-            many_lives(rig, dice, (1.0 - SHARE_OF_ONE_LIFE) * seconds, done)
             rig.to_idle()
             rig.end()
             if rig.shared_memory():

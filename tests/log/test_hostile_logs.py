@@ -144,7 +144,7 @@ def test_a_hole_costs_no_more_than_the_chunks_that_it_touches(whole, tmp_path):
 
 
 def test_a_description_that_is_no_text_costs_nothing_where_the_chunks_hold_another(whole, tmp_path):
-    """Found by scripts/fuzz.py, with a summary whose checksum is right."""
+    """Found by fuzzing, with a summary whose checksum is right."""
 
     def spoil(record):
         body = bytes(record.body)

@@ -411,7 +411,7 @@ def test_a_resampled_time_is_an_even_grid_within_what_was_measured(rows, rate_hz
 
 
 def test_a_matrix_of_no_rows_and_a_thousand_million_columns_is_left_out(tmp_path, parsed_here):
-    """Found by scripts/fuzz.py: it took all memory."""
+    """Found by fuzzing: it took all memory."""
     name = tmp_path / "a.mat"
     t_s = T_S[:20]
     savemat(name, {"t_s": t_s, "nothing": np.zeros((0, 3))}, format="4")

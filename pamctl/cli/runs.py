@@ -51,8 +51,14 @@ def list_runs(asked: RunsOptions) -> None:
         return
     if asked.as_json + asked.as_csv + asked.paths_only > 1:
         raise typer.BadParameter("only one of --json, --csv and --paths")
-    from pamctl.runs.run_index import RunIndex
-    from pamctl.runs.run_list import RunFilter, read_date, select_runs
+    from pamctl.runs.run_index import (
+        RunFilter,
+        RunIndex,
+        format_csv,
+        read_date,
+        report_runs,
+        select_runs,
+    )
 
     since_s = None if asked.since is None else read_date(asked.since)
     wanted = RunFilter(asked.tags, since_s, asked.where, asked.last)
@@ -60,8 +66,6 @@ def list_runs(asked: RunsOptions) -> None:
     index.refresh(_show_progress, rebuild=asked.rebuild)
     rows, total = select_runs(index, wanted), index.count()
     rows = [replace(row, path=escape_name(row.path)) for row in rows]
-    from pamctl.runs.run_list import format_csv, report_runs
-
     if asked.paths_only:
         typer.echo("\n".join(str(asked.logs / row.path) for row in rows), nl=bool(rows))
     elif asked.as_csv:

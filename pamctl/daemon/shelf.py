@@ -13,7 +13,6 @@ from hal.rig import RigError
 from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.exit_codes import ExitCode
 from pamctl.log.run_meta import flight_record_path, make_dated_path
-from pamctl.runs.index_finished import index_in_own_process
 
 _NAMING = threading.Lock()
 """Held from the choice of a log's name until the file exists: simulations may share a folder."""
@@ -91,7 +90,6 @@ class Shelf:
                     _remove_untagged(old)
                 except OSError as error:
                     problems.append(f"{old} cannot be removed: {error.strerror or error}")
-        index_in_own_process(log)
         return "; ".join(problems)
 
 

@@ -23,8 +23,7 @@ from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableE
 from pamctl.daemon.protocol import RequestError, check_params, list_orders
 from pamctl.daemon.rig_session import RigSession
 from pamctl.errors import ConfigError, Problem
-from pamctl.runs.run_index import RunIndex, RunsError
-from pamctl.runs.run_list import RunFilter, select_runs
+from pamctl.runs.run_index import RunFilter, RunIndex, RunsError, select_runs
 from pamctl.settings.config_files import config_dir, list_shipped, read_section
 from pamctl.signals import TICK_FIELDS, Phase
 

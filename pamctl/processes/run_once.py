@@ -40,7 +40,6 @@ from pamctl.recording.recorded_run import LogReport
 from pamctl.recording.recorder import finish_orphans
 from pamctl.recording.ring import Ring
 from pamctl.report.progress_line import ProgressLine
-from pamctl.runs.index_finished import index_quietly
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.resolve import RunSettings, settings_to_json, settings_to_yaml
 from pamctl.signals import list_tick_fields
@@ -95,7 +94,7 @@ def run_once(
     else:
         report = _run_guarded(meta, settings, progress, quiet=quiet)
     progress.end_line()
-    return _conclude_run(settings, names, path, report, is_usual_place=log is None)
+    return _conclude_run(settings, names, path, report)
 
 
 def _run_guarded(
@@ -158,8 +157,6 @@ def _conclude_run(
     names: dict[str, str],
     path: Path,
     report: LogReport,
-    *,
-    is_usual_place: bool,
 ) -> FinishedRun:
     ending = report.ending
     document: dict[str, Any] = {
@@ -180,7 +177,6 @@ def _conclude_run(
             path.unlink()  # nothing happened: leave nothing behind
         else:
             lines.append(f"log: {path}")
-            index_quietly(path, make_index=is_usual_place)
     code = int(ending.code or (ExitCode.OK if report.log_is_whole else ExitCode.CHECK_FAILED))
     reason, note = ending.reason if ending.code else "", report.note
     if reason and note.startswith(reason):  # the recorder says the same, and of which log

@@ -21,9 +21,17 @@ from pamctl.log import read
 from pamctl.log.annotation import make_annotation
 from pamctl.log.edit import append_metadata, read_annotation, write_annotation
 from pamctl.offline.merit import compute_log_merits
-from pamctl.runs.index_finished import INDEX_NAME, index_quietly
-from pamctl.runs.run_index import RunIndex, RunsError, append_rows, edit_annotations
-from pamctl.runs.run_list import FilterError, RunFilter, read_date, select_runs
+from pamctl.runs.run_index import (
+    INDEX_NAME,
+    FilterError,
+    RunFilter,
+    RunIndex,
+    RunsError,
+    append_rows,
+    edit_annotations,
+    read_date,
+    select_runs,
+)
 from pamctl.runs.run_row import RunRow, read_row
 
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -157,16 +165,6 @@ def test_processes_may_use_the_index_at_once(folder: Path) -> None:
 def test_a_missing_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RunsError, match="no folder"):
         RunIndex(tmp_path / "nowhere")
-
-
-def test_trouble_with_the_index_is_no_trouble_of_a_run(tmp_path: Path) -> None:
-    log = Path(shutil.copy(GOLDEN / "qsmc.mcap", tmp_path / "run.mcap"))
-    index_quietly(log, make_index=False)
-    assert list(tmp_path.iterdir()) == [log]
-    index_quietly(log)
-    assert (tmp_path / INDEX_NAME).exists()
-    log.unlink()
-    index_quietly(log)
 
 
 def test_all_logs_are_looked_at_before_one_is_changed(folder: Path) -> None:

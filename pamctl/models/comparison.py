@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from pamctl.diagnose.evidence.measured_motion import find_starts, judge_motion
 from pamctl.diagnose.evidence.run_pieces import WINDOW_S
-from pamctl.log import NO_PHASE, Log, LogError, Signals, signals
+from pamctl.log import Log, LogError, Signals, signals
 from pamctl.log.record_problems import find_frozen
 from pamctl.plant.drive import NO_RESTARTS, Restarts, drive_coupled, drive_mechanics, drive_pressure
 from pamctl.plant.effects.description import USED_SIGNALS, Actuator, describe_unused
@@ -36,10 +36,7 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 NEAR_NULL_V = 0.1
-"""Below this opening the valve is near its null, where dead bands and leaks show."""
-AT_REST_M_PER_S = 1e-4
-_MOTION_S = 0.02
-"""Time over which the speed is measured (s); a slow motion passes some counts in it."""
+"""A smaller command hardly opens the valve."""
 _SHORTEST = 20
 """Shorter stretches (ticks) are left out."""
 _START_TICKS = 20
@@ -58,15 +55,6 @@ class ModelOutput(NamedTuple):
     way: str
     position_m: Floats | None
     pressure_pa: Floats | None
-
-
-class Regime(NamedTuple):
-    """Part of a run, with the gaps of the mechanics alone and of the pressure block alone."""
-
-    name: str
-    ticks: int
-    position_m: ComparisonGap
-    pressure_pa: ComparisonGap
 
 
 @dataclass(frozen=True)
@@ -94,27 +82,12 @@ class Comparison:
         """The ways of driving this model that gave a signal."""
         return [w for w in self.all_ways if w.position_m is not None or w.pressure_pa is not None]
 
-    def gap(
-        self, modelled: ModelOutput, signal: str, where: Mask | slice = slice(None)
-    ) -> ComparisonGap:
+    def gap(self, modelled: ModelOutput, signal: str) -> ComparisonGap:
         """Return the gap of one way of driving in `position_m` or `pressure_pa`."""
         model = getattr(modelled, signal)
         if model is not None and self.frozen is not None:
             model = np.where(self.frozen, np.nan, model)
-        return measure_gap(model, getattr(self.measured, signal), where)
-
-    def regimes(self) -> list[Regime]:
-        """Return the blocks' gaps by phase, by the valve, and by the motion."""
-        return [
-            Regime(
-                name,
-                int(where.sum()),
-                self.gap(self.mechanics, "position_m", where),
-                self.gap(self.pressure_block, "pressure_pa", where),
-            )
-            for name, where in split_regimes(self.measured)
-            if where.any()
-        ]
+        return measure_gap(model, getattr(self.measured, signal))
 
 
 def compare_model(
@@ -257,42 +230,15 @@ def select_comparable(log: Log, plant: PlantParameters) -> Signals:
     return measured[int(homing[-1]) + 1 if len(homing) else 0 :]
 
 
-def measure_gap(
-    model: Floats | None, measured: Floats | None, where: Mask | slice
-) -> ComparisonGap:
-    """Return the gap over some ticks."""
+def measure_gap(model: Floats | None, measured: Floats | None) -> ComparisonGap:
+    """Return the gap over the ticks at which both are known."""
     if model is None or measured is None:
         return ComparisonGap(np.nan, np.nan)
-    apart = np.abs(model[where] - measured[where])
+    apart = np.abs(model - measured)
     apart = apart[np.isfinite(apart)]
     if not len(apart):
         return ComparisonGap(np.nan, np.nan)
     return ComparisonGap(float(np.sqrt(np.mean(apart**2))), float(apart.max()))
-
-
-def split_regimes(measured: Signals) -> Iterator[tuple[str, Mask]]:
-    """Yield the parts of a run by name, with their ticks; parts overlap."""
-    for phase in np.unique(measured.phase).tolist():
-        if phase != NO_PHASE:
-            yield Phase(phase).name.lower().replace("_", " "), measured.phase == phase
-    if measured.valve_v is not None:
-        # A sample shows the effect of the command of the tick before.
-        held_v = np.concatenate((measured.valve_v[:1], measured.valve_v[:-1]))
-        yield "valve fills", held_v > NEAR_NULL_V
-        yield "valve exhausts", held_v < -NEAR_NULL_V
-        yield "valve near null", np.abs(held_v) <= NEAR_NULL_V
-    if measured.position_m is not None and len(measured) > 1:
-        speed = _speed_m_per_s(measured.t_s, measured.position_m)
-        yield "contracting", speed > AT_REST_M_PER_S
-        yield "extending", speed < -AT_REST_M_PER_S
-        yield "at rest", np.abs(speed) <= AT_REST_M_PER_S
-
-
-def _speed_m_per_s(t_s: Floats, position_m: Floats) -> Floats:
-    """Return the speed (m/s) over `_MOTION_S`."""
-    before = np.interp(t_s - 0.5 * _MOTION_S, t_s, position_m)
-    after = np.interp(t_s + 0.5 * _MOTION_S, t_s, position_m)
-    return np.asarray((after - before) / _MOTION_S)
 
 
 def _find_stretches(measured: Signals) -> Iterator[slice]:

@@ -43,16 +43,15 @@ def report_comparison(
         report.add(
             Section("The coupled model, driven by the logged command"), Figure(coupled, caption)
         )
-    report.add(Section("Each block alone, driven by the other's measured signal"))
     if alone:
-        report.add(
-            Figure(
-                alone,
-                "Model minus measurement: the mechanics driven by the measured pressure or force, "
-                "the pressure block by the command and the measured position.",
-            )
+        caption = (
+            "Model minus measurement: the mechanics driven by the measured pressure or force, "
+            "the pressure block by the command and the measured position."
         )
-    report.add(ReportTable(*list_regimes(found), "By regime, RMS.").drop_empty())
+        report.add(
+            Section("Each block alone, driven by the other's measured signal"),
+            Figure(alone, caption),
+        )
     for again_s in {c.again_s for c in comparisons} - {None}:
         report.add(
             Text(
@@ -81,23 +80,6 @@ def list_gaps(found: _Models) -> tuple[list[str], list[list[str]]]:
         for name, comparison in found.items()
         for way in comparison.ways
     ]
-    return header, rows
-
-
-def list_regimes(found: _Models) -> tuple[list[str], list[list[str]]]:
-    """Return header and rows: the gaps of each block alone in each part of the run, RMS."""
-    header = ["regime", "ticks"]
-    for name in found:
-        of = f"{name}: " if len(found) > 1 else ""
-        header += [f"{of}position, µm", f"{of}pressure, kPa"]
-    rows = []
-    for regimes in zip(*(comparison.regimes() for comparison in found.values()), strict=True):
-        cells = [
-            _format_cell(value)
-            for regime in regimes
-            for value in (regime.position_m.rms * _UM, regime.pressure_pa.rms * _KPA)
-        ]
-        rows.append([regimes[0].name, str(regimes[0].ticks), *cells])
     return header, rows
 
 
@@ -131,15 +113,6 @@ def _make_document(path: Path, found: _Models) -> dict[str, Any]:
                     }
                     for way in comparison.all_ways
                 },
-                "regimes": [
-                    {
-                        "regime": regime.name,
-                        "ticks": regime.ticks,
-                        "position_m": _gap_fields(regime.position_m),
-                        "pressure_pa": _gap_fields(regime.pressure_pa),
-                    }
-                    for regime in comparison.regimes()
-                ],
             }
             for name, comparison in found.items()
         ],

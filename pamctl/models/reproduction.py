@@ -14,10 +14,8 @@ import numpy as np
 
 from pamctl import __version__
 from pamctl.control.law_registry import find_law
-from pamctl.control.smc import linearise_model
 from pamctl.offline.closed_loop import SimulatedRun, simulate_run
 from pamctl.offline.merit import NO_MERIT, find_paper_rows
-from pamctl.plant.model import plant_parameters
 from pamctl.report.axes import PlotAxis
 from pamctl.report.figure import MUTED, Plot
 from pamctl.report.report import (
@@ -107,10 +105,8 @@ def write_fig3(page: Report, seed: int) -> dict[str, Any]:
     page.add(Section("Fig. 3: square waves, open loop"))
     page.add(
         Text(
-            "Full-scale squares of the command, ±5 V about the closed valve, on the model of "
-            "Tables I and II, and with the valve's 109 Hz, which the paper states but does "
-            "not simulate. The paper draws its measurement beside its model. Its curves are not "
-            "published as numbers: only the model is shown here, and the comparison is by "
+            "Full-scale squares of the command, ±5 V about the closed valve. The paper's curves "
+            "are not published as numbers: only the model is shown here, and the comparison is by "
             "eye."
         )
     )
@@ -134,14 +130,6 @@ def write_fig3(page: Report, seed: int) -> dict[str, Any]:
             ["last cycle", "mm, low", "high", "kPa, low", "high", "up, ms", "down, ms"],
             rows,
             "Displacement, absolute pressure, and the displacement's 10 to 90 % times.",
-        )
-    )
-    page.add(
-        Text(
-            "The main reading: pressure in Eq. 3 to 6 is gauge pressure. With absolute "
-            "pressure the vented muscle would rest at 11.6 mm, and could not reach the 6.4 mm of "
-            "experiments 1 and 2. Friction is a band: it holds the muscle while the net force "
-            "lies inside it."
         )
     )
     return numbers
@@ -201,12 +189,7 @@ def write_tracking(page: Report, figure: str, seed: int) -> dict[str, Any]:
     """Write Fig. 4 or 5; return the runs' figures of merit by case."""
     experiment, heading = FIGURES[figure]
     page.add(Section(heading))
-    page.add(
-        Text(
-            "Reference, both laws, their errors, commands and the pressure, on the model of "
-            "Tables I and II. The approach from the vented muscle is left out."
-        )
-    )
+    page.add(Text("On the model of Tables I and II, without the approach from the vented muscle."))
     qsmc, smc, *_ = TUNED
     page.add(Section("With the gains that the paper prints", is_part=True))
     page.add(
@@ -215,17 +198,6 @@ def write_tracking(page: Report, figure: str, seed: int) -> dict[str, Any]:
             "qSMC as printed, and SMC as printed except K_p, which was fitted to Table IV.",
         )
     )
-    literal = PRINTED_SMC.run(experiment, "paper", seed)
-    if literal.tripped_s is not None:
-        page.add(
-            Text(
-                "SMC with the printed gains does not move the muscle: its command stays within "
-                f"{np.abs(literal['command_v']).max() * 1e3:.2g} mV, and safety ends the run after "
-                f"{literal.tripped_s:.2f} s, still in the approach, because the error exceeds its "
-                "limit.",
-                "bad",
-            )
-        )
     page.add(Section("With tuned gains", is_part=True))
     page.add(
         Figure(
@@ -292,7 +264,7 @@ def write_table4(page: Report, seed: int) -> dict[str, Any]:
             )
         )
     page.add(Points([*(f"{case.name}: {case.remark}." for case in ALL if case.remark)]))
-    _write_findings(page, measured, seed)
+    _write_findings(page, measured)
     return {"simulated": measured, "paper": PAPER}
 
 
@@ -312,73 +284,33 @@ def is_within_bound(found: Mapping[str, float | None], bound: Mapping[str, float
     )
 
 
-def _write_findings(page: Report, measured: Mapping[str, Errors], seed: int) -> None:
+def _write_findings(page: Report, measured: Mapping[str, Errors]) -> None:
     page.add(Section("Which results reproduce, and which do not", is_part=True))
     for plant, title in PLANTS.items():
-        _write_about_qsmc(page, measured[plant], title)
-    _write_about_smc(page, measured["paper"]["tracking-2"][UNHINDERED_SMC.name]["max_m"], seed)
-    page.add(
-        Text(
-            "The important readings, each tried. The headings of Table III are crossed: q = 1 is "
-            "the traditional law, so its column belongs to Eq. 18. The gains are in inches, "
-            "where 25.4 mm/s³ is a round 1 inch/s³; the row in millimetres shows the other "
-            "reading. lambda is the printed number in 1/s, without 2 pi. LPF_2 is 0.5 Hz "
-            "literally, on the derivatives of the error. Friction at rest is a band."
-        ),
-        Text(
-            f"{FITTED_SMC.name}: with this one number changed by a factor of 2600, the maximum "
-            "and RMS errors of SMC come close to the table; the steady error does not. The "
-            "reason for such a factor is not known."
-        ),
-        Text(
-            "The tuned gains say nothing about the paper's rig: they show what these laws can do "
-            "on this model, with its quantisation and its sensor noise."
-        ),
-    )
-
-
-def _write_about_qsmc(page: Report, measured: Errors, title: str) -> None:
-    pairs = [(measured[name][PRINTED_QSMC.name], PAPER[name]["qsmc"]) for name in EXPERIMENTS]
-    kept = all(is_within_bound(found, bound) for found, bound in pairs)
-    ratios = [
-        value / limit
-        for found, bound in pairs
-        for name, limit in bound.items()
-        if limit is not None and (value := found[name]) is not None
-    ]
-    verdict = "stays inside" if kept else "does not stay inside"
-    spread = f": {min(ratios):.2f} to {max(ratios):.2f} of its errors" if ratios else ""
-    page.add(
-        Text(
-            f"qSMC with the printed gains {verdict} Table IV in both experiments on the model "
-            f"{title}{spread}.",
-            "good" if kept else "bad",
+        kept = all(
+            is_within_bound(measured[plant][name][PRINTED_QSMC.name], PAPER[name]["qsmc"])
+            for name in EXPERIMENTS
         )
-    )
-
-
-def _write_about_smc(page: Report, unhindered_m: float | None, seed: int) -> None:
-    run = PRINTED_SMC.run("tracking-2", "paper", seed)
-    settings: Any = PRINTED_SMC.resolve("tracking-2", "paper", seed)
-    p = plant_parameters(settings.controller.model).paper
-    mid_pa = 0.5 * (p.tank_pressure_pa + p.atmospheric_pressure_pa)
-    mid_m = settings.experiment.offset_mm * 1e-3
-    gain = linearise_model(p, mid_m, 0.0, 0.0, mid_pa).fill_gain
-    most_v = float(abs(run["command_v"]).max())
-    unhindered = (
-        ""
-        if unhindered_m is None
-        else " With the limit on the error lifted, the error of experiment 2 reaches "
-        f"{unhindered_m * 1e3:.1f} mm."
-    )
+        verdict = "stays inside" if kept else "does not stay inside"
+        page.add(
+            Text(
+                f"qSMC with the printed gains {verdict} Table IV in both experiments on the model "
+                f"{title}.",
+                "good" if kept else "bad",
+            )
+        )
     page.add(
         Text(
-            f"SMC with the printed gains does not track on either plant. g-hat is {gain:.2g} "
-            "m/s³/V at rest at mid-stroke, for a moving mass of 0.05 kg; K_p / g-hat then "
-            f"leaves a command within {most_v * 1e3:.2g} mV until safety ends the "
-            f"run.{unhindered} No reading of the printed K_p was found that reproduces the table.",
+            "SMC with the printed gains does not track on either plant, and no reading of the "
+            "printed K_p was found that reproduces the table: "
+            "`pamctl manual table-iii-smc-does-not-reproduce`.",
             "bad",
-        )
+        ),
+        Text(
+            "How the paper was read: `pamctl manual the-model`, and `gains-in-inches`. The tuned "
+            "gains say nothing about the paper's rig: they show what these laws can do on this "
+            "model, with its quantisation and its sensor noise."
+        ),
     )
 
 

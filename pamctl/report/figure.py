@@ -1,4 +1,4 @@
-"""A figure's data: lines, bands, points and bars on the axes of `axes.py`.
+"""A figure's data: lines, bands and points on the axes of `axes.py`.
 
     plot = Plot("Displacement", PlotAxis("time", "s", tight=True), PlotAxis("position", "mm"))
     plot.line(t_s, reference_mm, "reference", colour=MUTED)
@@ -40,7 +40,7 @@ _FEW_POINTS = 200
 
 
 class PlotMark(NamedTuple):
-    """Data in a plot; `kind` is `line`, `step`, `points`, `band`, `bars` or `density`."""
+    """Data in a plot; `kind` is `line`, `step`, `points` or `band`."""
 
     kind: str
     x: Floats
@@ -96,11 +96,6 @@ class Plot:
         css = f"l {css_of(colour)}{' thick' if thick else ''}"
         return self._put("step" if step else "line", across[kept], (up[kept],), label, css)
 
-    def density(self, x: ArrayLike, y: ArrayLike, *, colour: int = 0) -> Plot:
-        """Shade the plane by how often (x, y) was there: a phase portrait of any length."""
-        across, up = self._pair(x, y)
-        return self._put("density", across, (up,), "", f"d {css_of(colour)}")
-
     def points(self, x: ArrayLike, y: ArrayLike, label: str = "", *, colour: int = 0) -> Plot:
         """Draw points: few ones large, a cloud small."""
         across, up = self._pair(x, y)
@@ -108,23 +103,22 @@ class Plot:
         return self._put("points", across, (up,), label, f"p{few} {css_of(colour)}")
 
     def band(
-        self, x: ArrayLike, low: ArrayLike, high: ArrayLike, label: str = "", *, colour: int = 0
+        self,
+        x: ArrayLike,
+        low: ArrayLike,
+        high: ArrayLike,
+        label: str = "",
+        *,
+        colour: int = 0,
+        solid: bool = False,
     ) -> Plot:
         """Fill the area between two lines; `low` and `high` may also be numbers."""
         across = np.asarray(x, np.float64)
         ys = [np.broadcast_to(np.asarray(y, np.float64), across.shape) for y in (low, high)]
         kept = thin_line(across, *ys)
         lower, upper = (y[kept] for y in ys)
-        return self._put("band", across[kept], (lower, upper), label, f"b {css_of(colour)}")
-
-    def bars(
-        self, edges: ArrayLike, counts: ArrayLike, label: str = "", *, colour: int = 0
-    ) -> Plot:
-        """Draw a histogram: n counts between n + 1 rising edges."""
-        sides, heights = np.asarray(edges, np.float64), np.asarray(counts, np.float64)
-        if len(sides) != len(heights) + 1:
-            raise ValueError(f"{self.title}: a histogram needs one edge more than counts")
-        return self._put("bars", sides, (heights,), label, f"b solid {css_of(colour)}")
+        css = f"b{' solid' if solid else ''} {css_of(colour)}"
+        return self._put("band", across[kept], (lower, upper), label, css)
 
     def level(self, y: float, label: str = "", *, colour: int = MUTED) -> Plot:
         """Mark a height with a horizontal line; the axis does not grow for it."""
@@ -138,9 +132,9 @@ class Plot:
 
     @property
     def can_be_zoomed(self) -> bool:
-        """Whether a script can draw it from its data: it has lines, points and bands only."""
-        drawn = all(mark.kind not in ("bars", "density") for mark in self.marks)
-        return drawn and any(len(mark.x) for mark in self.marks)
+        """Whether a script can draw it from its data, which it seeks by x: x must not fall."""
+        rises = all((np.diff(mark.x) >= 0.0).all() for mark in self.marks)
+        return rises and any(len(mark.x) for mark in self.marks if mark.kind != "band")
 
     @property
     def has_data(self) -> bool:

@@ -26,9 +26,8 @@ from pamctl.report.figure import (
 from pamctl.report.report import spell_figure
 
 _SWATCHES = {"b": "M1 1h20v8h-20z", "l": "M1 5h20", "p": "M11 5h0"}
-"""What the legend shows of bands and bars, lines, and points."""
+"""What the legend shows of bands, lines and points."""
 _ABOVE, _BELOW, _BELOW_UNNAMED = 8, 42, 24
-_DENSITY_CELL, _SHADES = 6.0 * PIXEL, 5
 _LETTER, _MOST_ROWS = 6.5 / 700.0, 4
 """Width of a letter as a share of the usual plot, and rows of texts beside vertical lines."""
 
@@ -63,15 +62,7 @@ def _write(at: float, down: float, text: str, css: str, nudge: int = 0) -> str:
 def _draw_mark(mark: PlotMark, x: Scale, y: Scale, height: float) -> str:
     across = place_across(x, mark.x)
     downs = [place_down(y, values, height) for values in mark.ys]
-    if mark.kind == "density":
-        return "".join(_shade(across, downs[0], height, mark.css))
-    if mark.kind == "bars":
-        path = "".join(
-            f"M{left:.0f} {height:.0f}V{top:.0f}H{right:.0f}V{height:.0f}z"
-            for left, right, top, n in zip(across, across[1:], *downs, *mark.ys, strict=False)
-            if n > 0 and np.isfinite(left + right + top)
-        )
-    elif mark.kind == "points":
+    if mark.kind == "points":
         shown = np.isfinite(across) & np.isfinite(downs[0])
         across, down = across[shown], downs[0][shown]
         kept = thin_cloud(across, down, 3.0 * PIXEL)
@@ -99,23 +90,6 @@ def _join_points(x: Floats, y: Floats) -> str:
         for right, down in zip(np.diff(columns).tolist(), np.diff(rows).tolist(), strict=True)
     )
     return f"M{columns[0]} {rows[0]}" + (f"l{steps.lstrip()}" if steps else "h0")
-
-
-def _shade(across: Floats, down: Floats, height: float, css: str) -> Iterator[str]:
-    """Shade a plane by how many points lie in each cell, on a logarithmic scale."""
-    edges = [np.linspace(0.0, n, round(n / _DENSITY_CELL) + 1) for n in (FRAME_WIDTH, height)]
-    inside = np.isfinite(across) & np.isfinite(down)
-    counts, _, _ = np.histogram2d(across[inside], down[inside], edges)
-    most = np.log(max(float(counts.max()), 2.0))
-    shades = np.where(counts > 0, 1 + np.floor(np.log(counts.clip(1)) / most * 4.999), 0)
-    wide, high = (edge[1] for edge in edges)
-    for shade in range(1, _SHADES + 1):
-        cells = np.argwhere(shades == shade).tolist()
-        path = "".join(
-            f"M{left * wide:.0f} {top * high:.0f}h{wide:.0f}v{high:.0f}h-{wide:.0f}z"
-            for left, top in cells
-        )
-        yield f'<path class="{css}" fill-opacity="{shade / _SHADES:.1f}" d="{path}"/>'
 
 
 def _draw_grid(plot: Plot, x: Scale) -> Iterator[str]:
@@ -173,14 +147,6 @@ def _draw_legend(plot: Plot) -> str:
         for mark in plot.marks
         if mark.label
     ]
-    for mark in plot.marks:
-        if mark.kind == "density":
-            shades = "".join(
-                f'<path class="{mark.css}" fill-opacity="{k / _SHADES}" '
-                f'd="M{22 * k - 22} 0h22v10h-22z"/>'
-                for k in range(1, _SHADES + 1)
-            )
-            entries.append(f'seldom <svg class="shades" viewBox="0 0 110 10">{shades}</svg> often')
     items = "".join(f"<li>{entry}</li>" for entry in entries)
     return f'<ul class="legend">{items}</ul>' if entries else ""
 

@@ -49,8 +49,8 @@ def report_replay(found: Replay, tolerance: str | None) -> Report:
         report.add(Facts({which: _format_value(first, value) for which, value in values.items()}))
         rows = [_list_cells(found, difference) for difference in found.differences]
         report.add(ReportTable(("stage", "field", "from tick", "ticks", "by up to"), rows))
-        same = dict.fromkeys(place.stage for place in found.fields)
-        same = [s for s in same if all(d.place.stage != s for d in found.differences)]
+        differing = {difference.place.stage for difference in found.differences}
+        same = [s for s in dict.fromkeys(f.stage for f in found.fields) if s not in differing]
         report.add(*[Text(f"equal: {', '.join(same)}")] * bool(same))
         made = _maker(found)
         this = f"pamctl {__version__} on {platform.machine()}"

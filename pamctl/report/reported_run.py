@@ -31,7 +31,7 @@ Floats = NDArray[np.float64]
 
 REPORT_FIELDS = (
     *("tick", "t_s", "phase", "missed", "verdicts", "saturated"),
-    *("position_m", "corrected_position_m", "position_filtered_m", "true_position_m"),
+    *("position_m", "corrected_position_m", "true_position_m"),
     *("reference_m", "reference_valve_v", "error_rate_m_per_s", "surface_m_per_s2"),
     *("pressure_pa", "force_n", "command_v", "valve_v", "equivalent_v", "robust_v"),
     *("late_s", "read_s", "compute_s", "write_s"),

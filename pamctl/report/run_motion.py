@@ -1,4 +1,4 @@
-"""A run over time and from inside: motion, filters, and the terms of its law."""
+"""A run over time and from inside: motion, and the terms of its law."""
 
 from __future__ import annotations
 
@@ -208,36 +208,6 @@ def _draw_column(
     return drawn
 
 
-def write_filtering(page: Report, runs: Sequence[ReportedRun]) -> None:
-    """Write what LPF_1 does to the displacement of each run that has it filtered."""
-    filtering = [run for run in runs if _compute_shift_um(run) is not None]
-    if not filtering:
-        return
-    page.add(Section("Filters"))
-    for group in group_by_experiment(filtering):
-        page.add(
-            Figure(
-                [*plot_runs(group, _plot_shift)],
-                "The difference that the filter makes to the displacement, lag included.",
-            )
-        )
-
-
-def _plot_shift(group: Sequence[ReportedRun]) -> Plot:
-    axis = PlotAxis("LPF_1", "µm")
-    plot = Plot("Filtered minus raw displacement", make_time_axis(group), axis, height_px=120)
-    for run in group:
-        moved = _compute_shift_um(run)
-        label = run.name if len(group) > 1 else ""
-        plot.line(run.t_s[run.shown], moved[run.shown], label, colour=run.colour)  # type: ignore[index]
-    return plot
-
-
-def _compute_shift_um(run: ReportedRun) -> np.ndarray | None:
-    raw, filtered = run.column("position_m", MICRO), run.column("position_filtered_m", MICRO)
-    return None if raw is None or filtered is None else filtered - raw
-
-
 _ERROR = PlotAxis("e", "µm")
 
 
@@ -253,10 +223,7 @@ def write_law(page: Report, runs: Sequence[ReportedRun]) -> None:
     if equations:
         page.add(Points([f"{title}: {equation}" for title, equation in equations.items()]))
     surfaces = _plot_surfaces(lawful)
-    caption = (
-        "While tracking and resting; a run that came to neither is shown in its approach. The "
-        "stronger the colour, the more often the error was there, on a logarithmic scale."
-    )
+    caption = "While tracking and resting; a run that came to neither is shown in its approach."
     if surfaces:
         caption += (
             " On the sliding surface, where its value is 0, the error dies out as the law's poles "
@@ -273,7 +240,7 @@ def _plot_surfaces(runs: Sequence[ReportedRun]) -> list[Plot]:
         term, s = run.law.terms.surface, run.column("surface_m_per_s2")
         if term is not None and s is not None:
             axis = PlotAxis(term.symbol, term.unit)
-            plot = _plot_density("Sliding surface", runs, run, axis, s)
+            plot = _plot_plane("Sliding surface", runs, run, axis, s)
             plots.append(plot.level(0.0, f"{term.symbol} = 0"))
     return plots
 
@@ -281,20 +248,20 @@ def _plot_surfaces(runs: Sequence[ReportedRun]) -> list[Plot]:
 def _plot_phase_planes(runs: Sequence[ReportedRun]) -> list[Plot]:
     axis, rates = PlotAxis("e'", "mm/s"), [run.column("error_rate_m_per_s", MM) for run in runs]
     return [
-        _plot_density("Phase plane", runs, run, axis, rate)
+        _plot_plane("Phase plane", runs, run, axis, rate)
         for run, rate in zip(runs, rates, strict=True)
         if rate is not None
     ]
 
 
-def _plot_density(
+def _plot_plane(
     title: str, runs: Sequence[ReportedRun], run: ReportedRun, axis: PlotAxis, values: np.ndarray
 ) -> Plot:
-    """Return how often the error and `values`, shape (n,), went together while the law worked."""
+    """Return `values`, shape (n,), over the error while the law worked."""
     assert run.error_m is not None
     plot = Plot(f"{title}{_name_run(runs, run)}", _ERROR, axis, height_px=240)
     error_um = run.error_m[run.law_at_work] * MICRO
-    return plot.density(error_um, values[run.law_at_work], colour=run.colour)
+    return plot.points(error_um, values[run.law_at_work], colour=run.colour)
 
 
 def _name_run(runs: Sequence[ReportedRun], run: ReportedRun) -> str:

@@ -28,7 +28,7 @@ from pamctl.report.reported_run import (
     make_merit_row,
     name_runs,
 )
-from pamctl.report.run_motion import write_filtering, write_law, write_motion
+from pamctl.report.run_motion import write_law, write_motion
 from pamctl.safety import VERDICTS
 
 
@@ -315,7 +315,9 @@ def _plot_histograms(page: Report, run: ReportedRun) -> None:
         first, last = max(0, used[0] - 2), min(len(counts), used[-1] + 3)
         x = PlotAxis("duration (0.1 means 0.1 or less)", "µs", log=True, tight=True)
         plot = Plot(title, x, PlotAxis("ticks", low=0.5, log=True), height_px=150)
-        plots.append(plot.bars(edges[first : last + 1], counts[first:last]))
+        sides = np.repeat(edges[first : last + 1], 2)[1:-1]
+        heights = np.repeat(np.maximum(counts[first:last], 0.5), 2)
+        plots.append(plot.band(sides, 0.5, heights, solid=True))
     if plots:
         said = "Both axes are logarithmic: a single tick is still a bar."
         page.add(Figure([*plots], said, is_grid=True))
@@ -400,7 +402,6 @@ def compose_report(logs: Sequence[Log], doubts: Sequence[Sequence[str]] | None =
             write_motion,
             write_frequency_response,
             write_law,
-            write_filtering,
             write_timing,
             write_safety,
         ):

@@ -37,7 +37,7 @@ def draw_page() -> Report:
     page = Report("Zoom")
     page.add(Figure([first, second]))
     page.add(
-        Figure([Plot("Plane", PlotAxis("x"), PlotAxis("y")).density(error, error)], is_grid=True)
+        Figure([Plot("Plane", PlotAxis("x"), PlotAxis("y")).points(error, error)], is_grid=True)
     )
     return page
 

@@ -15,7 +15,7 @@ import re
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from itertools import pairwise, takewhile
+from itertools import pairwise
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -41,12 +41,6 @@ REFERENCE = ROOT / "pamctl" / "manual" / "reference"
 _HEAD = (
     "<!-- Written by `python scripts/generate_reference.py`: change the code, not this page. -->"
 )
-_UNITS = {
-    "s": "s", "ms": "ms", "us": "us", "ns": "ns", "hz": "Hz", "v": "V", "pa": "Pa", "kpa": "kPa",
-    "m": "m", "mm": "mm", "m2": "m^2", "m3": "m^3", "kg": "kg", "n": "N", "k": "K", "j": "J",
-    "counts": "counts", "rad": "rad", "ticks": "ticks", "s2": "s^2", "s3": "s^3", "mm2": "mm^2",
-    "c": "C", "mj": "MJ", "rows": "rows",
-}  # fmt: skip
 
 
 def read_attribute_docs(module: Any) -> dict[str, dict[str, str]]:
@@ -62,21 +56,6 @@ def read_attribute_docs(module: Any) -> dict[str, dict[str, str]]:
                     ):
                         docs.setdefault(node.name, {})[name] = " ".join(text.split())
     return docs
-
-
-def unit_of_key(name: str) -> str:
-    """Return the unit in a key's suffix: `lambda_per_s` is 1/s; empty without one."""
-    above, _, under = f"_{name}".partition("_per_")
-    words = above.removeprefix("_").split("_")
-    top = [_UNITS[word] for word in takewhile(_UNITS.__contains__, reversed(words))][::-1]
-    if len(top) == len(words):  # the name itself is one letter of a unit's, as `k`
-        top = []
-    known = {**_UNITS, "length": "length_unit"}  # the unit that a gains file names
-    below = [known[word] for word in under.split("_") if word in known]
-    if not below:
-        return " ".join(top)
-    bottom = f"({' '.join(below)})" if len(below) > 1 else below[0]
-    return f"{' '.join(top) or '1'}/{bottom}"
 
 
 def _plain(text: str) -> str:
@@ -101,28 +80,18 @@ def walk_verbs() -> Iterator[tuple[str, Any]]:
     yield from walk(typer.main.get_command(app), "pamctl")
 
 
-def _range_of(option: Any) -> str:
+def _explain_option(option: Any) -> str:
+    """Return what an option means, with its default and its range."""
     low, high = getattr(option, "min", None), getattr(option, "max", None)
-    if low is None and high is None:
-        return ""
-    if high is None:
-        return f"at least {low}"
-    return f"at most {high}" if low is None else f"{low} to {high}"
-
-
-def _default_of(option: Any) -> str:
+    limits = [f"at least {low}"] * (low is not None) + [f"at most {high}"] * (high is not None)
+    shown = option.show_default if isinstance(option.show_default, str) else ""
     if option.required:
-        return "required"
-    shown = option.show_default
-    if isinstance(shown, str):
-        return shown
-    if option.default is None or option.default is False or option.default == () or not shown:
-        return ""
-    return str(option.default)
-
-
-def _first_sentence(text: str) -> str:
-    return re.split(r"(?<=\.) (?=[A-Z])", _plain(text), maxsplit=1)[0]
+        shown = "required"
+    elif option.show_default is True and option.default not in (None, False, ()):
+        shown = str(option.default)
+    notes = [f"default: {shown}" if shown not in ("", "required") else shown, " and ".join(limits)]
+    noted = "; ".join(filter(None, notes))
+    return _plain(f"{option.help or ''}{f' ({noted})' if noted else ''}")
 
 
 def write_verbs() -> str:
@@ -136,7 +105,7 @@ def write_verbs() -> str:
         format_table(
             ["verb", "does"],
             [
-                [f"[`{words}`](#{_anchor(words)})", _first_sentence(command.help or "")]
+                [f"[`{words}`](#{_anchor(words)})", _plain((command.help or "").split("\n\n")[0])]
                 for words, command in walk_verbs()
             ],
         ),
@@ -154,17 +123,13 @@ def write_verbs() -> str:
             parts += [f"- `{m}`: {_plain(a.help)}" for m, a in explained] + [""]
         rows = [
             [
-                f"`{' '.join([', '.join(o.opts), '' if o.is_flag else o.metavar or ''])}`".replace(
-                    " `", "`"
-                ),
-                _plain(o.help or ""),
-                _plain(_default_of(o)),
-                _range_of(o),
+                f"`{' '.join([', '.join(o.opts), '' if o.is_flag else o.metavar or '']).strip()}`",
+                _explain_option(o),
             ]
             for o in options
         ]
         if rows:
-            parts += [format_table(["option", "meaning", "default", "range"], rows), ""]
+            parts += [format_table(["option", "meaning"], rows), ""]
     parts.append(write_exit_codes())
     return "\n".join(parts)
 
@@ -196,18 +161,17 @@ def _referenced(spec: Mapping[str, Any]) -> list[str]:
     return names
 
 
-def _type_of(spec: Mapping[str, Any], anchors: Mapping[str, str]) -> str:
+def _type_of(spec: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
     words = []
     for one in _alternatives(spec):
         if "$ref" in one:
-            name = _reference_in(one)
-            words.append(f"[{anchors[name]}](#{_anchor(anchors[name])})")
+            words.append(_title_of(_reference_in(one), definitions))
         elif "enum" in one:
             words.append(" or ".join(f"`{value}`" for value in one["enum"]))
         elif "const" in one:
             words.append(f"`{one['const']}`")
         elif one.get("type") == "array":
-            words.append(f"list of {_type_of(one['items'], anchors)}")
+            words.append(f"list of {_type_of(one['items'], definitions)}")
         else:
             words.append(str(one.get("type", "any")))
     return " or ".join(dict.fromkeys(words))
@@ -280,6 +244,7 @@ def write_settings() -> str:
         if prefix:
             parts.append(f"With `--set` the keys begin with `{prefix}`.\n")
         queue = list(files)
+        sections: dict[tuple[str, str], list[str]] = {}  # alike ones have one table
         while queue:
             name = queue.pop(0)
             elsewhere = name in CATALOGUE or name == "EffectSettings" or name in roots
@@ -288,25 +253,24 @@ def write_settings() -> str:
             done.add(name)
             spec = definitions[name]
             queue += [used for one in spec["properties"].values() for used in _referenced(one)]
-            parts += [_write_section(name, definitions), ""]
+            alike = (_plain(spec.get("description", "")), _format_keys(spec, definitions))
+            sections.setdefault(alike, []).append(_title_of(name, definitions))
+        for (told, table), titles in sections.items():
+            parts += [f"### {', '.join(titles)}\n", f"{told}\n", table, ""]
     return "\n".join(parts)
 
 
-def _write_section(name: str, definitions: Mapping[str, Any]) -> str:
-    spec = definitions[name]
-    anchors = {one: _title_of(one, definitions) for one in definitions}
+def _format_keys(spec: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
+    """Return the table of a model's keys."""
     rows = []
     for key, value in spec["properties"].items():
+        kind = _type_of(value, definitions)
         if set(_referenced(value)) == {"EffectSettings"}:
             kind = "[effects by name](effects.md)"
-        else:
-            kind = _type_of(value, anchors)
-        unit = unit_of_key(key) if "number" in kind or "integer" in kind else ""
         default = _default_in(key, value, spec.get("required", ()))
         meaning = _plain(str(value.get("description", "")))
-        rows.append([f"`{key}`", kind, unit, _bounds_of(value), default, meaning])
-    heading = f"### {anchors[name]}\n\n{_plain(spec.get('description', ''))}\n\n"
-    return heading + format_table(["key", "type", "unit", "range", "default", "meaning"], rows)
+        rows.append([f"`{key}`", f"{kind} {_bounds_of(value)}".rstrip(), default, meaning])
+    return format_table(["key", "type", "default", "meaning"], rows)
 
 
 # --- log schema -------------------------------------------------------------------------

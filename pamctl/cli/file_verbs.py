@@ -141,7 +141,7 @@ def make_plant(asked: NewPlantOptions) -> None:
     values, guesses = _collect_numbers(actuator, texts, records)
     plant = build_plant(actuator, values)
     _tell_unfit(records, plant)
-    names = _list_fitted(plant)
+    names = _list_fitted(plant, records)
     fitted = ", ".join(names) or "nothing"
     texts = {name: f"given as {text}" for name, text in texts.items()}
     texts |= {name: f"guessed, {guess.how}" for name, guess in guesses.items()}
@@ -336,15 +336,15 @@ def _collect_numbers(
     return values, guesses
 
 
-def _list_fitted(plant: PlantSettings) -> list[str]:
-    from pamctl.diagnose.evidence.weigh import CALIBRATED, LOAD, list_stated
+def _list_fitted(plant: PlantSettings, records: list[Record]) -> list[str]:
+    from pamctl.diagnose.evidence.weigh import LOAD, list_guesses, list_stated
     from pamctl.plant.model import values_of
 
     values = values_of(plant)
-    names = [name for name in CALIBRATED[plant.actuator] if values[name]]
-    load = [LOAD] if plant.actuator in ("direct", "cylinder") else []
-    stated = [name for name, _ in list_stated(values)]
-    return [name for name in dict.fromkeys([*names, *load, *stated]) if name not in plant.known]
+    period_s = max([record.period_s for record in records], default=1e-3)
+    load = [LOAD] if plant.actuator in ("direct", "cylinder") and LOAD not in plant.known else []
+    stated = [name for name, _ in list_stated(values, plant.known)]
+    return list(dict.fromkeys([*list_guesses(values, plant, period_s), *load, *stated]))
 
 
 # --- the manual -------------------------------------------------------------------------------

@@ -18,7 +18,13 @@ from pamctl.diagnose.evidence.measured_motion import SMOOTH_S, find_rates
 from pamctl.diagnose.record import Record
 from pamctl.plant.effects.description import ACTUATORS
 from pamctl.plant.model import PlantSettings, values_of
-from pamctl.plant.paper import PaperParameters, force_area_m2, orifice_flow, volume_m3
+from pamctl.plant.paper import (
+    PaperParameters,
+    braid_lever_m,
+    force_area_m2,
+    orifice_flow,
+    volume_m3,
+)
 from pamctl.plant.parameters import ACTUATOR, parameters_of
 from pamctl.plant.sample_grid import accumulate_times
 
@@ -30,7 +36,11 @@ OPEN_SHARE = 0.2
 """Samples with less flow, or speed, than this share of the largest say little."""
 LEAST_SHARE = 0.01
 """A force that the balance does not show is guessed to be this share of all force."""
+UNLIKE_SHARE = 0.5
+"""Of the braid's friction: by so much a muscle differs from Eq. 5 before a guess says so."""
 MOST_SAMPLES = 20_000
+LOAD = "external_load.force_n"
+BY_FORCES = "from the balance of forces over the motion"
 
 
 class Guess(NamedTuple):
@@ -49,6 +59,10 @@ class DrivenMotion(NamedTuple):
     speed_m_per_s: Array
     acceleration_m_per_s2: Array
     drive_n: Array
+    grip_n_per_m: Array
+    """N A_b P_g of Eq. 5: the braid's damping for each 1/m of mu_k; without a braid 0."""
+    friction_n_m: Array
+    """The same with b theta cos(theta): its dry friction."""
 
 
 def guess_numbers(
@@ -77,11 +91,12 @@ def doubt_numbers(records: Sequence[Record], plant: PlantSettings) -> Iterator[s
     """Yield which numbers of a plant file are far from what the records show."""
     values = values_of(plant)
     for name, guess in guess_numbers(records, plant.actuator, values).items():
-        stated = values[name]
-        if stated > FAR * guess.value or (0.0 < stated < guess.value / FAR and not guess.is_bound):
+        stated, found = abs(values.get(name, 0.0)), abs(guess.value)
+        if stated > FAR * found or (0.0 < stated < found / FAR and not guess.is_bound):
             yield (
-                f"{name} is stated as {stated:.4g}, and the records look like {guess.value:.3g}, "
-                f"{guess.how}: are the units right, of the number and of the columns?"
+                f"{name} is stated as {values[name]:.4g}, and the records look like "
+                f"{guess.value:.3g}, {guess.how}: are the units right, of the number and of the "
+                "columns?"
             )
 
 
@@ -149,35 +164,63 @@ def _flow_per_gain(p: PaperParameters, command_v: Array, pressure_pa: Array) -> 
 def _guess_mechanics(
     records: Sequence[Record], actuator: str, values: Mapping[str, float]
 ) -> dict[str, Guess]:
-    """Return mass, damping and stiffness from M a + c v + k x + F_c sign(v) + F_0 = drive."""
+    """Return what the balance of forces shows: M a + c v + k x + F_c sign(v) + F_0 = drive.
+
+    Of a muscle it has the braid's friction too: what Eq. 5 says while it contracts, and what other
+    muscles have, friction while it lengthens and none that grows with speed.
+    """
     motions = [m for record in records if (m := _find_motion(record, actuator, values)) is not None]
     if not motions:
         return {}
     motion = DrivenMotion(*(np.concatenate(rows) for rows in zip(*motions, strict=True)))
     speed = motion.speed_m_per_s
     moves = np.abs(speed) > OPEN_SHARE * np.quantile(np.abs(speed), 0.99)
-    x, v, a, drive = (row[moves] for row in motion)
-    ones = np.ones(len(x))
-    table = np.column_stack([a, v, x, np.sign(v), ones, -ones])
-    scale = np.sqrt(np.mean(table**2, axis=0))
-    amounts, _ = nnls(table / scale, drive)
+    x, v, a, drive, grip, friction = (row[moves] for row in motion)
+    up, ones = v > 0.0, np.ones(len(x))
+    forces = {
+        "mass_kg": a, "damping_n_s_per_m": v, "stiffness_n_per_m": x, "dry": np.sign(v),
+        LOAD: ones, "lift": -ones, "kinetic_friction_per_m": np.where(up, friction, 0.0),
+        "return": np.where(up, 0.0, -friction), "drag": np.where(up, grip * v, 0.0),
+    }  # fmt: skip
+    shown = {name: row for name, row in forces.items() if row.any()}
+    scale = {name: float(np.sqrt(np.mean(row**2))) for name, row in shown.items()}
+    table = np.column_stack([row / scale[name] for name, row in shown.items()])
+    amounts = dict(zip(shown, nnls(table, drive)[0], strict=True))
     least = LEAST_SHARE * float(np.sqrt(np.mean(drive**2)))
-    names = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")
     found = {}
-    for name, amount, size in zip(names, amounts, scale, strict=False):
-        how = "from the balance of forces over the motion"
+    for name in ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m"):
+        amount, how = float(amounts[name]), BY_FORCES
         if amount < least:
             if actuator == "muscle":
                 continue
             how = f"hardly seen: {100 * LEAST_SHARE:g} % of the force"
         if name == "stiffness_n_per_m" and actuator != "muscle":
             how += "; write 0 if there is no spring"
-        found[name] = Guess(float(max(amount, least) / size), how, bool(amount < least))
+        found[name] = Guess(max(amount, least) / scale[name], how, amount < least)
+    sizes = {name: amount / scale[name] for name, amount in amounts.items()}
+    if amounts.get("kinetic_friction_per_m", 0.0) > least:
+        found |= _guess_braid(sizes)
+    if actuator == "muscle" and amounts[LOAD] > least:
+        found[LOAD] = Guess(float(sizes[LOAD]), BY_FORCES)
+    return found
+
+
+def _guess_braid(sizes: Mapping[str, float]) -> dict[str, Guess]:
+    """Return mu_k, and what differs from Eq. 5 by more than half: no guess is better."""
+    contracting = sizes["kinetic_friction_per_m"]
+    found = {"kinetic_friction_per_m": Guess(float(contracting), BY_FORCES)}
+    back, drag = sizes["return"] / contracting, sizes["drag"] / contracting - 1.0
+    if back > UNLIKE_SHARE:
+        found["return_friction.share"] = Guess(float(min(back, 1.0)), BY_FORCES)
+    if drag < -UNLIKE_SHARE:
+        found["braid_drag.share"] = Guess(float(drag), BY_FORCES)
     return found
 
 
 def _find_motion(record: Record, actuator: str, values: Mapping[str, float]) -> DrivenMotion | None:
     rates = _differentiate(record, np.asarray(record.position_m))
+    position_m = rates["smooth"]
+    grip = friction = np.zeros(len(position_m))
     if actuator == "direct":
         if record.force_n is None:
             return None
@@ -186,10 +229,15 @@ def _find_motion(record: Record, actuator: str, values: Mapping[str, float]) -> 
         if record.pressure_pa is None:
             return None
         p = _paper_numbers(actuator, values)
-        area = np.array([force_area_m2(p, x) for x in rates["smooth"]])
-        drive = area * (np.asarray(record.pressure_pa) - p.atmospheric_pressure_pa)
+        gauge = np.asarray(record.pressure_pa) - p.atmospheric_pressure_pa
+        drive = gauge * np.array([force_area_m2(p, x) for x in position_m])
+        if actuator == "muscle":
+            grip = values["braid_count"] * values["braid_contact_area_m2"] * gauge
+            shortest_m = p.rest_length_m - p.braid_length_m
+            reachable = np.maximum(position_m, shortest_m)
+            friction = grip * np.array([braid_lever_m(p, x) for x in reachable])
     every = max(1, len(drive) // MOST_SAMPLES)
-    rows = (rates["smooth"], rates["speed"], rates["push"], drive)
+    rows = (position_m, rates["speed"], rates["push"], drive, grip, friction)
     good = np.all([np.isfinite(row) for row in rows], axis=0)
     return DrivenMotion(*(row[good][::every] for row in rows))
 

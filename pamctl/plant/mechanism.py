@@ -33,7 +33,7 @@ from pamctl.plant.catalogue import (
     pass_friction,
     pass_pulling_pressure,
 )
-from pamctl.plant.effects.friction import position_factor
+from pamctl.plant.effects.friction import add_braid_drag, position_factor
 from pamctl.plant.effects.mechanics import drift_factor, stretch_ratio
 from pamctl.plant.effects.places import FrictionBand
 from pamctl.plant.paper import AxialForces, braid_lever_m, force_area_m2, slide
@@ -160,7 +160,7 @@ def mechanism_forces(
         drive_n,
         now.lower_n,
         now.upper_n,
-        damping * (1.0 + e.viscous_asymmetry.share) + grip,
+        add_braid_drag(e.braid_drag, damping * (1.0 + e.viscous_asymmetry.share), grip),
         damping * (1.0 - e.viscous_asymmetry.share),
         at_rest.lower_n,
         at_rest.upper_n,

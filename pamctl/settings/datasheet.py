@@ -211,7 +211,8 @@ _OPTIONAL = {"direct": {"drive_n_per_v"}, "muscle": {"stroke_m"}}
 _DEFAULTS = {"temperature_k": ROOM_K}
 """Where the paper's number is no guess for a rig of one's own."""
 _LOAD = ("external_load",)
-_EFFECTS = {"muscle": _LOAD, "cylinder": _LOAD, "direct": ("piston",)}
+_FRICTION = ("return_friction", "braid_drag")
+_EFFECTS = {"muscle": (*_LOAD, *_FRICTION), "cylinder": _LOAD, "direct": ("piston",)}
 """Effects that are part of an actuator, where the catalogue has them."""
 _FIRST = ("atmospheric_pressure_pa",)
 """A gauge pressure needs it."""
@@ -300,12 +301,14 @@ def format_new_plant(
     ]
     questions = list_questions(actuator)
     meanings = {
-        q.name.rpartition(".")[2]: q.meaning + (f"; {texts[q.name]}" if q.name in texts else "")
-        for q in questions
+        q.name: q.meaning + (f"; {texts[q.name]}" if q.name in texts else "") for q in questions
     }
+    effect = ""
     for line in dump_yaml(_nest(actuator, values)).splitlines():
-        meaning = meanings.get(line.partition(":")[0].strip())
+        name, _, value = (part.strip() for part in line.partition(":"))
+        meaning = meanings.get(name) or meanings.get(f"{effect}.{name}")
         lines.append(f"{line:<42}  # {meaning}" if meaning else line)
+        effect = effect if value else name
     absent = [q for q in questions if q.is_optional and q.name not in values]
     lines += [f"# {q.name} is absent; --value {q.name}='...' adds it: {q.meaning}" for q in absent]
     return "\n".join([*lines, ""])

@@ -43,6 +43,46 @@ def test_a_spring_that_is_not_there_is_guessed_small() -> None:
     assert found["stiffness_n_per_m"].value * travel_m < 0.1 * 65.0
 
 
+def move_muscle(return_share: float, drag_share: float) -> Record:
+    """Return a muscle under a pressure of several frequencies, friction smoothed by 1 mm/s.
+
+    It has the paper's numbers, but a mass that shows, a load of 40 N and a soft spring: so it
+    moves by 40 mm.
+    """
+    turns, braid_m, rest_m, grip = 1.94, 0.232, 0.2, 55.3 * 100.0 * 0.233e-6
+
+    def gauge_pa(t: float) -> float:
+        return float(2.2e5 + 1.6e5 * np.sin(1.7 * t) + 4e4 * np.sin(11.0 * t + 1.0))
+
+    def rates(t: float, y: np.ndarray) -> list[float]:
+        length_m = rest_m - y[0]
+        area_m2 = (3.0 * length_m**2 - braid_m**2) / (4.0 * np.pi * turns**2)
+        lever_m = length_m * np.arccos(length_m / braid_m)
+        contracts = 0.5 + 0.5 * np.tanh(y[1] / 1e-3)
+        dry_n = grip * gauge_pa(t) * lever_m * (contracts - return_share * (1.0 - contracts))
+        drag_n = (1.0 + drag_share) * grip * gauge_pa(t) * y[1] * contracts
+        pull_n = gauge_pa(t) * area_m2 - 1500.0 * y[0] - 40.0
+        return [y[1], (pull_n - dry_n - drag_n - 200.0 * y[1]) / 6.0]
+
+    found = solve_ivp(rates, (0.0, T_S[-1]), [20e-3, 0.0], "LSODA", T_S, rtol=1e-8, atol=1e-10)
+    pressure = 101.3e3 + np.array([*map(gauge_pa, T_S)])
+    return Record("muscle", T_S, position_m=found.y[0], pressure_pa=pressure)
+
+
+@pytest.mark.parametrize(("back", "drag"), [(0.0, 0.0), (1.0, -1.0)])
+def test_a_muscle_s_friction_is_guessed_and_said_only_where_it_differs_from_the_paper_s(
+    back: float, drag: float
+) -> None:
+    found = guess_numbers([move_muscle(back, drag)], "muscle", PAPER)
+    assert found["kinetic_friction_per_m"].value == pytest.approx(55.3, rel=0.33)
+    assert found["external_load.force_n"].value == pytest.approx(40.0, rel=0.33)
+    shares = [found.get(f"{n}.share") for n in ("return_friction", "braid_drag")]
+    if back == 0.0:
+        assert shares == [None, None]
+    else:
+        assert [share.value for share in shares if share] == pytest.approx([back, drag], abs=0.33)
+
+
 def fill_vessel(gain_m2_per_v: float, volume_m3: float, tank_pa: float) -> Record:
     """Return a vessel behind a valve, with the orifice's flow written out (ISO 6358's limit)."""
     air_j_per_kg, gamma = 287.1 * 293.0, 1.4

@@ -76,6 +76,7 @@ IN_TRUTH: dict[str, Change] = {
     "return_friction": lambda s, _: {"return_share": 0.025 * s},
     "coulomb_friction": lambda s, _: {"coulomb_n": 0.3 * s},
     "pressure_damping": lambda s, _: {"pressure_damping": 5e-5 * s},
+    "braid_drag": lambda s, _: {"braid_drag": -0.05 * s},
     "cubic_stiffness": lambda s, _: {"cubic": 2e5 * s},
     "creep": lambda s, rng: {
         "creep_n_per_m": 50.0 * s,

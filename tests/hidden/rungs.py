@@ -38,8 +38,9 @@ _BY_PLACE = {
     "supply curve": "supply_droop",
     "supply lag": "supply_droop",
     "supply time": "supply_ripple",
-    "friction curve": "coulomb_friction friction_asymmetry position_friction pressure_damping "
-                      "pressure_friction return_friction stribeck viscous_asymmetry",
+    "friction curve": "braid_drag coulomb_friction friction_asymmetry position_friction "
+                      "pressure_damping pressure_friction return_friction stribeck "
+                      "viscous_asymmetry",
     "friction memory": "presliding spring_hysteresis coulomb_friction return_friction",
     "force curve": "bladder_threshold braid_stretch cubic_stiffness end_cap external_load "
                    "moving_mass piston",

@@ -172,6 +172,7 @@ ALIKE: dict[str, tuple[Numbers, Numbers, Numbers]] = {
     "pressure_friction": ({"n_per_pa": 2e-5}, {"dry_per_pa": 2e-5}, {}),
     "position_friction": ({"share_per_m": 40.0}, {"mu_slope_per_m": 40.0}, {}),
     "pressure_damping": ({"per_pa": 3e-4}, {"pressure_damping": 3e-4}, {}),
+    "braid_drag": ({"share": -1.0}, {"braid_drag": -1.0}, {}),
     "presliding/dahl": (
         {"compliance_m_per_n": 1e-5, "form": 1.0}, {"bristle_n_per_m": 1e5}, {}),
     "presliding/lugre": (

@@ -91,7 +91,8 @@ def test_a_nominal_flow_is_that_of_an_isentropic_orifice() -> None:
 
 def test_every_number_of_the_settings_is_in_the_list_of_a_muscle_with_its_description() -> None:
     asked = {question.name: question.meaning for question in list_questions("muscle")}
-    assert {*asked} == {*MuscleParameters.model_fields, "external_load.force_n", "stroke_m"}
+    effects = {"external_load.force_n", "return_friction.share", "braid_drag.share"}
+    assert {*asked} == {*MuscleParameters.model_fields, *effects, "stroke_m"}
     assert all(asked.values())
     of_axis = {question.name for question in list_questions("direct")}
     assert {"mass_kg", "stiffness_n_per_m"} <= of_axis

@@ -298,7 +298,7 @@ def list_calibrated(
     They are the plant's guesses, the sensors' zeros, and when in a sample a force acts.
     """
     found, tick = [], runs.period_s
-    for name, share in _list_guesses(runs, values, plant).items():
+    for name, share in list_guesses(values, plant, tick, is_imposed=runs.imposed).items():
         value = values[name]
         low, high = value * (1.0 - 6.0 * share), value * (1.0 + 6.0 * share)
         if share >= KNOWN_WELL:
@@ -326,8 +326,8 @@ def list_calibrated(
     return tuple(found)
 
 
-def _list_guesses(
-    runs: Runs, values: Mapping[str, float], plant: PlantSettings
+def list_guesses(
+    values: Mapping[str, float], plant: PlantSettings, period_s: float, *, is_imposed: bool = False
 ) -> dict[str, float]:
     """Return the plant's own numbers that every model frees, with a visible share of each.
 
@@ -336,7 +336,7 @@ def _list_guesses(
     """
     left_out = {*plant.known}
     if plant.actuator == "muscle":
-        hides = values["mass_kg"] < values["damping_n_s_per_m"] * 0.5 * runs.period_s
+        hides = values["mass_kg"] < values["damping_n_s_per_m"] * 0.5 * period_s
         left_out |= {"mass_kg"} if hides else set()
         left_out |= {"braid_turns"} if hides or "mass_kg" not in plant.known else set()
     return {
@@ -344,7 +344,7 @@ def _list_guesses(
         for name, share in CALIBRATED[plant.actuator].items()
         if name not in left_out
         and values[name] != 0.0
-        and (name == "damping_n_s_per_m" or not runs.imposed)
+        and (name == "damping_n_s_per_m" or not is_imposed)
     }
 
 
@@ -376,7 +376,7 @@ def list_pool(runs: Runs, values: Mapping[str, float], plant: PlantSettings) -> 
     if plant.actuator == "direct":
         seen = {"friction", "pull"} | ({"encoder"} if not runs.imposed else set())
         pool = [h for h in pool if h.place in seen and _is_driven(h, reach)]
-    fitted = _list_guesses(runs, values, plant)
+    fitted = list_guesses(values, plant, runs.period_s, is_imposed=runs.imposed)
     stays = {("plant_constant", name) for name in (*plant.known, *fitted)}
     pool = [h for h in pool if h.setup not in stays]
     if runs.imposed:

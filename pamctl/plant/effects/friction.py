@@ -40,6 +40,38 @@ COULOMB_FRICTION = EffectDescription(
 )  # fmt: skip
 
 
+class BraidDrag(NamedTuple):
+    """The braid's friction grows with speed by more than in Eq. 5, or by less.
+
+    Eq. 5 adds mu_k N A_b P_g to the damping while the muscle contracts. With a share of -1 the
+    braid's friction is dry: it depends on pressure alone.
+    """
+
+    share: float = 0.0
+
+
+def add_braid_drag(drag: BraidDrag, damping_n_s_per_m: float, grip: float) -> float:
+    """Return the damping while the muscle contracts; a twentieth of that without the braid stays.
+
+    `grip` is mu_k N A_b P_g of Eq. 5.
+    """
+    return max(damping_n_s_per_m + grip * (1.0 + drag.share), 0.05 * damping_n_s_per_m)
+
+
+BRAID_DRAG = EffectDescription(
+    kind=BraidDrag, block="mechanics",
+    equation="(c + (1 + d) mu_k N A_b P_g) dx/dt in Eq. 5, while the muscle contracts",
+    parameters=(
+        size("share", "1", 3.0, smallest=0.05, start=-0.2,
+             meaning="d, change of the braid's damping as a share; -1 is dry friction", low=-1.3),
+    ),
+    signature="an error only while the muscle contracts, in proportion to speed times pressure",
+    best_experiment="square-1", woven=("mechanics",), actuators=("muscle",),
+    as_terms=(AsTerm("damping", "gain", "pressure"), AsTerm("damping", "curve", "pressure"),
+              AsTerm("braid_friction", "curve", "velocity")),
+)  # fmt: skip
+
+
 class FrictionAsymmetry(NamedTuple):
     """Dry friction differs between the two directions of motion."""
 

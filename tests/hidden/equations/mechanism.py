@@ -70,7 +70,7 @@ def drag(p, x, gauge_pa, forward, t_s):
     viscous = p.damping + p.pressure_damping * max(gauge_pa, 0.0) + p.drag_per_m * x
     viscous *= 1.0 + p.viscous_tilt if forward else 1.0 - p.viscous_tilt
     if forward and p.direct == 0.0:
-        viscous += braid_grip(p, x, gauge_pa, t_s)
+        viscous += (1.0 + p.braid_drag) * braid_grip(p, x, gauge_pa, t_s)
     return viscous
 
 

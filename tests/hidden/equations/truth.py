@@ -108,6 +108,8 @@ class Truth(NamedTuple):
     mu_decay_per_s: float = 0.0
     mu_trend_per_s: float = 0.0
     mu_per_pa: float = 0.0
+    braid_drag: float = 0.0
+    """Share by which Eq. 5's damping of the braid differs; at -1 its friction is dry."""
     drag_per_m: float = 0.0
     """Viscous damping that grows along the stroke, N s/m for each m."""
     pull_per_m: float = 0.0

@@ -12,7 +12,7 @@ loaded when they are first used: no verb of the shell waits for them.
 
 __version__ = "0.1.0"
 
-_MODULES = ("aio", "gym")
+_MODULES = ("gym",)
 _HOMES = {
     name: home
     for home, names in {
@@ -36,6 +36,9 @@ def __getattr__(name: str) -> object:
     """Load a public name; other modules of the house need none of them."""
     from importlib import import_module
 
+    if name == "aio":
+        fix = "await asyncio.to_thread(rig.run, ...), and so each method of a rig"
+        raise AttributeError(f"pamctl.aio is gone; {fix}")
     if name in _MODULES:
         return import_module(f"pamctl.{name}")
     if name not in _HOMES:

@@ -2,7 +2,6 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
-from pamctl import aio as aio
 from pamctl import gym as gym
 from pamctl.session.daemon_rig import DaemonRig as DaemonRig
 from pamctl.session.daemon_rig import connect as connect

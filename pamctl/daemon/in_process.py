@@ -1,8 +1,7 @@
-"""A session's loop in this process, on the simulated rig, in a thread that runs only when asked to.
+"""A session's loop in this process, on the simulated rig, that ticks only when asked to.
 
-The caller gives an order and a goal, and waits; the loop ticks until the goal is reached, and
-then waits for the next order. One of the two threads works at a time. Between two orders no time
-passes on the rig.
+The caller gives an order and a goal; the loop ticks until the goal is reached. Between two orders
+no time passes on the rig.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from queue import SimpleQueue
 from types import FrameType
 from typing import Any
 
@@ -80,21 +78,19 @@ class InProcessLoop:
         self.runs_begun = 0
         self.pids: dict[str, int] = {}
         self._ending: Ending | None = None
-        self._failure: BaseException | None = None
-        self._last: bytes | None = None
-        self._orders: SimpleQueue[Mapping[str, Any] | None] = SimpleQueue()
-        self._done: SimpleQueue[None] = SimpleQueue()
+        self._order: Mapping[str, Any] | None = None
         self._turn = threading.RLock()
         """Held by the thread that lets time pass."""
-        self._goal: Callable[[], bool] | None = None
-        self._wants_turn = self._wants_abort = self._is_leaving = False
+        self._wants_abort = self._is_leaving = False
         meta = make_run_meta(settings, names, Path("/nonexistent"))
         self._ring = Ring.in_memory(meta, _SESSION_ROWS)
-        self._journal = _TickedJournal(self._ring, self)
-        self._thread = threading.Thread(target=self._work, name="simulated loop", daemon=True)
-        self._thread.start()
+        self._journal = SessionJournal(
+            self._ring, lambda ring: None if ring is None else wait_for_recorder(ring)
+        )
+        self._loop = compose_loop(settings, self._journal, self, orders=self)
+        self._ticks = self._loop.run_in_steps()
         with hold_back_ctrl_c():
-            self._await_turn()
+            self._tick_once()
 
     # --- what it tells --------------------------------------------------------------------------
 
@@ -112,11 +108,11 @@ class InProcessLoop:
         return None if ring is None else ring.meta.log_path
 
     @property
-    def tick(self) -> dict[str, float] | None:
+    def tick(self) -> dict[str, float]:
         """The newest tick's columns by name."""
-        return None if self._last is None else self._ring.read_tick(self._last)
+        return self._ring.read_tick(self._loop.tick.row)
 
-    def latest_tick(self) -> dict[str, float] | None:
+    def latest_tick(self) -> dict[str, float]:
         """Return the newest tick's columns by name."""
         return self.tick
 
@@ -130,39 +126,45 @@ class InProcessLoop:
     def phase(self) -> Phase | None:
         """Phase of the current run."""
         is_recorded = self.run is not None and self.log == self.run.ring.meta.log_path
-        tick = self.tick if is_recorded else None
-        return None if tick is None else Phase(int(tick["phase"]))
+        return Phase(int(self.tick["phase"])) if is_recorded else None
 
     # --- orders ---------------------------------------------------------------------------------
 
     def advance(self, goal: Callable[[], bool], order: Mapping[str, Any] | None = None) -> None:
         """Obey an order, and tick until the goal is reached or the loop has ended.
 
-        An exception in the caller's thread, such as Ctrl-C, stops the time, not the run.
+        Ctrl-C stops the time, not the run.
         """
-        # Ctrl-C just after the turn has come would be taken for one that came while it was awaited.
-        with self._turn, hold_back_ctrl_c() as pressed:
+        with hold_back_ctrl_c() as pressed:
             self._advance_whole(lambda: bool(pressed) or goal(), order)
 
     def _advance_whole(
         self, goal: Callable[[], bool], order: Mapping[str, Any] | None = None
     ) -> None:
         with self._turn:
-            if self._ending is None:
-                self._wants_turn, self._goal = False, goal
-                self._orders.put(order)
-                self._await_turn()
+            self._order = order
+            while self._ending is None:
+                self._tick_once()
+                if self._order is None and goal():
+                    return
 
-    def _await_turn(self) -> None:
+    def _tick_once(self) -> None:
         try:
-            self._done.get()
-        except BaseException:
-            self._wants_turn = True
-            self._done.get()
+            if self._order is not None:
+                self._loop.settle()
+            next(self._ticks)
+        except StopIteration as end:
+            self._end(end.value)
+        except RingError as error:  # the log could not be written
+            self._end(Ending(ExitCode.UNEXPECTED, str(error)))
+        except Exception as error:
+            self._ticks.close()
+            self._end(Ending(ExitCode.UNEXPECTED, f"{type(error).__name__}: {error}"))
             raise
-        if self._failure is not None:
-            failure, self._failure = self._failure, None
-            raise failure
+
+    def _end(self, ending: Ending) -> None:
+        self._journal.end_last_run(ending)
+        self._ending = ending
 
     def order(self, order: Mapping[str, Any]) -> None:
         """Return when the loop has taken an order."""
@@ -213,25 +215,15 @@ class InProcessLoop:
         self._advance_whole(_NEVER)
         assert self._ending is not None
         self.finish_run()
-        if self._thread.is_alive():
-            self._thread.join()
-            self._ring.close()
+        self._ring.close()
         return self._ending
 
     # --- the loop's side ------------------------------------------------------------------------
 
     def take(self) -> dict[str, Any] | None:
         """Return the next order; the loop asks after every tick."""
-        if self._goal is not None and not (self._wants_turn or self._goal()):
-            return None
-        self._goal = None
-        self._done.put(None)
-        order = self._orders.get()
+        order, self._order = self._order, None
         return None if order is None else dict(order)
-
-    def note_tick(self, row: bytearray) -> None:
-        """Take note of the newest tick, a row of the ring."""
-        self._last = bytes(row)
 
     def find_stop(self, tick: int) -> Ending | None:
         """Return the ending once the loop shall end."""
@@ -242,30 +234,6 @@ class InProcessLoop:
     def wants_abort(self) -> bool:
         """Tell whether to skip the smooth stop."""
         return self._wants_abort
-
-    def _work(self) -> None:
-        try:
-            ending = compose_loop(self._settings, self._journal, self, orders=self).run()
-        except RingError as error:  # the log could not be written
-            ending = Ending(ExitCode.UNEXPECTED, str(error))
-        except Exception as error:
-            self._failure = error
-            ending = Ending(ExitCode.UNEXPECTED, f"{type(error).__name__}: {error}")
-        self._journal.end_last_run(ending)
-        self._ending = ending
-        self._done.put(None)
-
-
-class _TickedJournal(SessionJournal):
-    """Tells its loop of each tick; the rings of runs wait for their recorders."""
-
-    def __init__(self, session: Ring, loop: InProcessLoop) -> None:
-        super().__init__(session, lambda ring: None if ring is None else wait_for_recorder(ring))
-        self._loop = loop
-
-    def put_row(self, row: bytearray, late_s: float, missed: int) -> None:
-        self._loop.note_tick(row)
-        super().put_row(row, late_s, missed)
 
 
 def _finish(run: ThreadRecordedRun, ending: Ending) -> LogReport:

@@ -1,8 +1,9 @@
 """The control socket: many clients, none of which can disturb the others or the loop.
 
-The socket has mode 0660: its group may steer. What a client sends is limited in size and
-rate. A client that does not read its answers is disconnected. Clients wait for each other.
-An emergency stop waits for nobody; whoever has asked for one waits before the next line.
+The socket has mode 0660: its group may steer. What a client sends is limited in size. A client
+that does not read its answers is disconnected. Clients wait for each other, and together take at
+most half of the time. An emergency stop waits for nobody; whoever has asked for one waits before
+the next line.
 """
 
 from __future__ import annotations
@@ -10,15 +11,12 @@ from __future__ import annotations
 import asyncio
 import grp
 import os
-import select
 import socket
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
 
 from pamctl.daemon.protocol import (
     INTERNAL_ERROR,
@@ -36,53 +34,28 @@ from pamctl.daemon.protocol import (
 )
 from pamctl.exit_codes import ExitCode
 
-MOST_CLIENTS = 64
-_MOST_WAITING = 256
-"""As many are served where all of them wait for an answer; whoever comes then may only stop."""
+MOST_CLIENTS = 256
+"""Whoever comes then may only stop."""
 _ACCEPTED_AT_ONCE = 8
 _MOST_UNACCEPTED = 64
 _READS_WITHIN_S = 2.0
 _MOST_UNREAD_BYTES = 1 << 20
 _LONGEST_EMERGENCY = 1024
 """Bytes of a line that may be an emergency stop: only a short one is parsed out of turn."""
-_READ_BYTES = 1 << 16
 _SHORTEST_PAUSE_S = 1e-3
 _STEPS_OF_A_WELCOME = 4
 """Rounds of the event loop from a client's connection to its first line: see, accept, attach."""
-
-REQUESTS_PER_S = 100.0
-BURST = 200.0
-BYTES_PER_REQUEST = 4096
-"""A longer line counts as several requests."""
 
 _NO_LINE = (asyncio.IncompleteReadError, asyncio.LimitOverrunError)
 
 Methods = dict[str, Method]
 
 
-class Allowance:
-    """The requests that a client may still make: a bucket that fills with time."""
-
-    def __init__(self, now_s: float) -> None:
-        """Begin with a full bucket."""
-        self._tokens, self._last_s = BURST, now_s
-
-    def spend(self, now_s: float, size: int = 1) -> bool:
-        """Take the tokens for a line of `size` bytes; return whether there were enough."""
-        self._tokens = min(BURST, self._tokens + (now_s - self._last_s) * REQUESTS_PER_S)
-        self._last_s = now_s
-        tokens = max(1.0, size / BYTES_PER_REQUEST)
-        if self._tokens < tokens:
-            return False
-        self._tokens -= tokens
-        return True
-
-
 class Turns:
     """Clients wait here for each other, and together take at most half of the time.
 
-    The watch over the loop shares the interpreter: however much is asked, it finds every other
-    moment free.
+    No rate is limited beside this. The watch over the loop shares the interpreter: however much is
+    asked, it finds every other moment free.
     """
 
     def __init__(self) -> None:
@@ -108,65 +81,6 @@ class Turns:
                 await asyncio.sleep(pause_s)
 
 
-class _LineReader(asyncio.StreamReader):
-    """Reads no further while it holds a line: what a client sends ahead costs no time."""
-
-    def __init__(self) -> None:
-        super().__init__(LARGEST_REQUEST)
-        self._lines = 0
-
-    def set_transport(self, transport: asyncio.BaseTransport) -> None:
-        super().set_transport(transport)
-        self._source = cast("asyncio.Transport", transport)
-        # Memory for asyncio's quarter of a megabyte would be mapped anew for every read.
-        transport.max_size = _READ_BYTES  # type: ignore[attr-defined]
-
-    def feed_data(self, data: Any) -> None:
-        super().feed_data(data)
-        self._lines += data.count(b"\n")
-        if self._lines:
-            self._source.pause_reading()
-
-    async def read_line(self) -> bytes:
-        """Return the next line; raise what `readuntil` raises."""
-        if not self._lines:
-            self._source.resume_reading()
-        line = await self.readuntil(b"\n")
-        self._lines -= 1
-        return line
-
-    def end(self) -> None:
-        """Read no further."""
-        self._source.pause_reading()
-        self.feed_eof()
-
-
-@dataclass(eq=False)
-class _Client:
-    """A client, and what it is at."""
-
-    reader: _LineReader
-    writer: asyncio.StreamWriter
-    has_spoken: bool = False
-    waits: bool = False
-    """Its last request is not answered yet."""
-    leaves: bool = False
-    """It made room for another one."""
-
-    def is_silent(self) -> bool:
-        """Tell whether it waits for no answer, and has sent nothing that is not read yet."""
-        if self.waits or self.leaves:
-            return False
-        arrived = select.poll()
-        arrived.register(self.writer.get_extra_info("socket").fileno(), select.POLLIN)
-        return not arrived.poll(0)
-
-    def give_way(self) -> None:
-        """Disconnect it."""
-        self.leaves = True
-        self.reader.end()
-
-
 class SocketError(Exception):
     """The control socket cannot be made. The message says why, and what to do."""
 
@@ -176,13 +90,11 @@ class SocketError(Exception):
 class Server:
     """Answers requests on a Unix socket."""
 
-    def __init__(self, methods: Methods, now_s: Callable[[], float] = time.monotonic) -> None:
-        """`methods` are what can be asked; none may end the process. `now_s` is the clock."""
+    def __init__(self, methods: Methods) -> None:
+        """`methods` are what can be asked; none may end the process."""
         self._methods = methods
         self._at_once = {name.encode() for name, method in methods.items() if method.at_once}
-        self._now_s = now_s
-        self._clients: dict[_Client, None] = {}
-        """The one that was heard of last stands last."""
+        self._clients = 0
         self._turns = Turns()
         # One after the other in one thread: each further thread would keep memory of its own.
         self._worker = ThreadPoolExecutor(1, "orders")
@@ -192,10 +104,8 @@ class Server:
         bound = _bind_socket(path, group)
         self._path = path
         # Accepting many clients at once would keep the others waiting.
-        self._listening = await asyncio.get_running_loop().create_unix_server(
-            lambda: asyncio.StreamReaderProtocol(_LineReader(), self._welcome),
-            sock=bound,
-            backlog=_ACCEPTED_AT_ONCE,
+        self._listening = await asyncio.start_unix_server(
+            self._welcome, sock=bound, limit=LARGEST_REQUEST, backlog=_ACCEPTED_AT_ONCE
         )
         bound.listen(_MOST_UNACCEPTED)
 
@@ -209,77 +119,46 @@ class Server:
         self._listening.close()
 
     async def _welcome(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        has_room = self._make_room()
-        client = _Client(cast("_LineReader", reader), writer)
-        self._clients[client] = None
+        self._clients += 1
+        serve = self._serve if self._clients <= MOST_CLIENTS else self._serve_emergency
         try:
-            await (self._serve(client) if has_room else self._serve_emergency(client))
+            await serve(reader, writer)
         except (ConnectionError, TimeoutError, *_NO_LINE):
             pass  # it went, or does not read
         except asyncio.CancelledError:
             pass  # the daemon ends
         finally:
-            del self._clients[client]
+            self._clients -= 1
             writer.transport.abort()
 
-    def _make_room(self) -> bool:
-        """Disconnect a client where there are too many; return whether another one is served.
-
-        The new client may want the emergency stop: the one that was silent longest goes. Nobody
-        goes who waits for an answer. Who has just come and asked nothing yet goes last.
-        """
-        among = len(self._clients)
-        if among >= MOST_CLIENTS:
-            crowded = among >= _MOST_WAITING
-            silent = (
-                c
-                for c in self._clients
-                if not c.waits and (c.has_spoken or crowded) and c.is_silent()
-            )
-            leaving = next(silent, None)
-            if leaving is not None:
-                leaving.give_way()
-        return among < _MOST_WAITING
-
-    async def _serve(self, client: _Client) -> None:
-        reader, writer = client.reader, client.writer
-        allowance = Allowance(self._now_s())
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         writer.transport.set_write_buffer_limits(high=_MOST_UNREAD_BYTES)
         while True:
             try:
-                line = await reader.read_line()
+                line = await reader.readuntil()
             except asyncio.LimitOverrunError:
                 message = f"a request is one line of at most {LARGEST_REQUEST} bytes"
                 writer.write(encode_failure(RequestError(INVALID_REQUEST, message)))
                 await _drain_writer(writer)
                 return
-            client.has_spoken = client.waits = True
-            del self._clients[client]
-            self._clients[client] = None
-            await self._serve_line(line, allowance, writer)
+            began_s = time.monotonic()
+            stopped = self._stop_if_asked(line)
+            writer.write(await self._answer(line) if stopped is None else stopped)
+            if stopped is not None:
+                # The next line of this client waits, also where it is another emergency stop.
+                async with self._turns.take_turn(time.monotonic() - began_s):
+                    pass
             await _drain_writer(writer)
-            client.waits = False
 
-    async def _serve_emergency(self, client: _Client) -> None:
+    async def _serve_emergency(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
         """Read one line; do nothing but stop."""
         async with asyncio.timeout(_READS_WITHIN_S):
-            line = await client.reader.read_line()
-        busy = RequestError(TOO_MANY, "too many clients are waiting; ask again in a moment")
-        client.writer.write(self._stop_if_asked(line) or encode_failure(busy))
-        await _drain_writer(client.writer)
-
-    async def _serve_line(
-        self, line: bytes, allowance: Allowance, writer: asyncio.StreamWriter
-    ) -> None:
-        began_s = time.monotonic()
-        stopped = self._stop_if_asked(line)
-        if stopped is None:
-            writer.write(await self._answer(line, allowance))
-            return
-        writer.write(stopped)
-        # The next line of this client waits, also where it is another emergency stop.
-        async with self._turns.take_turn(time.monotonic() - began_s):
-            pass
+            line = await reader.readuntil()
+        busy = RequestError(TOO_MANY, f"{MOST_CLIENTS} clients are connected; close some")
+        writer.write(self._stop_if_asked(line) or encode_failure(busy))
+        await _drain_writer(writer)
 
     def _stop_if_asked(self, line: bytes) -> bytes | None:
         """Carry out an emergency stop and return its answer; None where the line is none.
@@ -299,10 +178,10 @@ class Server:
         except RequestError as error:
             return encode_failure(error)
 
-    async def _answer(self, line: bytes, allowance: Allowance) -> bytes:
+    async def _answer(self, line: bytes) -> bytes:
         try:
             async with self._turns.take_turn():
-                request = self._admit_request(line, allowance)
+                request = parse_request(line, self._methods)
                 if not request.method.changes:
                     return encode_result(request.id, _carry_out(request))
             events = asyncio.get_running_loop()
@@ -310,16 +189,6 @@ class Server:
             return encode_result(request.id, result)
         except RequestError as error:
             return encode_failure(error)
-
-    def _admit_request(self, line: bytes, allowance: Allowance) -> Request:
-        has_tokens = allowance.spend(self._now_s(), len(line))
-        message = f"more than {REQUESTS_PER_S:g} requests a second"
-        if not has_tokens and len(line) > BYTES_PER_REQUEST:
-            raise RequestError(TOO_MANY, message)  # reading it would take long
-        request = parse_request(line, self._methods)
-        if not has_tokens:
-            raise RequestError(TOO_MANY, message, request.id)
-        return request
 
 
 def _carry_out(request: Request) -> object:

@@ -32,11 +32,9 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from pathlib import Path
-from socket import SHUT_RDWR
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from pamctl.daemon.server import Allowance
 from pamctl.json_text import to_plain_json
 from pamctl.live.feed import COLUMNS, EVERY, LOOKS_PER_S, DaemonFeed, Glimpse, describe_glimpses
 from pamctl.live.page_orders import (
@@ -120,7 +118,6 @@ class Broadcast:
 
 
 LARGEST_BODY = 4096
-MOST_CONNECTIONS = 32
 _SILENT_S = 10.0
 """A connection without a request for so long is closed (s)."""
 _SWITCH_S = 5e-4
@@ -171,7 +168,7 @@ class PageServer(ThreadingHTTPServer):
     """Listens on the loopback address; a thread for each connection."""
 
     daemon_threads = True
-    request_queue_size = MOST_CONNECTIONS
+    request_queue_size = 32
 
     def __init__(self, socket: Path, port: int, token: str) -> None:
         """Begin to look at the daemon behind `socket`; without a `token` the page is read-only."""
@@ -182,44 +179,7 @@ class PageServer(ThreadingHTTPServer):
         self.pages = {at: _read_part(name) for at, (name, _) in _PAGE.items()}
         self.name = secrets.token_urlsafe(6)
         """Tells a page that another server answers now, which counts its looks anew."""
-        self._allowance = Allowance(time.monotonic())
-        self._asking = threading.Lock()
-        self._connections: dict[Any, float] = {}
-        """Each with the time of its last request."""
         self.hosts = {f"{name}:{self.server_port}" for name in ("127.0.0.1", "localhost")}
-
-    def spend_request(self) -> bool:
-        """Take one request from the allowance that all browsers share."""
-        with self._asking:
-            return self._allowance.spend(time.monotonic())
-
-    def process_request(self, request: Any, client_address: Any) -> None:
-        """Give a thread to a connection. Where there are too many, the longest silent one ends.
-
-        The new one stays: it may bring the emergency stop.
-        """
-        with self._asking:
-            if len(self._connections) >= MOST_CONNECTIONS:
-                silent = min(self._connections, key=self._connections.__getitem__)
-                del self._connections[silent]
-                with suppress(OSError):
-                    silent.shutdown(SHUT_RDWR)  # its thread reads the end, and leaves
-            self._connections[request] = time.monotonic()
-        super().process_request(request, client_address)
-
-    def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Serve one connection to its end."""
-        try:
-            super().process_request_thread(request, client_address)
-        finally:
-            with self._asking:
-                self._connections.pop(request, None)
-
-    def note_request(self, connection: Any) -> None:
-        """Remember that a connection is in use."""
-        with self._asking:
-            if connection in self._connections:
-                self._connections[connection] = time.monotonic()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Report errors, except those of browsers that went away."""
@@ -244,7 +204,6 @@ class _Handler(BaseHTTPRequestHandler):
     server: PageServer
 
     def do_GET(self) -> None:
-        self.server.note_request(self.connection)
         try:
             self._require_own_page()
             if self.path.startswith("/news?"):
@@ -263,7 +222,6 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(refusal)
 
     def do_POST(self) -> None:
-        self.server.note_request(self.connection)
         try:
             self._require_own_page()
             if self.path != "/do":
@@ -291,10 +249,6 @@ class _Handler(BaseHTTPRequestHandler):
         token = self.headers.get("Authorization", "").removeprefix("Bearer ")
         is_known = hmac.compare_digest(token.encode(), self.server.token.encode())
         order = _parse_order(body)
-        # The emergency stop is granted after any number of requests.
-        is_estop = bool(self.server.token) and is_known and order.get("do") == "estop"
-        if not is_estop and not self.server.spend_request():
-            raise PageRefusal("too many requests", HTTPStatus.TOO_MANY_REQUESTS)
         if not self.server.token:
             raise PageRefusal("read-only: start it with --allow-control", HTTPStatus.FORBIDDEN)
         if not is_known:

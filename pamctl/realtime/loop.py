@@ -9,7 +9,7 @@ ring in shared memory, and another process writes them to the log.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
@@ -85,7 +85,17 @@ class ControlLoop:
         self.tick = self.tick or TickRunner(self.setup)
 
     def run(self) -> Ending:
-        """Run the program to its end; leave the rig safe and closed on every path.
+        """Run the program to its end, as `run_in_steps`; return how it ends."""
+        ticks = self.run_in_steps()
+        while True:
+            try:
+                next(ticks)
+            except StopIteration as end:
+                ending: Ending = end.value
+                return ending
+
+    def run_in_steps(self) -> Generator[None, None, Ending]:
+        """Run the program; yield after each tick, and leave the rig safe and closed on every path.
 
         `RigError`, a safety trip and a failed homing become the ending. Anything else is an error
         in pamctl and is raised.
@@ -94,7 +104,7 @@ class ControlLoop:
             with open_rig(self.rig):
                 self._record_rig()
                 try:
-                    ending = self._tick_to_end()
+                    ending = yield from self._tick_to_end()
                 except HomingError as error:
                     ending = Ending(ExitCode.SAFETY_TRIP, str(error))
                 except RigError as error:
@@ -116,8 +126,8 @@ class ControlLoop:
         for event in (rig, *noted):
             self.journal.put_event(0, self.clock.now_ns(), event)
 
-    def _tick_to_end(self) -> Ending:
-        """Tick until the program ends."""
+    def _tick_to_end(self) -> Generator[None, None, Ending]:
+        """Tick until the program ends; yield between two ticks."""
         wake = self.clock.wait()
         raw = self.rig.read()
         zero = self.nominal_zero(raw)
@@ -134,6 +144,7 @@ class ControlLoop:
                 ended = self._finish(self.tick.timing.tick, 0, self.tick.raw)
             if ended is not None:
                 return ended
+            yield
             wake = self.clock.wait(self._rehearse)
             raw = self.rig.read()
 
@@ -149,11 +160,13 @@ class ControlLoop:
         # tick and an abort in the next one, and the run never ends without its reason.
         abort = self.supervisor.wants_abort()
         self._obey_supervisor(at, raw, decision)
-        self.helm.finish_tick(tick)
-        if abort:
-            return self.ending
-        tick.expect(self.helm.settled_setup, self.program.running)
-        return None
+        self.settle()
+        return self.ending if abort else None
+
+    def settle(self) -> None:
+        """Do what is due beside the reference, such as an order, before the next tick."""
+        self.helm.finish_tick(self.tick)
+        self.tick.expect(self.helm.settled_setup, self.program.running)
 
     def _run_many(self) -> bool:
         """Run the ticks up to the next frozen state or cue at once, where that is possible.

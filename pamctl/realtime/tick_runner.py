@@ -152,6 +152,11 @@ class TickRunner:
         return freeze_state(self.state)
 
     @property
+    def row(self) -> bytes:
+        """The row of the last tick that was recorded."""
+        return bytes(self._rows.buffer)
+
+    @property
     def output_v(self) -> float:
         """The voltage that the last decision asks for."""
         volts: float = self._get_output_v()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -18,7 +17,7 @@ from pamctl.daemon.client import (
 )
 from pamctl.exit_codes import ExitCode
 from pamctl.session.pamctl_error import PamctlError, translate_errors
-from pamctl.session.steered_rig import Goal, InterruptedWaitError, SteeredRig, require_well
+from pamctl.session.steered_rig import Goal, SteeredRig, require_well
 
 _LOOK_EVERY_S = 0.05
 
@@ -54,7 +53,6 @@ class _SocketLink:
     def __init__(self, socket: Path) -> None:
         self._socket = socket
         self._client: Client | None = Client(socket)
-        self.interrupted = threading.Event()
         self._is_open = True
 
     def ask(self, name: str, params: Mapping[str, object]) -> Any:
@@ -89,9 +87,7 @@ class _SocketLink:
             self.sleep(_LOOK_EVERY_S)
 
     def sleep(self, duration_s: float) -> None:
-        if self.interrupted.wait(duration_s):
-            self.interrupted.clear()
-            raise InterruptedWaitError
+        time.sleep(duration_s)
 
     def follow(self, every: int) -> Iterator[Mapping[str, float]]:
         status = self.ask("status", {})

@@ -10,16 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from math import sqrt
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pamctl.control.experiment import plan_experiment
 from pamctl.diagnose import Diagnosis, Verdict, diagnose
-from pamctl.diagnose.drawn_programs import REST_S, STROKES, STROKES_HZ
 from pamctl.diagnose.record import Record
 from pamctl.diagnose.report.diagnosis_page import write_diagnosis
 from pamctl.diagnose.report.finding_words import spell_names
@@ -30,26 +27,6 @@ from pamctl.session.rig_plan import BETWEEN_S, FULL_PROGRAM, RigPlan, require_in
 from pamctl.session.steered_rig import SteeredRig
 from pamctl.settings.config_files import find_config_file
 from pamctl.settings.resolve import read_section_file, settings_to_data
-
-SAME_V = 1e-3
-"""Commands that differ by less are the same."""
-FEWEST_SHARE = 0.9
-"""Share of the ticks that both records must have, with the same command."""
-REPEATED_S = REST_S + STROKES / STROKES_HZ
-
-
-@dataclass(frozen=True)
-class RepeatDifference:
-    """How far the part that all programs share differs from the first time, by channel, in SI."""
-
-    channel: str
-    rms: float
-    noise: float
-    """What two readings of an unchanged rig differ by."""
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return what the document holds."""
-        return {"rms": self.rms, "noise": self.noise}
 
 
 @dataclass(frozen=True)
@@ -63,7 +40,6 @@ class RigRound:
     rig_time_s: float
     """Homing, program and rest."""
     diagnosis: Diagnosis
-    repeated: tuple[RepeatDifference, ...]
 
     @property
     def left(self) -> tuple[str, ...]:
@@ -82,40 +58,7 @@ class RigRound:
             "sentence": sentence(self.diagnosis),
             "explanations_left": [*self.left],
             "forecasts": [f.as_dict() for f in self.diagnosis.forecasts if f.record == self.log],
-            "repeated_part": {d.channel: d.as_dict() for d in self.repeated},
         }
-
-
-def compare_repeated_part(
-    first: Record, again: Record, diagnosis: Diagnosis
-) -> tuple[RepeatDifference, ...]:
-    """Return by how much the shared beginning of two records differs; empty if not shared."""
-    if first is again or diagnosis.evidence is None:
-        return ()
-    one, other = _match_ticks(first, again)
-    same = np.abs(first["valve_v"][one] - again["valve_v"][other]) <= SAME_V
-    if len(one) < FEWEST_SHARE * REPEATED_S / first.period_s or same.mean() < FEWEST_SHARE:
-        return ()
-    differences = {
-        channel: again[channel][other][same] - first[channel][one][same]
-        for channel in ("pressure_pa", "position_m")
-    }
-    return tuple(
-        RepeatDifference(
-            channel,
-            float(np.sqrt(np.mean(off**2))),
-            sqrt(2.0) * diagnosis.evidence.noise_rms[channel],
-        )
-        for channel, off in differences.items()
-    )
-
-
-def _match_ticks(first: Record, again: Record) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the samples of both records that belong to the same ticks of the shared part."""
-    ticks, others = (np.rint(r.t_s / first.period_s) for r in (first, again))
-    shared, one, other = np.intersect1d(ticks, others, return_indices=True)
-    within = shared * first.period_s < REPEATED_S
-    return one[within], other[within]
 
 
 MOST_TOGETHER = 2
@@ -228,7 +171,6 @@ def _conclude(
             records[-1].name if program else ", ".join(r.name for r in records),
             rig_time_s,
             found,
-            compare_repeated_part(records[0], records[-1], found),
         )
     )
     last = investigation.rounds[-1]
@@ -345,11 +287,4 @@ def _tell_round(each: RigRound) -> str:
                 f"Expected: {spell_names(forecast.refuted)} leaves {forecast.expected:.2f} times "
                 f"the sensor's noise in the {forecast.block}; found: {came}."
             )
-    for repeated in each.repeated:
-        unit, factor = ("Pa", 1.0) if repeated.channel == "pressure_pa" else ("µm", 1e6)
-        parts.append(
-            f"The repeated strokes differ from the first by {factor * repeated.rms:.3g} {unit} RMS"
-            f" in the {'pressure' if unit == 'Pa' else 'position'}; two readings of the sensor "
-            f"differ by {factor * repeated.noise:.3g} {unit}."
-        )
     return " ".join(parts)

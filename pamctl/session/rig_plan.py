@@ -77,7 +77,7 @@ class RigPlan:
         more = budget.runs if self.first is None else budget.runs - 1
         yield (
             f"then: up to {more} more of 5 to 10 s, each the one of {PROGRAMS + MIXED} that best "
-            "separates what is left; all begin with the same strokes, which shows drift"
+            "separates what is left"
         )
         yield (
             f"budget: {budget.runs} programs and {budget.minutes:g} min on the rig; between two, "

@@ -24,7 +24,7 @@ from pamctl.exit_codes import ExitCode
 from pamctl.log.run_meta import file_safe_name
 from pamctl.new_file import require_folder
 from pamctl.session.pamctl_error import PamctlError, translate_errors
-from pamctl.session.steered_rig import Goal, InterruptedWaitError, SteeredRig, require_well
+from pamctl.session.steered_rig import Goal, SteeredRig, require_well
 from pamctl.settings.config_files import read_tables
 from pamctl.settings.resolve import (
     SECTIONS,
@@ -95,7 +95,6 @@ class _OwnLink:
     def __init__(self, session: RigSession) -> None:
         self._session = session
         self._methods = methods_of(session)
-        self.interrupted = threading.Event()
         self._is_open = True
 
     @property
@@ -136,10 +135,9 @@ class _OwnLink:
             # Marks and gains take a tick each: they do not shift the ticks that follow.
             at += every * max(1, -(-(_number(loop) + 1 - at) // every))
             self._let_pass_until(loop, at)
-            tick = loop.tick
-            if loop.log is None or tick is None:
+            if loop.log is None:
                 return
-            yield tick
+            yield loop.tick
 
     def close(self) -> None:
         self._is_open = False
@@ -155,10 +153,7 @@ class _OwnLink:
 
     def _let_pass(self, loop: InProcessLoop, goal: Callable[[], bool]) -> None:
         with self._raise_new_fault():
-            loop.advance(lambda: self.interrupted.is_set() or goal())
-        if self.interrupted.is_set():
-            self.interrupted.clear()
-            raise InterruptedWaitError
+            loop.advance(goal)
 
     @contextmanager
     def _raise_new_fault(self) -> Iterator[None]:
@@ -174,8 +169,7 @@ class _OwnLink:
 
 
 def _number(loop: InProcessLoop) -> int:
-    tick = loop.tick
-    return -1 if tick is None else int(tick["tick"])
+    return int(loop.tick["tick"])
 
 
 def resolve_session(

@@ -12,7 +12,6 @@ raises `PamctlError` with the shell's line and exit code. Positions are in m, ti
 from __future__ import annotations
 
 import math
-import threading
 from collections.abc import Callable, Iterator, Mapping
 from itertools import islice
 from pathlib import Path
@@ -66,9 +65,6 @@ class Link(Protocol):
     @property
     def has_end(self) -> bool:
         """The current run ends by itself, or others may end it."""
-
-    interrupted: threading.Event
-    """What waits in another thread ends when it is set."""
 
     def ask(self, name: str, params: Mapping[str, object]) -> Any:
         """Give an order, as the protocol has it; return the answer."""
@@ -260,10 +256,6 @@ class SteeredRig:
 
     # --- the end --------------------------------------------------------------------------------
 
-    def interrupt(self) -> None:
-        """End `run`, `wait`, `goto` and `sleep` in the thread that waits; from any thread."""
-        self._link.interrupted.set()
-
     def close(self) -> None:
         """Stop what was begun here and leave the rig safe; does nothing the second time.
 
@@ -271,7 +263,6 @@ class SteeredRig:
         """
         if not self._is_open:
             return
-        self._link.interrupted.clear()
         try:
             if not self._link.is_own:
                 self._stop_own_run()
@@ -361,10 +352,6 @@ class SteeredRig:
             return experiment.to_data(), file_safe_name(name or experiment.KIND)
         data = read_experiment(experiment, "experiment")
         return data, file_safe_name(name or str(data["kind"]))
-
-
-class InterruptedWaitError(BaseException):
-    """`interrupt` was called while this thread waited."""
 
 
 def require_well(status: Mapping[str, Any], log: Path | None = None) -> Mapping[str, Any]:

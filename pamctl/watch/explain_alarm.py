@@ -1,24 +1,12 @@
-"""The diagnosis of the last minute, in a process that gives way to everything else.
-
-`python -m pamctl.watch.explain_alarm`: takes a pickle of record, plant and the record before the
-alarm on its standard input, which then stays open, and prints one line of JSON. It ends when its
-standard input does.
-"""
+"""The diagnosis of the last minute, for a process that gives way to everything else."""
 
 from __future__ import annotations
 
-import json
 import os
-import pickle
-import subprocess
-import sys
-import threading
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from hal.child import child_command
 from pamctl.diagnose.record import Record
-from pamctl.exit_codes import ExitCode
 from pamctl.plant.model import PlantSettings
 
 if TYPE_CHECKING:  # the diagnosis is imported by the process that needs it
@@ -29,55 +17,12 @@ _DECIDED = ("named", "described", "miscalibrated", "no_discrepancy", "bad_data")
 """Verdicts that leave nothing open that held constants could decide."""
 
 
-class AlarmExplainer:
-    """One diagnosis at a time, in a process of its own."""
-
-    def __init__(self) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
-
-    @property
-    def is_busy(self) -> bool:
-        """Whether a diagnosis is on its way."""
-        return self._process is not None
-
-    def start(self, record: Record, plant: PlantSettings, before: Record | None) -> None:
-        """Begin the diagnosis of a record; `before` is the rig before the alarm."""
-        self._process = subprocess.Popen(
-            child_command("pamctl.watch.explain_alarm"),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-        )
-        assert self._process.stdin is not None
-        with suppress(BrokenPipeError):
-            pickle.dump((record, plant, before), self._process.stdin)
-            self._process.stdin.flush()
-
-    def collect(self) -> dict[str, Any] | None:
-        """Return the explanation once it is there; None before."""
-        process = self._process
-        if process is None or process.poll() is None:
-            return None
-        assert process.stdout is not None
-        text = process.stdout.read()
-        self.stop()
-        with suppress(ValueError):
-            found: dict[str, Any] = json.loads(text)
-            return found
-        failed = f"the diagnosis of the last minute failed (exit code {process.returncode})"
-        return {"sentence": failed, "verdict": "", "effects": []}
-
-    def stop(self) -> None:
-        """End a diagnosis that is on its way."""
-        process, self._process = self._process, None
-        if process is None:
-            return
-        process.kill()
-        process.wait()
-        for pipe in (process.stdin, process.stdout):
-            if pipe is not None:
-                with suppress(BrokenPipeError):
-                    pipe.close()
+def explain_gently(record: Record, plant: PlantSettings, before: Record | None) -> dict[str, Any]:
+    """Do what `explain_record` does, in a worker process of its own that takes only idle time."""
+    os.nice(_IDLE_NICE)
+    with suppress(AttributeError, OSError):  # where the system knows it
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    return explain_record(record, plant, before)
 
 
 def explain_record(record: Record, plant: PlantSettings, before: Record | None) -> dict[str, Any]:
@@ -149,25 +94,3 @@ def _list_rivals(found: Diagnosis) -> list[str]:
     open_ones = [f for f in found.findings if f.level not in ("name", "rest")]
     rivals = dict.fromkeys(r.name for f in open_ones for r in f.rivals)
     return [name for name in rivals if name not in names]
-
-
-def main() -> int:
-    """Diagnose what standard input holds."""
-    os.nice(_IDLE_NICE)
-    with suppress(AttributeError, OSError):  # where the system knows it: only idle time
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-    record, plant, before = pickle.load(sys.stdin.buffer)
-    threading.Thread(target=_leave_with_parent, daemon=True).start()
-    found = explain_record(record, plant, before)
-    sys.stdout.write(json.dumps(found) + "\n")
-    sys.stdout.flush()
-    return int(ExitCode.OK)
-
-
-def _leave_with_parent() -> None:
-    sys.stdin.buffer.read()
-    os._exit(int(ExitCode.OK))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

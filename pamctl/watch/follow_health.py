@@ -110,20 +110,6 @@ def _widen_by_misfit(number: FittedNumber, ratio: float) -> FittedNumber:
     return replace(number, low=low, high=high)
 
 
-def fit_halves(
-    path: Path, plant: PlantSettings, stated: Stated
-) -> tuple[FittedRun, FittedRun] | None:
-    """Fit the halves of a log; None where one cannot be fitted."""
-    try:
-        record = record_of(path)
-        middle = len(record) // 2
-        parts = (record.cut_samples(0, middle, "a"), record.cut_samples(middle, len(record), "b"))
-        first, second = (replace(part, t_s=part.t_s - part.t_s[0]) for part in parts)
-        return fit_record(first, plant, stated), fit_record(second, plant, stated)
-    except (LogError, BadData, OSError):
-        return None
-
-
 SIGMAS_OF_CI90 = 1.645
 SURE = 20.0
 """Least fall of chi-squared: 4.5 sigma, for some ten numbers whose intervals are estimates."""
@@ -222,9 +208,6 @@ def _fit_trend(values: Array, weights: Array, times_s: Array, left: float) -> tu
 
 GOOD_MISFIT = 1.5
 """A run whose channels all stay below this multiple of their sensors' noise is good."""
-LATEST_FOR_HALVES = 3
-SURE_WITHIN = 3.0
-"""A change within runs counts from this multiple of its uncertainty on."""
 
 Progress = Callable[[str], object]
 
@@ -237,11 +220,9 @@ class NoHealth(Exception):
 
 @dataclass(frozen=True)
 class FollowedDrift:
-    """A number that changed, and whether it changes within runs too."""
+    """A number that changed."""
 
     change: NumberDrift
-    within: bool | None
-    """True: it changes within runs; False: from run to run only; None: the runs do not tell."""
     is_doubtful: bool
     """A misfit grew too: an effect may have moved the number."""
 
@@ -282,14 +263,9 @@ def follow_health(
             + (f"; {why}" if why else "")
         )
     changes = find_changes(runs)
-    paths = {path.name: path for path, _ in ordered}
-    halves = _fit_latest_halves(runs, paths, plant, stated) if changes else []
     grown = {c.name.removesuffix(MISFIT) for c in changes if c.name.endswith(MISFIT)}
     drifts = tuple(
-        FollowedDrift(
-            change, _changes_within(change, halves), bool(grown) and MISFIT not in change.name
-        )
-        for change in changes
+        FollowedDrift(change, bool(grown) and MISFIT not in change.name) for change in changes
     )
     good = _find_last_good(runs, changes)
     return RigHealth(
@@ -312,33 +288,6 @@ def find_changes(runs: Sequence[FittedRun]) -> list[NumberDrift]:
             first, second = having[drift.first], having[drift.second]
             found.append(replace(drift, first=first, second=second))
     return sorted(found, key=lambda one: -one.sigmas)
-
-
-def _fit_latest_halves(
-    runs: Sequence[FittedRun], paths: dict[str, Path], plant: PlantSettings, stated: Stated
-) -> list[tuple[FittedRun, FittedRun]]:
-    latest = [fit_halves(paths[run.name], plant, stated) for run in runs[-LATEST_FOR_HALVES:]]
-    return [pair for pair in latest if pair is not None]
-
-
-def _changes_within(
-    change: NumberDrift, halves: Sequence[tuple[FittedRun, FittedRun]]
-) -> bool | None:
-    """Tell whether the latest runs change the number from their first half to their second."""
-    moved, squares = [], []
-    for first, second in halves:
-        if change.name in first.numbers and change.name in second.numbers:
-            a, b = first.numbers[change.name], second.numbers[change.name]
-            moved.append(b.value - a.value)
-            squares.append((a.high - a.low) ** 2 + (b.high - b.low) ** 2)
-    if not moved:
-        return None
-    sigma = float(np.sqrt(np.mean(squares) / len(squares))) / (2.0 * SIGMAS_OF_CI90)
-    mean = float(np.mean(moved))
-    size = abs(change.after - change.before)
-    if abs(mean) > SURE_WITHIN * sigma and mean * (change.after - change.before) > 0.0:
-        return True
-    return False if SURE_WITHIN * sigma < 0.5 * size else None
 
 
 def _find_last_good(runs: Sequence[FittedRun], changes: Sequence[NumberDrift]) -> list[FittedRun]:

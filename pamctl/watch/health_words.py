@@ -19,11 +19,6 @@ AIR_NUMBERS = ("valve_gain_m2_per_v", "tank_pressure_pa", "braid_length_m")
 """Numbers of a pressure balance."""
 AIR_RIVALS = ("chamber_leak", "valve_leak", "null_offset")
 """Effects that a pressure balance cannot tell from its numbers where each is small."""
-_WITHIN = {
-    True: ", within the runs too",
-    False: ", from run to run, not within them",
-    None: "",
-}
 
 
 def _describe_health(health: RigHealth) -> list[str]:
@@ -51,7 +46,6 @@ def describe_drift(drift: FollowedDrift, runs: Sequence[FittedRun]) -> str:
         text = f"{change.name}: {size}, a step between {names} ({at[1]})"
     else:
         text = f"{change.name}: {size}, a trend since {at[0]}"
-    text += _WITHIN[drift.within]
     if change.name.endswith(MISFIT) and change.after > change.before:
         text += "; no number of the plant file explains it: `pamctl diagnose` the later run"
     elif drift.is_doubtful:
@@ -103,7 +97,6 @@ def _drift_entry(drift: FollowedDrift, runs: Sequence[FittedRun]) -> dict[str, A
         "unit": change.unit,
         "sigmas": change.sigmas,
         "not_refuted": list_rivals(drift),
-        "within_runs": drift.within,
         "doubtful": drift.is_doubtful,
     }
 

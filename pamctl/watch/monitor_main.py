@@ -14,6 +14,8 @@ import signal
 import sys
 import time
 from collections.abc import Mapping
+from concurrent.futures import Future
+from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -22,8 +24,9 @@ from pamctl.exit_codes import ExitCode
 from pamctl.log.framing import LogError
 from pamctl.plant.model import PlantSettings
 from pamctl.recording.ring import RingError
-from pamctl.watch.explain_alarm import AlarmExplainer
+from pamctl.watch.explain_alarm import explain_gently
 from pamctl.watch.watch_run import BlockReport, RingFollower, RunWatch
+from pamctl.worker_processes import start_workers
 
 _NICE = 10
 _LOOK_S = 1.0
@@ -40,7 +43,8 @@ class Monitor:
         self._plant = plant
         self._watch = RunWatch(plant)
         self._follower: RingFollower | None = None
-        self._explainer = AlarmExplainer()
+        self._workers = ExitStack()
+        self._explanation: Future[dict[str, Any]] | None = None
         self._alarms: dict[str, float] = {}
         self._unexplained_s: float | None = None
         self._wall_s = time.time() - time.monotonic()
@@ -76,8 +80,7 @@ class Monitor:
             self._explain(_EXPLAIN_S)
             if is_over:
                 self.end_run()
-        if (explanation := self._explainer.collect()) is not None:
-            say("explained", **explanation)
+        self._say_explanation()
 
     def _report(self, changed: Mapping[str, BlockReport]) -> None:
         if not changed:
@@ -95,13 +98,25 @@ class Monitor:
                 say("alarm over", block=block, since_s=self._alarms.pop(block))
 
     def _explain(self, least_s: float) -> None:
-        if self._unexplained_s is None or self._explainer.is_busy:
+        if self._unexplained_s is None or self._explanation is not None:
             return
         record = self._watch.recall(self._unexplained_s)
         if record is not None and record.duration_s >= least_s:
             before = self._watch.recall_before(self._unexplained_s)
             self._unexplained_s = None
-            self._explainer.start(record, self._plant, before)
+            worker = self._workers.enter_context(start_workers(1))
+            self._explanation = worker.submit(explain_gently, record, self._plant, before)
+
+    def _say_explanation(self) -> None:
+        found = self._explanation
+        if found is None or not found.done():
+            return
+        self._explanation = None
+        self._workers.close()
+        error = found.exception()
+        failed = f"the diagnosis of the last minute failed: {error}"
+        nothing = {"sentence": failed, "verdict": "", "effects": []}
+        say("explained", **(nothing if error else found.result()))
 
     def _as_dict(self, report: BlockReport) -> dict[str, Any]:
         told = asdict(report)
@@ -110,8 +125,7 @@ class Monitor:
         return told
 
     def close(self) -> None:
-        """End a diagnosis that is on its way, and leave the run."""
-        self._explainer.stop()
+        """Leave the run."""
         if self._follower is not None:
             self._follower.close()
 
@@ -170,4 +184,6 @@ def _obey(monitor: Monitor, order: Mapping[str, Any]) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    code = main()
+    sys.stdout.flush()
+    os._exit(code)  # a diagnosis that is on its way ends with this process

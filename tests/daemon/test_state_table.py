@@ -25,7 +25,6 @@ from support.processes.daemons import QUICK, SQUARE, TRACKING, Daemon, daemon
 from typer.testing import CliRunner
 
 import pamctl
-from pamctl.aio import AsyncRig
 from pamctl.cli.app import build_app
 from pamctl.cli.orders import make_verb
 from pamctl.cli.verbs import VERBS
@@ -90,7 +89,7 @@ def listening(session: RigSession, path: Path) -> Iterator[None]:
         thread.join()
 
 
-def test_a_new_order_is_given_by_socket_python_asyncio_page_and_verb(
+def test_a_new_order_is_given_by_socket_python_page_and_verb(
     session: RigSession, tmp_path: Path
 ) -> None:
     path = tmp_path / "socket"
@@ -105,12 +104,6 @@ def test_a_new_order_is_given_by_socket_python_asyncio_page_and_verb(
             assert rig.wave(0.02) == expected  # type: ignore[attr-defined]
             with pytest.raises(pamctl.PamctlError, match="times"):
                 rig.wave(0.02, times=10)  # type: ignore[attr-defined]
-
-        async def work() -> object:
-            async with AsyncRig(lambda: DaemonRig(path)) as rig:
-                return await rig.wave(0.02, within_s=1.0)  # type: ignore[attr-defined]
-
-        assert asyncio.run(work()) == expected
         assert translate_order({"do": "wave", "height_m": 0.01}) == ("wave", {"height_m": 0.01})
         with pytest.raises(PageRefusal, match="height_m"):
             translate_order({"do": "wave", "height_m": 1})
@@ -296,13 +289,13 @@ class _WatchedMaker(InProcessMaker):
 
     def begin(self, settings: RunSettings, names: Mapping[str, str]) -> InProcessLoop:
         loop = super().begin(settings, names)
-        note = loop.note_tick
+        wants_abort = loop.wants_abort
 
-        def note_and_look(row: bytearray) -> None:
-            note(row)
+        def look_and_ask() -> bool:
             self._look()
+            return wants_abort()
 
-        loop.note_tick = note_and_look  # type: ignore[method-assign]
+        loop.wants_abort = look_and_ask  # type: ignore[method-assign]
         return loop
 
 

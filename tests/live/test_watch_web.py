@@ -8,7 +8,6 @@ import re
 import signal
 import socket
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -20,8 +19,6 @@ from support.command_line import run_process
 from support.patience import PATIENCE_S, await_true
 from support.processes.daemons import Daemon, daemon
 from support.processes.watch_pages import Served, served
-
-from pamctl.live.web import MOST_CONNECTIONS
 
 NOT_HOMED = "rig.homing.enabled=false"
 
@@ -221,7 +218,7 @@ def test_an_order_is_small_json_with_a_length(controlled: Served) -> None:
 def test_a_crowd_of_silent_connections_keeps_nobody_out(controlled: Served) -> None:
     at = ("127.0.0.1", controlled.port)
     with ExitStack() as stack:
-        for _ in range(MOST_CONNECTIONS + 8):
+        for _ in range(40):
             stack.enter_context(socket.create_connection(at))
         assert controlled.ask("GET", "/news?")[0] == 200
 
@@ -244,24 +241,19 @@ def test_news_are_those_since_the_look_that_is_named(controlled: Served) -> None
     controlled.daemon.ask("disarm")
 
 
-def test_a_flood_of_requests_is_limited_but_the_emergency_stop_gets_through(
-    controlled: Served,
-) -> None:
+def test_an_emergency_stop_gets_through_a_flood_of_requests(controlled: Served) -> None:
     body = b'{"do": "explode"}'
     request = (
         f"POST /do HTTP/1.1\r\nHost: 127.0.0.1:{controlled.port}\r\nContent-Length: {len(body)}\r\n"
         f"Content-Type: application/json\r\nAuthorization: Bearer {controlled.token}\r\n\r\n"
     ).encode() + body
-    refused, deadline_s = b"", time.monotonic() + PATIENCE_S
-    while b" 429 " not in refused:  # many at once: faster than the allowance refills
-        assert time.monotonic() < deadline_s, refused
-        with ExitStack() as stack:
-            at = ("127.0.0.1", controlled.port)
-            crowd = [stack.enter_context(socket.create_connection(at)) for _ in range(16)]
-            for one in crowd:
-                one.sendall(request)
-            refused = b"".join(one.makefile("rb").readline() for one in crowd)
-    assert controlled.order({"do": "estop"})[0] == 200
+    with ExitStack() as stack:
+        at = ("127.0.0.1", controlled.port)
+        crowd = [stack.enter_context(socket.create_connection(at)) for _ in range(64)]
+        for one in crowd:
+            one.sendall(request)
+        assert controlled.order({"do": "estop"})[0] == 200
+        assert all(b" 400 " in one.makefile("rb").readline() for one in crowd)
     controlled.daemon.acknowledge()
 
 

@@ -118,10 +118,10 @@ with pamctl.connect() as here, pamctl.simulate("paper", controller="pid") as the
 
 
 async def wait() -> float:
-    async with pamctl.aio.connect("/tmp/sock") as rig:
-        await rig.goto(12e-3)
-        run = await rig.run(pamctl.Sine(amplitude_mm=2, frequency_hz=1))
-        async for tick in rig.live(20):
+    with pamctl.connect("/tmp/sock") as rig:
+        await asyncio.to_thread(rig.goto, 12e-3)
+        run = await asyncio.to_thread(rig.run, pamctl.Sine(amplitude_mm=2, frequency_hz=1))
+        for tick in rig.live(20):
             print(tick["pressure_pa"])
     return run.metrics.rms_error_m
 

@@ -79,7 +79,7 @@ def test_a_number_of_the_air_is_said_with_the_effects_that_look_the_same(name: s
     """A small leak and a moved null lower the fitted tank pressure, and leave no misfit."""
     runs = [FittedRun("a.mcap", 0.0), FittedRun("b.mcap", 100.0)]
     change = NumberDrift(name, "step", 0, 1, 4.4e5, 4.3e5, "Pa", 9.0)
-    drift = FollowedDrift(change, within=None, is_doubtful=False)
+    drift = FollowedDrift(change, is_doubtful=False)
     said = describe_drift(drift, runs)
     rivals = ("chamber_leak", "valve_leak", "null_offset")
     assert f", or {', or '.join(rivals)} " in said
@@ -90,7 +90,7 @@ def test_a_number_of_the_air_is_said_with_the_effects_that_look_the_same(name: s
 def test_a_number_of_the_mechanics_is_said_alone() -> None:
     runs = [FittedRun("a.mcap", 0.0), FittedRun("b.mcap", 100.0)]
     change = NumberDrift("stiffness_n_per_m", "step", 0, 1, 9e3, 8e3, "N/m", 9.0)
-    assert " or " not in describe_drift(FollowedDrift(change, None, is_doubtful=False), runs)
+    assert " or " not in describe_drift(FollowedDrift(change, is_doubtful=False), runs)
 
 
 def fit_hidden(rig: HiddenRig, seed: int) -> FittedRun:

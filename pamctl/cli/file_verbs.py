@@ -147,7 +147,7 @@ def make_plant(asked: NewPlantOptions) -> None:
     texts |= {name: f"guessed, {guess.how}" for name, guess in guesses.items()}
     papers = _list_papers(actuator, texts)
     texts |= dict.fromkeys(papers, "of the paper's muscle")
-    write_files({out: format_new_plant(actuator, values, texts, fitted)})
+    write_files({out: format_new_plant(actuator, values, texts, fitted, [*guesses])})
     document = {"plant": str(out), "actuator": actuator, "numbers": values, "fitted": names}
     lines = []
     if records:

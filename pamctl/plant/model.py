@@ -220,6 +220,13 @@ class PlantSettings(Configured):
             "`piston.area_m2`): `pamctl diagnose` does not fit them"
         ),
     ] = ()
+    guessed: Annotated[
+        tuple[str, ...],
+        Field(
+            description="numbers that are guesses, by their dotted names: `pamctl diagnose` looks "
+            "for them from half of their value, at least, to twice it"
+        ),
+    ] = ()
     noise: Annotated[
         NoiseSettings | None,
         Field(description="of the sensors, where it is known; else `diagnose` estimates it"),
@@ -256,18 +263,22 @@ class PlantSettings(Configured):
     @model_validator(mode="after")
     def _check_known(self) -> PlantSettings:
         names = {*MuscleParameters.model_fields, *NEUTRAL, *GEOMETRY_OF.get(self.actuator, ())}
-        for name in self.known:
-            if name not in names:
-                hint = hint_at_nearest(name, names)
-                raise ValueError(f"known: no number of a plant is called {name}{hint}")
+        for key, listed in (("known", self.known), ("guessed", self.guessed)):
+            for name in listed:
+                if name not in names:
+                    hint = hint_at_nearest(name, names)
+                    raise ValueError(f"{key}: no number of a plant is called {name}{hint}")
+        if both := {*self.known} & {*self.guessed}:
+            raise ValueError(f"{min(both)} is either known or guessed: take it out of one list")
         return self
 
     @model_serializer(mode="wrap")
     def _leave_out_idle_numbers(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what says nothing: no known numbers; the muscle's, where there is no muscle."""
+        """Leave out what says nothing: empty lists; the muscle's numbers, where there is none."""
         data: dict[str, Any] = write(self)
-        if not self.known:
-            data.pop("known", None)
+        for key in ("known", "guessed"):
+            if not getattr(self, key):
+                data.pop(key, None)
         for name in (*GEOMETRY_OF["cylinder"], DRIVE):
             if data.get(name) is None:
                 data.pop(name, None)
@@ -311,7 +322,7 @@ def plant_parameters(settings: PlantSettings) -> PlantParameters:
 def values_of(settings: PlantSettings) -> dict[str, float]:
     """Return a plant file as a flat mapping, without the effects that it leaves out.
 
-    The names of known numbers are not part of the mapping.
+    The names of known and guessed numbers are not part of the mapping.
     """
     values: dict[str, float] = settings.parameters.model_dump()
     if settings.actuator != "muscle":

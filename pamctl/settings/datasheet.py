@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, get_args
 
@@ -289,11 +289,16 @@ def build_plant(actuator: str, values: Mapping[str, float]) -> PlantSettings:
 
 
 def format_new_plant(
-    actuator: str, values: Mapping[str, float], texts: Mapping[str, str], fitted: str
+    actuator: str,
+    values: Mapping[str, float],
+    texts: Mapping[str, str],
+    fitted: str,
+    guessed: Collection[str] = (),
 ) -> str:
     """Write the file, with the meaning of each number behind it.
 
-    `texts` say where numbers are from, `fitted` which of them a diagnosis fits.
+    `texts` say where numbers are from, `fitted` which of them a diagnosis fits, `guessed` which
+    it looks for in a wide range.
     """
     lines = [
         "# Written by `pamctl plant new`, to edit. All numbers are in SI.",
@@ -309,6 +314,8 @@ def format_new_plant(
         meaning = meanings.get(name) or meanings.get(f"{effect}.{name}")
         lines.append(f"{line:<42}  # {meaning}" if meaning else line)
         effect = effect if value else name
+    if guessed:
+        lines.append(f"guessed: [{', '.join(guessed)}]")
     absent = [q for q in questions if q.is_optional and q.name not in values]
     lines += [f"# {q.name} is absent; --value {q.name}='...' adds it: {q.meaning}" for q in absent]
     return "\n".join([*lines, ""])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -117,14 +118,16 @@ def test_where_both_ends_are_seen_the_zero_of_the_position_is_off() -> None:
     assert off[-0.01] < 0.1 * off[0.0]
 
 
-def fit_lifting_muscle(stated: str, value: float, *known: str) -> dict[str, float]:
+def fit_lifting_muscle(
+    stated: str, value: float, *known: str, guessed: Sequence[str] = ()
+) -> dict[str, float]:
     """Return the fitted numbers of a muscle of which the plant file states one wrong."""
     muscle, commands = LiftingMuscle(), excite(T_S) - 1.0
     position_m, pressure_pa = muscle.simulate(T_S, commands)
     lifted = Record("lifted", T_S, commands, pressure_pa, np.round(position_m / 1e-6) * 1e-6)
     data = muscle.plant().model_dump(exclude_none=True)
     data["parameters"][stated] = value
-    data["known"] = [*known]
+    data |= {"known": known, "guessed": guessed}
     weigher, start = prepare_weigher([lifted], [], PlantSettings.model_validate(data))
     return weigher.settle(start, 12).values
 
@@ -170,3 +173,18 @@ def test_a_braid_of_the_wrong_width_is_found_by_a_mass_that_was_weighed() -> Non
     assert found["braid_turns"] == pytest.approx(rig.turns, rel=0.001)
     assert found["external_load.force_n"] == pytest.approx(rig.preload_n, rel=0.002)
     assert found["valve_gain_m2_per_v"] == pytest.approx(rig.gain_m2_per_v, rel=0.005)
+
+
+def test_a_supply_that_was_guessed_is_looked_for_further_away_than_one_that_was_read() -> None:
+    rig = LiftingMuscle()
+    wrong_pa = 0.7 * rig.supply_pa
+    (guess,) = guessed = ("tank_pressure_pa",)
+    assert fit_lifting_muscle(guess, wrong_pa, guessed=guessed)[guess] == pytest.approx(
+        rig.supply_pa, rel=0.01
+    )
+    assert fit_lifting_muscle(guess, wrong_pa)[guess] < 0.85 * rig.supply_pa
+
+
+def test_a_number_cannot_be_known_and_guessed() -> None:
+    with pytest.raises(ValueError, match="mass_kg is either known or guessed"):
+        PlantSettings.model_validate({"known": ["mass_kg"], "guessed": ["mass_kg"]})

@@ -67,6 +67,8 @@ CALIBRATED: Mapping[str, Mapping[str, float]] = {
 """Numbers that every model recalibrates, and a visible share of each."""
 LOAD = "external_load.force_n"
 """The constant load of a direct mechanism; its force sensor's zero is the same to all data."""
+GUESS = 2.0
+"""A number that is usually known well, and here is a guess, is looked for so far up and down."""
 KNOWN_WELL = 0.1
 """A number with a smaller visible share is measured with a tape or a gauge: 6 shares are its range;
 all others are guesses, a factor of 12 (a direct mechanism: 50)."""
@@ -304,6 +306,10 @@ def list_calibrated(
         if share >= KNOWN_WELL:
             most = 50.0 if plant.actuator == "direct" else 12.0
             low, high = 0.0 if name in MAY_BE_ABSENT else value / most, value * most
+        elif name in plant.guessed:
+            low, high = value / GUESS, value * GUESS
+        if name == "tank_pressure_pa":
+            low = max(low, 1.01 * values["atmospheric_pressure_pa"])
         found.append(Unknown(name, value, low, high, share * value))
     for name, p in list_stated(values, plant.known):
         most = 50.0 * abs(values[name])

@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, get_args
 
 from pydantic import TypeAdapter
-from pydantic.fields import FieldInfo
 
 from pamctl.exit_codes import ExitCode
 from pamctl.plant.catalogue import CATALOGUE
@@ -24,18 +23,21 @@ from pamctl.settings.resolve import RawSettings, validate_settings
 from pamctl.settings.yaml12 import dump_yaml
 from pamctl.units import find_units
 
-_LENGTHS = find_units("length_m")
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 _THOUSAND = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
 """What is read in two ways: a comma between thousands, or before a fraction."""
-_DEGREES = ("deg", "degree", "degrees", "\N{DEGREE SIGN}")
-
+STEEPEST_BRAID_DEG = 54.7
+"""A braid at a larger angle to the axis does not contract when filled."""
 NOMINAL_UPSTREAM_PA, NOMINAL_DOWNSTREAM_PA = 7e5, 6e5
 """Where datasheets state a valve's nominal flow: from 6 to 5 bar gauge."""
 NORMAL_AIR_KG_PER_M3 = 1.185
 """Air of ISO 6358's reference: 20 degC, 100 kPa, 65 % humidity."""
 NORMAL_K = 293.15
 FULL_COMMAND_V = 5.0
+
+Known = Mapping[str, float]
+"""The settings that were read before."""
+Reading = Callable[[float, Known], float]
 
 
 class DatasheetError(Exception):
@@ -52,8 +54,8 @@ def list_units(name: str) -> str:
 
 
 _OTHER_WAYS = {
-    "tank_pressure_pa": "each with `gauge` or `absolute`",
-    "braid_length_m": "or `23 deg`, the braid's angle to the axis at rest",
+    "tank_pressure_pa": "each with `gauge` (above the atmosphere) or `absolute`",
+    "braid_length_m": f"or the braid's angle to the axis at rest, up to {STEEPEST_BRAID_DEG:g} deg",
     "braid_turns": "a number, or `13 mm diameter`, the braid's diameter at rest",
     "area_m2": "or `25 mm bore`",
     "cylinder_area_m2": "or `25 mm bore`",
@@ -62,11 +64,8 @@ _OTHER_WAYS = {
 }
 
 
-def read_quantity(name: str, text: str, known: Mapping[str, float]) -> float:
-    """Return a setting in SI from a text; `known` holds the settings that were read before.
-
-    Raise DatasheetError.
-    """
+def read_quantity(name: str, text: str, known: Known) -> float:
+    """Return a setting in SI from a text. Raise DatasheetError."""
     match = _NUMBER.fullmatch(text)
     if match is None:
         raise DatasheetError(f"{name}: {text!r} is no number; give {list_units(name)}")
@@ -78,108 +77,84 @@ def read_quantity(name: str, text: str, known: Mapping[str, float]) -> float:
     number = float(match[1].replace(",", "."))
     if not math.isfinite(number):
         raise DatasheetError(f"{name}: {text!r} is too large")
-    words = match[2].split()
-    plain = name.split(".")[-1]
-    special = _SPECIAL.get(plain)
-    value = special(number, words, known) if special else None
-    if value is None:
-        value = number * _factor(name, " ".join(words))
+    read = _list_readings(name).get(_squeeze(match[2]))
+    value = math.nan if read is None else read(number, known)
+    if not math.isfinite(value):
+        raise DatasheetError(f"{name}: {match[0].strip()!r} is unclear; give {list_units(name)}")
     return value
 
 
-def _factor(name: str, unit: str) -> float:
-    units = find_units(name)
-    if not unit:
-        return 1.0
-    spelt = {_squeeze(known): factor for known, factor in units.items()}
-    if _squeeze(unit) not in spelt:
-        raise DatasheetError(f"{name}: {unit!r} is none of its units; give {list_units(name)}")
-    return spelt[_squeeze(unit)]
-
-
 def _squeeze(unit: str) -> str:
-    return re.sub(r"[\s*^\N{MIDDLE DOT}]", "", unit.replace("\N{SUPERSCRIPT TWO}", "2"))
+    """Return a unit as it is compared: datasheets write it in many ways."""
+    bare = re.sub(r"[\s*^().\N{MIDDLE DOT}\N{DEGREE SIGN}]", "", unit)
+    return bare.replace("\N{SUPERSCRIPT TWO}", "2").replace("L", "l")
 
 
-def _read_pressure(number: float, words: list[str], known: Mapping[str, float]) -> float | None:
-    if not words:
-        return None
-    sense = words[-1].strip("().").lower()
-    is_gauge = sense in ("gauge", "g", "barg")
-    if not is_gauge and sense not in ("absolute", "abs", "a"):
-        raise DatasheetError(
-            f"tank_pressure_pa: {number:g} {' '.join(words)} may be gauge or absolute: write "
-            f"`{number:g} {words[0]} gauge` (above the atmosphere) or `... absolute`"
-        )
-    pressure_pa = number * _factor("tank_pressure_pa", " ".join(words[:-1]) or "Pa")
-    return pressure_pa + known["atmospheric_pressure_pa"] if is_gauge else pressure_pa
+def _list_readings(name: str) -> dict[str, Reading]:
+    """Return, by squeezed unit, what makes SI of a number; NaN where it cannot be."""
+
+    def scale(factor: float) -> Reading:
+        return lambda number, known: number * factor
+
+    plain, units = name.split(".")[-1], find_units(name)
+    found = {"": scale(1.0)} | {_squeeze(unit): scale(f) for unit, f in units.items()}
+    lengths = find_units("length_m").items()
+    if plain == "tank_pressure_pa":  # a bare unit does not say which
+        found = {"": scale(1.0)}
+        for unit, factor in units.items():
+            found |= {f"{unit}{sense}": scale(factor) for sense in ("absolute", "abs")}
+            found |= {f"{unit}{sense}": _above_air(factor) for sense in ("gauge", "g")}
+    elif plain == "temperature_k":
+        found |= {unit: lambda number, known: number + 273.15 for unit in ("C", "degC")}
+    elif plain == "braid_length_m":
+        found |= dict.fromkeys(("deg", "degree", "degrees"), _find_braid_length)
+    elif plain == "braid_turns":
+        found |= {f"{unit}diameter": _find_turns(factor) for unit, factor in lengths}
+    elif plain in ("area_m2", "cylinder_area_m2"):
+        for unit, factor in lengths:
+            found |= {f"{unit}{what}": _find_area(factor) for what in ("bore", "diameter")}
+    elif plain == "valve_gain_m2_per_v":
+        found |= dict.fromkeys(("l/min", "Nl/min", "nl/min", "lpm", "l/minANR"), _find_valve_gain)
+    return found
 
 
-def _read_temperature(number: float, words: list[str], known: Mapping[str, float]) -> float | None:
-    del known
-    celsius = words and "".join(words).lstrip("\N{DEGREE SIGN}").lower() in ("c", "degc")
-    return number + 273.15 if celsius else None
+def _above_air(factor: float) -> Reading:
+    return lambda number, known: number * factor + known["atmospheric_pressure_pa"]
 
 
-def _read_braid_length(number: float, words: list[str], known: Mapping[str, float]) -> float | None:
+def _find_braid_length(angle_deg: float, known: Known) -> float:
     """Return b of L_0 = b cos(theta)."""
-    if not words or words[0] not in _DEGREES:
-        return None
-    if not 0.0 < number < 54.7:
-        raise DatasheetError(
-            f"braid_length_m: a braid at {number:g} deg does not contract when filled; "
-            "its angle to the axis lies between 0 and 54.7 deg"
-        )
-    return known["rest_length_m"] / math.cos(math.radians(number))
+    if not 0.0 < angle_deg < STEEPEST_BRAID_DEG:
+        return math.nan
+    return known["rest_length_m"] / math.cos(math.radians(angle_deg))
 
 
-def _read_braid_turns(number: float, words: list[str], known: Mapping[str, float]) -> float | None:
+def _find_turns(factor: float) -> Reading:
     """Return n of n pi D = b sin(theta)."""
-    if not words:
-        return None
-    unit = words[0]
-    diameter_m = number * _factor("diameter_m", unit)
-    length_m, braid_m = known["rest_length_m"], known["braid_length_m"]
-    if diameter_m <= 0.0 or braid_m <= length_m:
-        raise DatasheetError("braid_turns: the diameter, and b beyond L_0, must be above 0")
-    return math.sqrt(braid_m**2 - length_m**2) / (math.pi * diameter_m)
+
+    def read(diameter: float, known: Known) -> float:
+        length_m, braid_m = known["rest_length_m"], known["braid_length_m"]
+        if diameter <= 0.0 or braid_m <= length_m:
+            return math.nan
+        return math.sqrt(braid_m**2 - length_m**2) / (math.pi * diameter * factor)
+
+    return read
 
 
-def _read_area(number: float, words: list[str], known: Mapping[str, float]) -> float | None:
+def _find_area(factor: float) -> Reading:
     """Return the area of a bore; the sign says where pressure pushes."""
-    del known
-    if not words or words[0] not in _LENGTHS:
-        return None
-    if words[1:] not in (["bore"], ["diameter"]):
-        raise DatasheetError(
-            f"area_m2: {number:g} {words[0]} is a length; write `{number:g} {words[0]} bore`"
-        )
-    return math.copysign(0.25 * math.pi * (number * _LENGTHS[words[0]]) ** 2, number)
+    return lambda bore, known: math.copysign(0.25 * math.pi * (bore * factor) ** 2, bore)
 
 
-def _read_valve_gain(number: float, words: list[str], known: Mapping[str, float]) -> float | None:
+def _find_valve_gain(flow_l_per_min: float, known: Known) -> float:
     """Return K_Av of a nominal flow, by the model's own orifice (Eq. 8)."""
-    unit = "".join(words).lower()
-    if unit not in ("l/min", "nl/min", "lpm", "l/minanr"):
-        return None
     from pamctl.plant.paper import orifice_flow
     from pamctl.plant.parameters import parameters_of
 
     del known
     air = parameters_of({"temperature_k": NORMAL_K}).paper
     flow = orifice_flow(air, NOMINAL_UPSTREAM_PA, NOMINAL_DOWNSTREAM_PA)
-    return number * 1e-3 / 60.0 * NORMAL_AIR_KG_PER_M3 / (FULL_COMMAND_V * flow)
-
-
-_SPECIAL = {
-    "tank_pressure_pa": _read_pressure,
-    "temperature_k": _read_temperature,
-    "braid_length_m": _read_braid_length,
-    "braid_turns": _read_braid_turns,
-    "area_m2": _read_area,
-    "cylinder_area_m2": _read_area,
-    "valve_gain_m2_per_v": _read_valve_gain,
-}
+    return flow_l_per_min * 1e-3 / 60.0 * NORMAL_AIR_KG_PER_M3 / (FULL_COMMAND_V * flow)
 
 
 # --- the numbers of an actuator ------------------------------------------------------------------
@@ -234,35 +209,27 @@ class PlantQuestion:
 
 def list_questions(actuator: str) -> tuple[PlantQuestion, ...]:
     """Return the questions of an actuator in their order."""
+    needed, optional = _NO_DEFAULT.get(actuator, set()), _OPTIONAL.get(actuator, set())
+    own = PlantSettings.model_fields
     fields = {
-        name: field
-        for name, field in PlantSettings.model_fields.items()
-        if (field.annotation is float or float in get_args(field.annotation))
-        and name in _NO_DEFAULT.get(actuator, set()) | _OPTIONAL.get(actuator, set())
+        name: own[name]
+        for name in own
+        if name in needed | optional
+        and (own[name].annotation is float or float in get_args(own[name].annotation))
     }
-    fields |= {
-        name: field
-        for name, field in MuscleParameters.model_fields.items()
-        if name not in _NOT_OF[actuator]
-    }
-    ordered = sorted(fields, key=lambda name: name not in _FIRST)
-    asked = [_make_question(actuator, name, fields[name]) for name in ordered]
-    return (*asked, *_ask_effects(actuator))
-
-
-def _make_question(actuator: str, name: str, field: FieldInfo) -> PlantQuestion:
-    needed = name in _NO_DEFAULT.get(actuator, set())
-    return PlantQuestion(
-        name,
-        field.description or name,
-        list_units(name),
-        None if needed else _DEFAULTS.get(name, field.default),
-        is_optional=name in _OPTIONAL.get(actuator, set()),
-    )
-
-
-def _ask_effects(actuator: str) -> list[PlantQuestion]:
-    return [
+    of_muscle = MuscleParameters.model_fields
+    fields |= {name: of_muscle[name] for name in of_muscle if name not in _NOT_OF[actuator]}
+    asked = [
+        PlantQuestion(
+            name,
+            fields[name].description or name,
+            list_units(name),
+            None if name in needed else _DEFAULTS.get(name, fields[name].default),
+            is_optional=name in optional,
+        )
+        for name in sorted(fields, key=lambda name: name not in _FIRST)
+    ]
+    asked += [
         PlantQuestion(
             f"{effect}.{parameter.name}",
             f"{effect.replace('_', ' ')}: {parameter.meaning}",
@@ -275,6 +242,7 @@ def _ask_effects(actuator: str) -> list[PlantQuestion]:
         for parameter in CATALOGUE[effect].parameters
         if not parameter.choices
     ]
+    return tuple(asked)
 
 
 # --- the file ------------------------------------------------------------------------------------

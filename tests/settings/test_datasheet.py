@@ -32,6 +32,7 @@ def make(*options: str) -> Any:
         ("rest_length_m", "0,2", 0.2),
         ("tank_pressure_pa", "6 bar gauge", 694e3),
         ("tank_pressure_pa", "700 kPa abs", 700e3),
+        ("tank_pressure_pa", "6 barg", 694e3),
         ("tank_pressure_pa", "441300", 441300.0),
         ("piston.area_m2", "25 mm bore", math.pi * 0.025**2 / 4.0),
         ("piston.area_m2", "4.91 cm2", 4.91e-4),
@@ -52,9 +53,9 @@ def test_a_number_with_its_unit_is_read_in_si(name: str, text: str, value: float
     [
         ("rest_length_m", "200 kg", "give m, mm, cm, um, in"),
         ("rest_length_m", "long", "is no number"),
-        ("tank_pressure_pa", "6 bar", "may be gauge or absolute"),
-        ("piston.area_m2", "25 mm", "write `25 mm bore`"),
-        ("braid_length_m", "60 deg", "between 0 and 54.7 deg"),
+        ("tank_pressure_pa", "6 bar", "each with `gauge`"),
+        ("piston.area_m2", "25 mm", "or `25 mm bore`"),
+        ("braid_length_m", "60 deg", "up to 54.7 deg"),
         ("mass_kg", "1e400", "too large"),
         ("stiffness_n_per_m", "1,200 N/m", "may be 1200 or 1.200"),
         ("heat_capacity_ratio", "1.4 J", "a plain number"),
@@ -124,7 +125,7 @@ def test_the_file_says_what_each_number_means_and_how_it_was_given(tmp_path: Pat
 @pytest.mark.parametrize(
     ("value", "code", "words"),
     [
-        ("chamber_volume_m3=2 kg", 2, "is none of its units"),
+        ("chamber_volume_m3=2 kg", 2, "is unclear; give m3, l"),
         ("chamber_volume_m3=-1 l", 78, "chamber_volume_m3: must be at least 1e-12 (got -0.001)"),
     ],
 )

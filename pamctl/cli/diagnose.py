@@ -5,8 +5,7 @@ On the rig `diagnose` asks before the first motion, runs the rounds, and keeps w
 
 from __future__ import annotations
 
-import string
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,9 +35,9 @@ from pamctl.plain_text import hint_at_nearest
 
 if TYPE_CHECKING:
     from pamctl.diagnose import Record
-    from pamctl.diagnose.audit import Audit, BlindSpot, Inseparable
+    from pamctl.diagnose.audit import Audit
     from pamctl.plant.model import PlantSettings
-    from pamctl.report.report import Part, Report
+    from pamctl.report.report import Report
 
 
 class DiagnoseOptions(DataOptions):
@@ -302,60 +301,29 @@ def _make_record(what: str, plant: str | None) -> Record:
     )
 
 
-_NONE = "x"
-Advise = Callable[[str], str]
-
-
-def report_audit(found: Audit, advise: Advise, *, verbose: bool) -> Report:
+def report_audit(found: Audit, advise: Callable[[str], str], *, verbose: bool) -> Report:
     """Return what an excitation shows and does not; with the reasons if `verbose`."""
-    from pamctl.report.report import Points, Report, ReportTable, Section, Text
+    from pamctl.report.report import Points, Report, Section, Text
 
+    spots = [(s.name, s.visibility, s.why, s.experiment) for s in found.blind_spots]
+    pairs = [(" and ".join(p.names), "", p.why, p.experiment) for p in found.inseparable]
+    unasked = [(name, "", why, "") for name, why in found.unasked]
     report = Report("Audit", f"shows {len(found.sees)} effects", document=found.as_dict())
     report.add(Points([", ".join(found.sees)] if found.sees else []))
-    spots = found.blind_spots
-    if not spots:
-        report.add(Text("no blind spots"))
-    else:
-        report.add(Section("cannot show, at the smallest size of interest"))
-    if spots and verbose:
-        report.add(Points([_explain_blind_spot(spot, advise) for spot in spots]))
-    elif spots:
-        report.add(ReportTable(["effect", ""], [[spot.name, spot.visibility] for spot in spots]))
-        shown: dict[str, list[str]] = {}
-        for spot in spots:
-            shown.setdefault(spot.experiment, []).append(spot.name)
-        adds = [f"{advise(e)}  # for {', '.join(shown[e])}" for e in sorted(shown) if e]
-        report.add(Points([f"add: {add}" for add in adds]))
-    if found.inseparable:
-        report.add(Section("cannot tell apart, at that size"))
-        report.add(*_draw_matrix(found.inseparable, advise))
-    if found.unasked:
-        report.add(Section(f"does not ask {len(found.unasked)} effects"))
-        names = [", ".join(name for name, _ in found.unasked)]
-        report.add(Points([f"{name}: {why}" for name, why in found.unasked] if verbose else names))
-    if not verbose and (spots or found.unasked):
+    report.add(*[Text("no blind spots")] * (not spots))
+    adds: dict[str, list[str]] = {}
+    for heading, rows in (
+        ("cannot show, at the smallest size of interest", spots),
+        ("cannot tell apart, at that size", pairs),
+        (f"does not ask {len(unasked)} effects", unasked),
+    ):
+        items = [": ".join(filter(None, row[: 3 if verbose else 2])) for row in rows]
+        if rows and not any(said for _, said, *_ in rows) and not verbose:
+            items = [", ".join(items)]
+        report.add(*[Section(heading), Points(items)] if rows else [])
+        for name, _, _, experiment in rows:
+            adds.setdefault(experiment, []).append(name)
+    report.add(Points([f"add: {advise(e)}  # for {', '.join(adds[e])}" for e in sorted(adds) if e]))
+    if not verbose and (spots or unasked):
         report.add(Section("--verbose says why."), Text(""))
     return report
-
-
-def _explain_blind_spot(spot: BlindSpot, advise: Advise) -> str:
-    add = f"; add: {advise(spot.experiment)}" if spot.experiment else ""
-    return f"{spot.name}: {spot.visibility}; {spot.why}{add}"
-
-
-def _draw_matrix(pairs: Sequence[Inseparable], advise: Advise) -> Sequence[Part]:
-    """Draw a row and a column for each effect; a letter names what tells the two apart."""
-    from pamctl.report.report import Points, ReportTable
-
-    names = sorted({name for pair in pairs for name in pair.names})
-    experiments = sorted({pair.experiment for pair in pairs} - {""})
-    letter = {"": _NONE, **dict(zip(experiments, string.ascii_lowercase, strict=False))}
-    cells = {frozenset(pair.names): letter.get(pair.experiment, "?") for pair in pairs}
-    rows = [
-        [str(number), row, *(cells.get(frozenset((row, column)), ".") for column in names)]
-        for number, row in enumerate(names, 1)
-    ]
-    key = [f"{letter[experiment]}: {advise(experiment)}" for experiment in experiments]
-    if _NONE in cells.values():
-        key.append(f"{_NONE}: no shipped experiment separates them")
-    return ReportTable(["", "", *map(str, range(1, len(names) + 1))], rows), Points(key)

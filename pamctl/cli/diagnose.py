@@ -320,10 +320,13 @@ def report_audit(found: Audit, advise: Callable[[str], str], *, verbose: bool) -
         items = [": ".join(filter(None, row[: 3 if verbose else 2])) for row in rows]
         if rows and not any(said for _, said, *_ in rows) and not verbose:
             items = [", ".join(items)]
-        report.add(*[Section(heading), Points(items)] if rows else [])
+        if rows:
+            report.add(Section(heading), Points(items))
         for name, _, _, experiment in rows:
             adds.setdefault(experiment, []).append(name)
-    report.add(Points([f"add: {advise(e)}  # for {', '.join(adds[e])}" for e in sorted(adds) if e]))
+    advice = [f"add: {advise(e)}  # for {', '.join(adds[e])}" for e in sorted(adds) if e]
+    if advice:
+        report.add(Section("experiments that do"), Points(advice))
     if not verbose and (spots or unasked):
         report.add(Section("--verbose says why."), Text(""))
     return report

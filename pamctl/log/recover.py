@@ -20,7 +20,6 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
 from numpy.typing import NDArray
 
-from pamctl.kept_memory import keep_freed_memory
 from pamctl.log.file_index import DESCRIPTIONS
 from pamctl.log.framing import (
     MAGIC,
@@ -43,7 +42,7 @@ from pamctl.log.record_walk import (
     parse_messages,
 )
 from pamctl.log.schema import JSON_SCHEMAS, TICK_TOPIC
-from pamctl.log.writer import LogWriter
+from pamctl.log.writer import LogWriter, keep_freed_memory
 from pamctl.new_file import create_new_file
 from pamctl.plain_text import escape_name
 

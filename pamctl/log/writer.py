@@ -11,10 +11,12 @@ time.
 
 from __future__ import annotations
 
+import ctypes
 import platform
 import sys
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import version
 from io import BufferedRandom, BufferedWriter
@@ -330,3 +332,19 @@ def _describe_origin(meta: RunMeta) -> dict[str, str]:
         **{name: version(name) for name in ("mcap", "numpy", "protobuf")},
         **({"origin": meta.origin} if meta.origin else {}),
     }
+
+
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
+_KEPT_BYTES = 32 << 20
+
+
+def keep_freed_memory() -> None:
+    """Tell the C library to keep what is freed; do nothing where it is not glibc.
+
+    Otherwise the kernel takes large blocks back at once and clears every page anew: two fifths of
+    the time in which a chunk of a log is written or copied.
+    """
+    with suppress(AttributeError, OSError, TypeError):
+        mallopt = ctypes.CDLL(None).mallopt
+        mallopt(_M_MMAP_THRESHOLD, _KEPT_BYTES)
+        mallopt(_M_TRIM_THRESHOLD, _KEPT_BYTES)

@@ -26,12 +26,12 @@ the simulated rig itself: a fit uses the simulation's own integrator.
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pamctl.bounded_memory import BoundedMemory
 from pamctl.kernel.calls import machine
 from pamctl.plant.catalogue import SensorMemory, undo_reading
 from pamctl.plant.chamber import pressure_behind_line_pa
@@ -210,11 +210,20 @@ def _interpolate(ends_s: Array, samples_s: Array, values: Array) -> Array:
     if ends_s is samples_s:
         return values
     made_from = (ends_s, samples_s, values)
-    made = lambda: (np.interp(ends_s, samples_s, values),)  # noqa: E731
-    return _INTERPOLATED.recall(tuple(map(id, made_from)), made_from, made)[0]
+    key = (id(ends_s), id(samples_s), id(values))
+    if key in _INTERPOLATED:
+        _INTERPOLATED.move_to_end(key)
+        return _INTERPOLATED[key][0]
+    made = np.interp(ends_s, samples_s, values)
+    _INTERPOLATED[key] = made, made_from
+    while sum(kept.nbytes for kept, _ in _INTERPOLATED.values()) > _MOST_INTERPOLATED_BYTES:
+        _INTERPOLATED.popitem(last=False)  # the one that was not asked for the longest time
+    return made
 
 
-_INTERPOLATED: BoundedMemory[tuple[Array]] = BoundedMemory(50_000_000)
+_INTERPOLATED: OrderedDict[tuple[int, int, int], tuple[Array, tuple[Array, ...]]] = OrderedDict()
+"""With what each was made from: while that is kept, no other array gets its `id`."""
+_MOST_INTERPOLATED_BYTES = 50_000_000
 
 
 _NEUTRAL = parameters_of({}).effects

@@ -25,7 +25,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from hal.child import ParentPipe, child_command
 from pamctl.exit_codes import LOG_DISK_FULL, ExitCode
-from pamctl.kept_memory import keep_freed_memory
 from pamctl.recording.journal import StandStill
 from pamctl.recording.ring import LOOP_DEAD_NS, RecorderFlag, Ring, RingError
 
@@ -159,7 +158,6 @@ def ignore_signals() -> None:
 def main(arguments: list[str]) -> int:
     """Record the ring given as the first argument; return the exit code."""
     ignore_signals()
-    keep_freed_memory()
     try:
         ring_path, *alone = arguments
         owner = ParentPipe(sys.stdin.fileno())
@@ -219,7 +217,10 @@ def record(ring: Ring, owner: Owner) -> str:
     ring.recorder_pid = os.getpid()
     try:
         # Slow imports: only after the signals are ignored and the ring is held.
+        from pamctl.log.writer import keep_freed_memory
         from pamctl.recording.drain import is_full, record_run
+
+        keep_freed_memory()
 
         if ring.recorder_flags & RecorderFlag.FINISHED or record_run(ring, owner):
             return ""

@@ -16,12 +16,12 @@ from typing import Any, get_args
 from pydantic import TypeAdapter
 
 from pamctl.exit_codes import ExitCode
+from pamctl.log.importing.headers import find_units
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import AXIS, PlantSettings
 from pamctl.plant.paper import ROOM_K, MuscleParameters
 from pamctl.settings.resolve import RawSettings, validate_settings
 from pamctl.settings.yaml12 import dump_yaml
-from pamctl.units import find_units
 
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 _THOUSAND = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")

@@ -24,8 +24,8 @@ from test_log_import import ATMOSPHERE_PA, Outcome
 import pamctl.log
 from pamctl.log.importing import file_formats
 from pamctl.log.importing.column_map import ForceMap, PositionMap, PressureMap, TimeMap, ValveMap
+from pamctl.log.importing.headers import find_units
 from pamctl.log.importing.measured_table import ImportRefused
-from pamctl.units import find_units
 
 T_S = np.arange(300) * 2e-3
 COMMAND_V = np.where(np.sin(20 * T_S) > 0, 1.5, -1.25)

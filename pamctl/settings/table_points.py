@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.control.forms import MOST_ROWS
+from pamctl.log.importing.column_roles import names_quantity
 from pamctl.log.importing.file_formats import read_table
-from pamctl.log.importing.headers import TIME, UNITS, parse_column_name
+from pamctl.log.importing.headers import TIME, UNITS
 from pamctl.log.importing.measured_table import ImportRefused, MeasuredTable, TableColumn
 from pamctl.new_file import describe_irregular_file
 
@@ -32,18 +33,13 @@ def read_points(table: dict[str, Any], path: Path) -> None:
 def _put_points(table: dict[str, Any], path: Path) -> None:
     columns = _read_columns(path)
     quantity, unit = _QUANTITIES[table["kind"]]
-    wanted = (
-        (TIME, table.get("time_column"), None),
-        (
-            quantity,
-            table.get("value_column"),
-            table.get("unit"),
-        ),
-    )
     found, lacks = [], []
-    for one in wanted:
+    for wanted in (
+        (TIME, table.get("time_column"), None),
+        (quantity, table.get("value_column"), table.get("unit")),
+    ):
         try:
-            found.append(_choose_column(columns, *one))
+            found.append(_choose_column(columns, *wanted))
         except _Unclear as unclear:
             lacks.append(str(unclear))
     if lacks:  # all at once
@@ -89,32 +85,25 @@ class _Unclear(ValueError):
 
 
 def _choose_column(
-    columns: MeasuredTable, quantity: str, wanted: str | None, unit: str | None
+    table: MeasuredTable, quantity: str, wanted: str | None, unit: str | None
 ) -> tuple[TableColumn, str]:
     """Return the column of a quantity and its unit; raise `_Unclear` where it is not clear."""
     units, is_time = UNITS[quantity], quantity == TIME
     if unit is not None and unit not in units:
         raise _Unclear(f"the unit {unit!r} is none of {', '.join(units)}")
-    if wanted is not None:
-        column = columns.find(wanted)
-        named = parse_column_name(wanted)
-        if unit is None and named is not None and named.quantity == quantity:
-            return column, named.unit
-        if unit is None and not is_time:
-            raise _Unclear(f"the name of {wanted!r} states no unit; give unit")
-        return column, unit or "s"
-    named_so = [
-        (one, parse_column_name(one.name) or parse_column_name(one.called))
-        for one in columns.columns
-    ]
-    found = [(one, said.unit) for one, said in named_so if said and said.quantity == quantity]
+    found = [c for c in table.columns if names_quantity(c, quantity) and (c.header.unit or unit)]
+    found = found if wanted is None else [table.find(wanted)]
     if len(found) != 1:
         what = "a time" if is_time else f"this quantity with its unit ({', '.join(units)})"
         how_many = "no column's name states" if not found else "more than one column's name states"
         give = "time_column" if is_time else "value_column"
         needs_unit = unit is None and not is_time and not found
         raise _Unclear(f"{how_many} {what}; give {give}{' and unit' if needs_unit else ''}")
-    return found[0] if unit is None else (found[0][0], unit)
+    header = found[0].header
+    said = unit or (header.unit if header.quantity == quantity else "") or "s" * is_time
+    if not said:
+        raise _Unclear(f"the name of {found[0].name!r} states no unit; give unit")
+    return found[0], said
 
 
 def _read_numbers(column: TableColumn) -> Floats:

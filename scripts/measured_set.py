@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from hand_fit import HandFigures, HandFit
 
 PARTS = ("fitted", "chosen", "confirmed")
 VARIABLE = "PAMCTL_MEASURED_DATA"
@@ -47,9 +46,8 @@ class MeasuredSet:
     parts: Mapping[str, tuple[Piece, ...]]
     guessed: tuple[str, ...]
     """Numbers of the plant file that are rough: `parameters.mass_kg`."""
-    hand_fit: HandFit | None
     hand_figures: Mapping[str, float]
-    """Stored figures of a hand fit, where the fit is not done here."""
+    """What a fit by hand left of the same rows."""
     expect: Mapping[str, Any]
 
     @property
@@ -74,7 +72,7 @@ def read_set(folder: Path, data: Path | None) -> MeasuredSet:
     """Read a set. Raise SetRefused where a key is missing or unknown."""
     path = folder / "set.yaml"
     read = yaml.safe_load(path.read_text(encoding="utf-8"))
-    known = {"about", "data", "header", "parts", "guessed", "hand_fit", "hand_figures", "expect"}
+    known = {"about", "data", "header", "parts", "guessed", "hand_figures", "expect"}
     if not isinstance(read, dict) or set(read) - known:
         unknown = sorted(set(read) - known) if isinstance(read, dict) else "no mapping"
         raise SetRefused(f"{path}: unknown {unknown}; a set has {', '.join(sorted(known))}")
@@ -89,7 +87,6 @@ def read_set(folder: Path, data: Path | None) -> MeasuredSet:
         header=tuple(read.get("header", ())),
         parts=_parts_of(path, read.get("parts", {})),
         guessed=tuple(read.get("guessed", ())),
-        hand_fit=_hand_fit_of(path, read.get("hand_fit")),
         hand_figures=dict(read.get("hand_figures", {})),
         expect=_expectations_of(path, read.get("expect", {})),
     )
@@ -108,21 +105,6 @@ def _piece_of(path: Path, entry: Any) -> Piece:
     if "file" not in entry or not 0.0 <= start < end <= 1.0:
         raise SetRefused(f"{path}: a part is a file, or {{file: NAME, rows: [0.0, 0.7]}}")
     return Piece(entry["file"], float(start), float(end))
-
-
-def _hand_fit_of(path: Path, plan: Mapping[str, Any] | None) -> HandFit | None:
-    if plan is None:
-        return None
-    try:
-        return HandFit(
-            target=plan["target"],
-            terms=tuple(map(str, plan["terms"])),
-            base=tuple(map(str, plan.get("base", ["1"]))),
-            slope_s=float(plan.get("slope_s", 0.1)),
-            steady_s=float(plan.get("steady_s", 0.0)),
-        )
-    except KeyError as error:
-        raise SetRefused(f"{path}: hand_fit lacks {error}") from error
 
 
 def _expectations_of(path: Path, expect: Mapping[str, Any]) -> dict[str, Any]:
@@ -195,9 +177,7 @@ def number_said(document: Mapping[str, Any], place: str) -> float | None:
     return None
 
 
-def find_failures(
-    measured: MeasuredSet, document: Mapping[str, Any], hand: HandFigures | None
-) -> list[str]:
+def find_failures(measured: MeasuredSet, document: Mapping[str, Any]) -> list[str]:
     """Return which expectations a document does not meet, in words."""
     expect, said = measured.expect, names_said(document)
     failed = []
@@ -213,25 +193,15 @@ def find_failures(
         value = number_said(document, place)
         if value is None or abs(value - known["value"]) > known["within"] * abs(known["value"]):
             failed.append(f"{place} is {value}, not {known['value']} within {known['within']:.0%}")
-    return failed + _find_gap_failures(expect.get("gap"), document, hand)
+    return failed + _find_gap_failures(expect.get("gap"), document)
 
 
-def _find_gap_failures(
-    asked: Mapping[str, Any] | None, document: Mapping[str, Any], hand: HandFigures | None
-) -> list[str]:
+def _find_gap_failures(asked: Mapping[str, Any] | None, document: Mapping[str, Any]) -> list[str]:
     if asked is None:
         return []
     gap = document.get("gap", {}).get(asked["channel"])
     if gap is None:
         return [f"the document has no gap of {asked['channel']}"]
-    limits = {"limit": asked.get("at_most")}
-    if hand is not None:
-        if "hand_times" in asked:
-            limits["the hand fit allows"] = asked["hand_times"] * hand.held_out
-        if "base_divided_by" in asked:
-            limits["the base allows"] = hand.base_held_out / asked["base_divided_by"]
-    return [
-        f"held-out {asked['channel']} {gap['extended']:.3g}; {what}: {limit:.3g}"
-        for what, limit in limits.items()
-        if limit is not None and not gap["extended"] <= limit
-    ]
+    if gap["extended"] <= asked["at_most"]:
+        return []
+    return [f"held-out {asked['channel']} {gap['extended']:.3g}; limit: {asked['at_most']:.3g}"]

@@ -1,4 +1,4 @@
-"""Diagnose measured sets from wrong guesses, and compare with a plain hand fit.
+"""Diagnose measured sets from wrong guesses, beside what a plain fit by hand leaves.
 
     python scripts/real_data.py DIR [--data FOLDER] [--only NAME] [--guesses 0.5 1 2]
         [--resume FILE] [--jobs N] [--keep FOLDER] [--timeout-s 3600]
@@ -19,17 +19,15 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
-from hand_fit import Array, HandFigures, columns_of, fit_by_hand  # noqa: E402
 from measured_set import (  # noqa: E402
     VARIABLE,
     MeasuredSet,
@@ -41,9 +39,6 @@ from measured_set import (  # noqa: E402
 )
 from resumable_study import run_resumable  # noqa: E402
 
-import pamctl.log  # noqa: E402
-
-COLUMNS = ("t_s", "position_m", "force_n", "valve_v", "pressure_pa")
 CHECK_FAILED = 3
 BAD_DATA = 65
 
@@ -107,7 +102,7 @@ def run_trial(trial: Trial) -> dict[str, Any]:
 
 
 def diagnose_set(trial: Trial, folder: Path) -> dict[str, Any]:
-    """Import, diagnose and fit by hand; return the figures."""
+    """Import and diagnose; return the figures."""
     measured = trial.measured
     pieces = write_pieces(measured, folder)
     logs = {
@@ -118,7 +113,6 @@ def diagnose_set(trial: Trial, folder: Path) -> dict[str, Any]:
     (folder / "plant.yaml").write_text(
         yaml.safe_dump(scale_guesses(plant, measured.guessed, trial.factor))
     )
-    hand = fit_parts(measured, logs)
     out = folder / "diagnosis"
     if trial.keep is not None:
         trial.keep.mkdir(parents=True, exist_ok=True)
@@ -131,9 +125,8 @@ def diagnose_set(trial: Trial, folder: Path) -> dict[str, Any]:
     document = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
     return {
         "document": document,
-        "hand": {name: asdict(figures) for name, figures in hand.items()},
         "hand_figures": dict(measured.hand_figures),
-        "failed": find_failures(measured, document, hand.get("all")),
+        "failed": find_failures(measured, document),
     }
 
 
@@ -156,35 +149,6 @@ def call_pamctl(
         words = done.stderr.strip() or done.stdout.strip()
         raise ValueError(f"pamctl {arguments[0]} left with {done.returncode}: {words[-2000:]}")
     return done.stdout
-
-
-def fit_parts(measured: MeasuredSet, logs: Mapping[str, list[Path]]) -> dict[str, HandFigures]:
-    """Fit by hand on the same parts: over all rows, and away from reversals where it is asked."""
-    plan = measured.hand_fit
-    if plan is None:
-        return {}
-    mapped = yaml.safe_load((measured.folder / "map.yaml").read_text(encoding="utf-8"))
-    atmosphere = float(mapped.get("atmospheric_pressure_pa", 101_300.0))
-    fitted = [columns_of(read_columns(log, atmosphere), plan.slope_s) for log in logs["fitted"]]
-    judges = logs["confirmed"] or logs["chosen"] or logs["fitted"]
-    held_out = [columns_of(read_columns(log, atmosphere), plan.slope_s) for log in judges]
-    found = {"all": fit_by_hand(plan, fitted, held_out)}
-    if plan.steady_s > 0.0:
-        found["steady"] = fit_by_hand(plan, fitted, held_out, steady=True)
-    return found
-
-
-def read_columns(path: Path, atmosphere_pa: float) -> dict[str, Array]:
-    """Return the columns of an imported log that it has, in SI; the pressure is gauge."""
-    signals = pamctl.log.signals(pamctl.log.read(path))
-    columns = {name: getattr(signals, name) for name in COLUMNS}
-    present = {name: values for name, values in columns.items() if values is not None}
-    if "pressure_pa" in present:
-        present["gauge_pa"] = present.pop("pressure_pa") - atmosphere_pa
-    for name, values in present.items():
-        if not np.isfinite(values).all():
-            raise ValueError(f"{path.stem}: {name} has rows without a number; cut them out")
-    return present
 
 
 def describe_result(result: Mapping[str, Any]) -> str:
@@ -212,14 +176,8 @@ def format_results(results: Sequence[Mapping[str, Any]], absent: Mapping[str, li
         for channel, gap in document.get("gap", {}).items():
             figures = " -> ".join(f"{gap[k]:.3g}" for k in ("nominal", "recalibrated", "extended"))
             lines.append(f"    held out {channel}: {figures}, floor {gap['floor']:.3g}")
-        for rows, hand in result["hand"].items():
-            lines.append(
-                f"    by hand, {rows} rows: fitted {hand['fitted']:.3g}, held out "
-                f"{hand['held_out']:.3g}; base {hand['base_fitted']:.3g}, "
-                f"{hand['base_held_out']:.3g}"
-            )
         if result["hand_figures"]:
-            lines.append(f"    by hand, stored: {result['hand_figures']}")
+            lines.append(f"    by hand: {result['hand_figures']}")
         lines += [f"    FAILED: {words}" for words in result["failed"]]
     lines += [f"{name}: skipped, no {', '.join(files)}; state the folder by --data or {VARIABLE}"
               for name, files in absent.items()]  # fmt: skip

@@ -41,6 +41,7 @@ from resumable_study import run_resumable  # noqa: E402
 
 from pamctl.diagnose import Record  # noqa: E402
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher  # noqa: E402
+from pamctl.diagnose.evidence.intervals import find_intervals  # noqa: E402
 from pamctl.diagnose.evidence.name_search import NameSearch  # noqa: E402
 from pamctl.diagnose.evidence.pool import PAPER_SCALES, list_effects  # noqa: E402
 from pamctl.diagnose.evidence.run_pieces import join_waves  # noqa: E402
@@ -183,7 +184,7 @@ def examine_task(task: Task) -> dict[str, Any]:
         "seconds": time.process_time() - began,
         "numbers": [
             {"name": name, "true": true[name], "value": m.values[name], "ci90": [*ends]}
-            for name, ends in weigher.find_intervals(m).items()
+            for name, ends in find_intervals(weigher, m).items()
             if name in true
         ],
     }

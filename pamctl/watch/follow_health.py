@@ -13,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 
+from pamctl.diagnose.evidence.intervals import find_intervals
 from pamctl.diagnose.evidence.ladder import fit_number
 from pamctl.diagnose.evidence.pool import CHAIN
 from pamctl.diagnose.evidence.weigh import prepare_weigher
@@ -91,7 +92,7 @@ def fit_record(record: Record, plant: PlantSettings, stated: Stated = Stated()) 
     }
     numbers = {
         name: _widen_by_misfit(fit_number(name, m.values[name], ends), max(ratios.values()))
-        for name, ends in weigher.find_intervals(m).items()
+        for name, ends in find_intervals(weigher, m).items()
         if not name.startswith(CHAIN)
     }
     for short, ratio in ratios.items():

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 from pamctl.diagnose.evidence.constants import (
     COARSE_STEP_S,
@@ -42,8 +41,6 @@ MOST_STEP = 3.0
 """Scales that a number may move at once."""
 NEAR = 0.5
 """Scales within which a tangent is that of the place."""
-LEAST_LEFT = 1e-3
-"""Of a stretch that is left out: what it alone shows stays finite."""
 KEPT_PROMISE = 0.3
 """A tangent is used again while a step gains this share of what it promised."""
 
@@ -190,7 +187,8 @@ class Weigher:
         x[i] += h
         return (self.residual_at(m, x) - m.d) * (number.scale / h)
 
-    def _find_tangent(self, m: WeighedModel) -> Array:
+    def find_tangent(self, m: WeighedModel) -> Array:
+        """Return the change of d for a scale of each number, simulated where it is missing."""
         if m.tangent is None:
             m.tangent = np.stack([self.find_column(m, i) for i in range(len(m.x))])
             m.tangent_at = m.x.copy()
@@ -211,7 +209,7 @@ class Weigher:
         m.loss = self.like(m.d, self.floor2)
         damping = 1e-3
         for step in range(steps):
-            tangent = self._find_tangent(m)
+            tangent = self.find_tangent(m)
             fresh = is_rough or bool((np.abs(m.x - m.tangent_at) < NEAR * scale).all())
             flat = tangent.reshape(len(m.x), -1)
             slopes = self.like.find_slopes(m.d, m.cost, self.floor2)
@@ -244,7 +242,7 @@ class Weigher:
                 m.tangent = None
             elif not is_rough and step < steps - 1 and gained < KEPT_PROMISE * promised:
                 m.tangent = None
-        self._find_tangent(m)
+        self.find_tangent(m)
         return m
 
     def polish(self, m: WeighedModel, steps: int = FIT_STEPS) -> WeighedModel:
@@ -282,7 +280,7 @@ class Weigher:
     def leave_out(self, m: WeighedModel) -> WeighedModel:
         """Weigh a model with each block left out, to first order; then the held-out blocks."""
         m.loss = self.like(m.d, self.floor2)
-        optimism = find_optimism(self._find_tangent(m), m.loss.weights, m.d)
+        optimism = find_optimism(self.find_tangent(m), m.loss.weights, m.d)
         m.left_out = m.loss.by_block + optimism
         if self.held_out is not None and self.like_held is not None:
             key = m.x.tobytes()
@@ -309,41 +307,6 @@ class Weigher:
         total = self.leave_out(m).total
         self.floor2 = floor2
         return total
-
-    def find_intervals(self, m: WeighedModel) -> dict[str, tuple[float, float]]:
-        """Return a 90 % interval of each number: each stretch of blocks left out (a jackknife).
-
-        What a stretch moves is known to first order by its score, under the model's own floor. A
-        number is somewhere in its range: that bounds what no sample shows. The error of a sensor's
-        step stays the same while a signal rests: each block may be off by it. What is left above
-        the noise is a law, which may be alike in each stretch: all noise, the stretches count; all
-        law, they are worth one.
-        """
-        if not np.array_equal(m.tangent_at, m.x):
-            m.tangent = None
-        tangent, (channels, n_blocks, block) = self._find_tangent(m), m.d.shape
-        count, least2 = len(m.x), self.like.least2
-        own2 = np.maximum(least2, NUGGET**2 * self.like.mean_squares(m.d))
-        split = tangent.reshape(count, channels, n_blocks, block)
-        weighed = split * self.like(m.d, own2).weights
-        by_block = np.einsum("icbk,jcbk->bij", weighed, split)
-        wide = np.array([(n.high - n.low) / n.scale for n in m.numbers])
-        hessian = by_block.sum(axis=0) + np.diag(12.0 / wide**2)
-        inverse = np.linalg.inv(hessian)
-        begins = np.arange(0, n_blocks, max(1, min(STRETCH, n_blocks // 4)))
-        pieces = np.add.reduceat(by_block, begins, axis=0)
-        scores = np.add.reduceat(np.einsum("icbk,cbk->bi", weighed, m.d), begins, axis=0)
-        moves = np.linalg.solve(hessian - (1.0 - LEAST_LEFT) * pieces, scores[..., None])[..., 0]
-        steps = (weighed[..., -1] * np.sqrt(block * least2)[:, None]).reshape(count, -1)
-        alike = 1.0 + (len(begins) - 1) * self.find_law_share(m)
-        variance = alike * (moves**2).sum(axis=0) + ((inverse @ steps) ** 2).sum(axis=1)
-        variance = np.maximum(variance, np.diag(inverse))
-        times = float(stdtrit(max(len(begins) - 1, 1), 0.95))
-        off = times * np.sqrt(variance) * [n.scale for n in m.numbers]
-        return {
-            n.name: (float(v - w), float(v + w))
-            for n, v, w in zip(m.numbers, m.x, off, strict=True)
-        }
 
     def find_imprint(self, a: WeighedModel, b: WeighedModel) -> Array:
         """Return the robust RMS that b takes off a in each channel, over the sensor's noise.
@@ -373,14 +336,6 @@ class Weigher:
         kept = self.like.keep[..., : self.like.block // 2]
         middle = np.array([np.median(f[k]) for f, k in zip(fine, kept, strict=True)])
         return np.maximum(middle / 0.455, self.like.least2) + self.start_error2
-
-    def find_law_share(self, m: WeighedModel) -> float:
-        """Return the share of what a model leaves that no noise makes, in the worst channel.
-
-        Here moments count in which a valve switches, which leave much and are few.
-        """
-        left2 = self.like.mean_squares(m.d) / self.find_noise2(m)
-        return max(1.0 - 1.0 / float(left2.max()), 0.0)
 
     def is_much_left(self, m: WeighedModel) -> bool:
         """Tell whether a model leaves clearly more than the noise of some channel."""

@@ -22,6 +22,7 @@ from pamctl.diagnose.evidence.constants import (
     SURE,
 )
 from pamctl.diagnose.evidence.fit import KEPT_PROMISE, Array, WeighedModel, Weigher, bound_gain
+from pamctl.diagnose.evidence.intervals import find_intervals
 from pamctl.diagnose.evidence.measuring_chain import HOME
 from pamctl.diagnose.evidence.name_search import NameSearch, list_at_range
 from pamctl.diagnose.evidence.pool import CHAIN, Hypothesis
@@ -149,7 +150,7 @@ def climb_ladder(
 
     Unless it `judges`, no rival is asked, and nothing is said.
     """
-    intervals = search.weigher.find_intervals(m)
+    intervals = find_intervals(search.weigher, m)
     search.weigher.meet(base, m)
     whole = max(base.total - m.total, 1e-9)
     found = [_find_level(search, base, m, name, intervals, whole, judges) for name in m.names]

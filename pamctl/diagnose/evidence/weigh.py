@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pamctl.diagnose.evidence.command_instants import CommandInstants, find_instants
 from pamctl.diagnose.evidence.constants import FIT_STEPS, NAME_NATS
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher, bound_gain
+from pamctl.diagnose.evidence.intervals import find_intervals
 from pamctl.diagnose.evidence.ladder import Finding, climb_ladder, fit_number, judge_names
 from pamctl.diagnose.evidence.likelihood import from_haar
 from pamctl.diagnose.evidence.measuring_chain import free_home, list_of_chain
@@ -121,7 +122,7 @@ class EvidenceVerdict:
     def recalibrated(self) -> tuple[FittedNumber, ...]:
         """The start model's own numbers, as the extended model has them."""
         own = {n.name for n in self.base.numbers if not n.name.startswith(CHAIN)}
-        intervals = self.weigher.find_intervals(self.model)
+        intervals = find_intervals(self.weigher, self.model)
         return tuple(
             fit_number(n.name, float(v), intervals[n.name])
             for n, v in zip(self.model.numbers, self.model.x, strict=True)

@@ -9,8 +9,9 @@ import pytest
 from hidden.excitations import PROGRAMS
 from hidden.rig import Record, hidden_rig
 
-from pamctl.diagnose.evidence import weigh_evidence
+from pamctl.diagnose.evidence import intervals, weigh_evidence
 from pamctl.diagnose.evidence.constants import FINE_STEP_S
+from pamctl.diagnose.evidence.intervals import find_intervals
 from pamctl.diagnose.evidence.ladder import judge_names
 from pamctl.diagnose.evidence.name_search import NameSearch, list_at_range
 from pamctl.diagnose.evidence.pool import PAPER_SCALES, list_effects
@@ -162,10 +163,10 @@ def test_intervals_are_wider_where_much_is_left_and_not_where_noise_is_left(
     for effects, is_wider in ({"coulomb_friction": 5}, True), ({}, False):
         weigher, start = prepare_weigher(records_of(effects, 40715)[0], [], PAPER)
         base = weigher.settle(start)
-        found = weigher.find_intervals(base)
+        found = find_intervals(weigher, base)
         with monkeypatch.context() as independent:  # each stretch counts as one
-            independent.setattr(weigher, "find_law_share", lambda _: 0.0)
-            narrow = weigher.find_intervals(base)
+            independent.setattr(intervals, "find_law_share", lambda *_: 0.0)
+            narrow = find_intervals(weigher, base)
         low, high = found["stiffness_n_per_m"]
         ratio = (high - low) / (narrow["stiffness_n_per_m"][1] - narrow["stiffness_n_per_m"][0])
         assert ratio > 1.5 if is_wider else 1.0 <= ratio < 1.4  # a part of the noise is slow
@@ -205,3 +206,22 @@ def test_what_stands_at_its_range_is_asked_what_it_becomes_from_where_the_model_
     assert friction.total < held.total
     sizes = held.values["spring_hysteresis.force_n"], friction.values["coulomb_friction.force_n"]
     assert sizes[1] == pytest.approx(sizes[0], rel=0.1)
+
+
+def test_the_knots_of_a_curve_are_those_beside_the_number_that_does_as_well() -> None:
+    """A friction twice as large is mu_k, or a level of the curve: together they are known."""
+    rig = {"position_dependent_friction": 10}
+    weigher, start = prepare_weigher(records_of(rig, 40723)[0], [], PAPER)
+    base = weigher.settle(start)
+    (law,) = ("braid_friction~curve(position)",)
+    search = NameSearch(weigher, {h.name: h for h in list_pool(weigher.train, weigher.base, PAPER)})
+    bent = weigher.settle(search.refit(base, search.score(base, [law]), 1)[0])
+    found = find_intervals(weigher, bent)
+    wide = {
+        name: (high - low) * bent.picked[law].held["braid_friction_term.size"]
+        for name, (low, high) in found.items()
+        if ".knot_" in name
+    }
+    low, high = found["kinetic_friction_per_m"]
+    assert (high - low) / bent.values["kinetic_friction_per_m"] > 0.5, "alone it is not known"
+    assert sorted(wide.values())[2] < 0.2, "beside it the curve is"

@@ -1,0 +1,94 @@
+"""How well the numbers of a fitted model are known: intervals from stretches that are left out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from pamctl.diagnose.evidence.constants import NUGGET, STRETCH
+from pamctl.diagnose.evidence.fit import Array, WeighedModel, Weigher
+
+LEAST_LEFT = 1e-3
+"""Of a stretch that is left out: what it alone shows stays finite."""
+MADE_UP = 0.01
+"""Share of an own number's tangent that a curve leaves, below which the curve holds the number."""
+
+
+def find_intervals(weigher: Weigher, m: WeighedModel) -> dict[str, tuple[float, float]]:
+    """Return a 90 % interval of each number: each stretch of blocks left out (a jackknife).
+
+    What a stretch moves is known to first order by its score, under the model's own floor. A
+    number is somewhere in its range: that bounds what no sample shows. The error of a sensor's
+    step stays the same while a signal rests: each block may be off by it. What is left above
+    the noise is a law, which may be alike in each stretch: all noise, the stretches count; all
+    law, they are worth one. The knots of a curve are those beside the plant's own number that
+    does as well as a part of it: the two together are known, and the number alone is not.
+    """
+    if not np.array_equal(m.tangent_at, m.x):
+        m.tangent = None
+    tangent, (channels, n_blocks, block) = weigher.find_tangent(m), m.d.shape
+    least2 = weigher.like.least2
+    own2 = np.maximum(least2, NUGGET**2 * weigher.like.mean_squares(m.d))
+    split = tangent.reshape(len(m.x), channels, n_blocks, block)
+    weighed = split * weigher.like(m.d, own2).weights
+    by_block = np.einsum("icbk,jcbk->bij", weighed, split)
+    scores = np.einsum("icbk,cbk->bi", weighed, m.d)
+    steps = (weighed[..., -1] * np.sqrt(block * least2)[:, None]).reshape(len(m.x), -1)
+    wide = np.array([(n.high - n.low) / n.scale for n in m.numbers])
+    alike = find_law_share(weigher, m)
+
+    def spread(free: NDArray[np.intp]) -> Array:
+        """Return the half widths of these numbers, all others held, in scales."""
+        hessian = by_block[:, free][:, :, free].sum(axis=0) + np.diag(12.0 / wide[free] ** 2)
+        inverse = np.linalg.inv(hessian)
+        begins = np.arange(0, n_blocks, max(1, min(STRETCH, n_blocks // 4)))
+        pieces = np.add.reduceat(by_block[:, free][:, :, free], begins, axis=0)
+        pulls = np.add.reduceat(scores[:, free], begins, axis=0)
+        moves = np.linalg.solve(hessian - (1.0 - LEAST_LEFT) * pieces, pulls[..., None])
+        variance = (1.0 + (len(begins) - 1) * alike) * (moves[..., 0] ** 2).sum(axis=0)
+        variance += ((inverse @ steps[free]) ** 2).sum(axis=1)
+        times = float(stdtrit(max(len(begins) - 1, 1), 0.95))
+        return np.asarray(times * np.sqrt(np.maximum(variance, np.diag(inverse))))
+
+    off = spread(np.arange(len(m.x)))
+    for knots, free in _list_curves(m, by_block.sum(axis=0)):
+        off[knots] = spread(free)[np.searchsorted(free, knots)]
+    off *= [n.scale for n in m.numbers]
+    return {
+        n.name: (float(v - w), float(v + w)) for n, v, w in zip(m.numbers, m.x, off, strict=True)
+    }
+
+
+def find_law_share(weigher: Weigher, m: WeighedModel) -> float:
+    """Return the share of what a model leaves that no noise makes, in the worst channel.
+
+    Here moments count in which a valve switches, which leave much and are few.
+    """
+    left2 = weigher.like.mean_squares(m.d) / weigher.find_noise2(m)
+    return max(1.0 - 1.0 / float(left2.max()), 0.0)
+
+
+def _list_curves(
+    m: WeighedModel, products: Array
+) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Yield the places of each curve's knots, and those of all numbers that it does not hold too.
+
+    `products` are the weighed products of the tangents, shape (numbers, numbers). A curve holds an
+    own number whose tangent its knots make up but for a hundredth.
+    """
+    places = {n.name: i for i, n in enumerate(m.numbers)}
+    named = [places[u.name] for variant in m.picked.values() for u in variant.free]
+    for variant in m.picked.values():
+        if not variant.is_curve:
+            continue
+        knots = np.array([places[u.name] for u in variant.sizes])
+        inside = products[np.ix_(knots, knots)] + np.diag(1e-9 * products.diagonal()[knots])
+        free = []
+        for i, norm in enumerate(products.diagonal()):
+            made = products[i, knots] @ np.linalg.solve(inside, products[knots, i])
+            if i in named or norm - made > MADE_UP * norm:
+                free.append(i)
+        yield knots, np.array(free)

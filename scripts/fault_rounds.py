@@ -14,10 +14,6 @@ stand-ins for NI's driver (on demand and hardware-timed) and for comedi (they ne
 daemon over the simulation, whose front is the daemon itself. A run over a card ends by itself where
 the machine gives it no CPU; such a round is counted apart.
 
-Single faults include a disk that becomes full during a run: a small one of its own for root, for
-others a limit on the file. Then the run must stop smoothly: the time counts from the recorder's
-report, and the log must have every tick.
-
 After a round, the output must be at the safe voltage, the log complete to the last tick before the
 signal, the exit code as documented, nothing left behind, and the next start clean. Processes that
 are still frozen when the valve is safe are continued, but not the recorder: nobody may need it.
@@ -31,7 +27,6 @@ import argparse
 import json
 import os
 import random
-import resource
 import signal
 import subprocess
 import sys
@@ -51,12 +46,15 @@ import numpy as np
 from measured_table import format_table, write_measured
 from resumable_study import read_results, store_result
 from standin.standin import Card
+from support.patience import PATIENCE_S, await_true
+from support.processes.children import await_children, await_gone
+from support.processes.rings import await_ring
 
 from hal.sim import peek_v
 from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
 from pamctl.log.reader import read
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
-from pamctl.recording.ring import RecorderFlag, Ring
+from pamctl.recording.ring import Ring
 
 SAFE_V, AO_STEP_V = 0.625, 20.0 / 65536.0
 """A voltage that neither a reset nor a power-up leaves behind."""
@@ -66,16 +64,10 @@ BUSY_PC = ["rig.limits.sample_age_s=0.5", "rig.limits.missed_ticks=500"]
 STILL = {"kind": "steps", "steps": [{"valve_v": 0.0, "hold_s": 600.0}]}
 """An experiment that holds the valve off its safe voltage."""
 MOVING_TICKS = 300
-PATIENCE_S = 20.0
 STARVED = "the loop was starved"
 """The message of a run over a card that got no CPU and ended before its first fault."""
 
-PROCESSES = {
-    "loop": ("loop_main",),
-    "guardian": ("guardian_main",),
-    "recorder": ("recording.recorder",),
-    "front": (),
-}
+PROCESSES = {"loop": "loop_main", "guardian": "guardian_main", "recorder": "recorder"}
 VALVE_KEEPERS = {"front", "loop", "guardian"}
 """Each of them can make the valve safe."""
 SIGNALS = {"killed": signal.SIGKILL, "frozen": signal.SIGSTOP}
@@ -84,12 +76,7 @@ BENCHES = ("sim", "nidaq", "nidaq_hardware_timed", "comedi", "daemon")
 
 Fault = tuple[str, str]
 """A process and what happens to it."""
-FAULTS: list[Fault] = [(process, what) for process in PROCESSES for what in SIGNALS]
-FULL_DISK: tuple[Fault, ...] = (("disk", "full"),)
-DISK_MB = 24
-"""Room for the log, and for what is reserved ahead for a full ring."""
-FILLED_WITHIN_S = 90.0
-"""4 MB are reserved ahead: a log of 1 kHz fills them in half a minute."""
+FAULTS: list[Fault] = [(process, what) for process in (*PROCESSES, "front") for what in SIGNALS]
 
 
 class Bench(NamedTuple):
@@ -160,30 +147,8 @@ class Run:
 
     def pids(self) -> dict[str, int]:
         """Return the process ids by name, once all are there."""
-        found = {"front": self.front.pid}
-        tasks = Path(f"/proc/{self.front.pid}/task")  # a daemon starts them in any thread
-        deadline_s = time.monotonic() + PATIENCE_S
-        while len(found) < len(PROCESSES):
-            require(self.front.poll() is None, f"the run ended with {self.front.returncode}")
-            require(time.monotonic() < deadline_s, f"only {found} came up")
-            time.sleep(0.01)
-            with suppress(OSError):
-                for pid in " ".join(p.read_text() for p in tasks.glob("*/children")).split():
-                    command = Path(f"/proc/{pid}/cmdline").read_text()
-                    found |= {
-                        name: int(pid)
-                        for name, modules in PROCESSES.items()
-                        if any(module in command for module in modules)
-                    }
-        return found
-
-    def ring(self) -> Path:
-        """Return where its ring lies, once it is there."""
-        deadline_s = time.monotonic() + PATIENCE_S
-        while not (found := list(SHARED_MEMORY.glob(f"pamctl-{self.front.pid}-*.ring"))):
-            require(time.monotonic() < deadline_s, "there is no ring")
-            time.sleep(0.01)
-        return found[0]
+        parts = await_children(self.front.pid, *PROCESSES.values())
+        return {"front": self.front.pid} | {name: parts[part] for name, part in PROCESSES.items()}
 
     def await_motion(self, ring: Ring) -> None:
         """Return at a random moment at which the valve is off its safe voltage."""
@@ -192,7 +157,7 @@ class Run:
             if self.front.poll() is not None:
                 assert self.front.stderr
                 said = self.front.stderr.read().decode().strip()
-                raise Amiss(f"the run ended too early: {said}")
+                raise AssertionError(f"the run ended too early: {said}")
             require(time.monotonic() < deadline_s, f"only {ring.head} rows, the valve is still")
             time.sleep(0.01)
         time.sleep(random.uniform(0.0, 0.7))
@@ -207,18 +172,8 @@ class Run:
     def await_end(self, pids: Mapping[str, int]) -> int:
         """Wait until no process of the run is left; return the exit code."""
         self.front.communicate(timeout=PATIENCE_S)
-        deadline_s = time.monotonic() + PATIENCE_S
-        while left := [n for n, pid in pids.items() if Path(f"/proc/{pid}").exists()]:
-            require(time.monotonic() < deadline_s, f"left behind: {left}")
-            time.sleep(0.01)
+        await_gone(*pids.values())
         return self.front.returncode
-
-    def await_log(self, ring: Path) -> None:
-        """Wait until the log is finished, which takes the ring away."""
-        deadline_s = time.monotonic() + PATIENCE_S
-        while ring.exists():
-            require(time.monotonic() < deadline_s, "nobody has finished the log")
-            time.sleep(0.05)
 
 
 class OrderedRun(Run):
@@ -244,7 +199,7 @@ class OrderedRun(Run):
                 with Client(self._socket) as client:
                     return client.call(method, params)
             except DaemonDeclinedError as error:
-                raise Amiss(f"the daemon: {error}") from error
+                raise AssertionError(f"the daemon: {error}") from error
             except DaemonUnreachableError as error:
                 require(time.monotonic() < deadline_s, f"the daemon: {error}")
                 time.sleep(0.02)
@@ -255,10 +210,7 @@ class OrderedRun(Run):
 
     def await_end(self, pids: Mapping[str, int]) -> int:
         """End the daemon, if it lives, once it has ended its session by itself."""
-        deadline_s = time.monotonic() + PATIENCE_S
-        while self._has_session():
-            require(time.monotonic() < deadline_s, "the session goes on")
-            time.sleep(0.02)
+        await_true(lambda: not self._has_session(), "the session goes on")
         self.front.terminate()
         return super().await_end(pids)
 
@@ -274,22 +226,18 @@ class OrderedRun(Run):
         return -signal.SIGKILL if ("front", "killed") in faults else 0
 
 
-class Amiss(Exception):
-    """Something went wrong."""
-
-
 def require(holds: bool, what: str) -> None:
     if not holds:
-        raise Amiss(what)
+        raise AssertionError(what)
 
 
 def round_of(bench: Bench, faults: Sequence[Fault], log: Path) -> dict[str, Any]:
-    """Run once with these faults; return time until safe (ms) and ticks lost. Raises `Amiss`."""
+    """Run once with these faults; return the time until safe (ms) and the ticks lost."""
     run = OrderedRun(bench, log) if bench.name == "daemon" else Run(bench, log)
     pids: dict[str, int] = {}
     try:
         pids = run.pids()
-        with Ring.attach(path := run.ring()) as ring:
+        with Ring.attach(path := await_ring(run.front.pid)) as ring:
             run.await_motion(ring)
             for index, (process, what) in enumerate(faults):
                 time.sleep(random.uniform(0.0, PAIR_WITHIN_S) if index else 0.0)
@@ -306,7 +254,7 @@ def round_of(bench: Bench, faults: Sequence[Fault], log: Path) -> dict[str, Any]
         for name in VALVE_KEEPERS:  # those that nobody had to kill go on, and end
             send(pids[name], signal.SIGCONT)
         code = run.await_end(pids)
-        run.await_log(path)
+        await_true(lambda: not path.exists(), "nobody has finished the log")
     finally:
         for pid in pids.values():
             send(pid, signal.SIGKILL)
@@ -318,61 +266,6 @@ def round_of(bench: Bench, faults: Sequence[Fault], log: Path) -> dict[str, Any]
     require(not list(SHARED_MEMORY.glob(f"pamctl-{run.front.pid}-*")), "a ring is left behind")
     assert tick is not None
     return {"safe_after_ms": took_ms, "ticks_lost": ticks_lost(run.log, int(tick["tick"]))}
-
-
-def full_disk_round(bench: Bench, disk: Path, next_log: Path) -> dict[str, Any]:
-    """Run once onto a disk that becomes full; return what `round_of` does. Raises `Amiss`."""
-    with small_disk(disk):
-        run = Run(bench, disk / "run.mcap")
-        try:
-            pids = run.pids()
-            with Ring.attach(run.ring()) as ring:
-                run.await_motion(ring)
-                fill(disk, pids["recorder"])
-                deadline_s = time.monotonic() + FILLED_WITHIN_S
-                while not ring.recorder_flags & RecorderFlag.DISK_FULL:
-                    require(time.monotonic() < deadline_s, "the disk is never full")
-                    time.sleep(1e-3)
-                took_ms = run.await_safe(time.perf_counter())
-                _, said = run.front.communicate(timeout=PATIENCE_S)
-                tick = ring.latest_tick()
-        finally:
-            run.front.kill()
-            run.front.communicate()
-        lines = said.decode().strip().splitlines()
-        require(run.front.returncode == 1, f"exit code {run.front.returncode}")
-        require(len(lines) == 1 and "disk is full" in lines[0], f"not one message: {lines}")
-        require(abs(bench.output_v() - SAFE_V) <= AO_STEP_V, f"{bench.output_v()} V after the end")
-        assert tick is not None
-        lost = ticks_lost(run.log, int(tick["tick"]))
-    next_start(bench, next_log)
-    return {"safe_after_ms": took_ms, "ticks_lost": lost}
-
-
-@contextmanager
-def small_disk(place: Path) -> Iterator[None]:
-    """Mount a small disk at `place`; only root may, others get a folder."""
-    place.mkdir()
-    if os.geteuid():
-        yield
-        return
-    options = ["-t", "tmpfs", "-o", f"size={DISK_MB}m", "none", str(place)]
-    subprocess.run(["mount", *options], check=True)
-    try:
-        yield
-    finally:
-        subprocess.run(["umount", place], check=True)
-
-
-def fill(disk: Path, recorder: int) -> None:
-    """Leave no room on a small disk; where it is none, let the log grow by a little only."""
-    if os.geteuid():
-        most = (disk / "run.mcap").stat().st_size + (1 << 18)
-        resource.prlimit(recorder, resource.RLIMIT_FSIZE, (most, most))
-        return
-    with suppress(OSError), (disk / "other").open("wb", buffering=0) as file:
-        while file.write(bytes(1 << 16)):
-            pass
 
 
 def send(pid: int, number: int) -> None:
@@ -390,7 +283,7 @@ def ticks_lost(path: Path, last: int) -> int:
 
 
 def next_start(bench: Bench, log: Path) -> None:
-    """Start once more; raise `Amiss` unless all is well."""
+    """Start once more; raise AssertionError unless all is well."""
     run = Run(bench, log, "--duration", "0.05")
     _, said = run.front.communicate(timeout=3 * PATIENCE_S)
     require(run.front.returncode == 0, f"the next start: {said.decode().strip()}")
@@ -408,11 +301,6 @@ def list_faults(hits: int) -> list[tuple[Fault, ...]]:
     ]
 
 
-def list_cases(hits: int, bench: str) -> list[tuple[Fault, ...]]:
-    """List the faults of a bench; a daemon begins no run where the disk is small."""
-    return list_faults(hits) + [FULL_DISK] * (hits == 1 and bench != "daemon")
-
-
 def rounds(
     count: int,
     done: Counter[str],
@@ -428,7 +316,7 @@ def rounds(
         cases = [
             (f"{bench.name} {', '.join(map(' '.join, faults))}", bench, faults)
             for bench in rigs
-            for faults in list_cases(hits, bench.name)
+            for faults in list_faults(hits)
             if bench.name in names
         ]
         if drawn is not None:
@@ -439,11 +327,8 @@ def rounds(
                     continue
                 log = Path(temporary) / f"{case}-{index}.mcap".replace(" ", "-").replace(",", "")
                 try:
-                    if faults == FULL_DISK:
-                        found = full_disk_round(bench, log.with_suffix(""), log)
-                    else:
-                        found = round_of(bench, faults, log)
-                except (Amiss, subprocess.TimeoutExpired) as amiss:
+                    found = round_of(bench, faults, log)
+                except (AssertionError, OSError, subprocess.TimeoutExpired) as amiss:
                     found = {"starved" if STARVED in str(amiss) else "amiss": str(amiss)}
                 yield case, found
 

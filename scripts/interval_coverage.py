@@ -1,14 +1,14 @@
 """How often the 90 % intervals of a diagnosis hold the truth, by simulation.
 
-    python scripts/interval_coverage.py [--rigs own,hidden] [--effects NAME,...] [--seeds 4]
-        [--program brief] [--workers 2] [--results FILE] [--json | --write]
+    python scripts/interval_coverage.py [--effects NAME,...] [--seeds 4] [--program brief]
+        [--workers 2] [--results FILE] [--json | --write]
 
 An effect of random size (1 to 10 smallest sizes of interest), with random parameters, noise and
-homing, is hidden in the project's own simulated rig (finely stepped) and in those of tests/hidden,
-which share no code with it and have other equations. Only the true structure is fitted, without a
-search, so that a rig takes seconds. Rigs stored in the JSONL file are not run again. The table goes
-to stdout (markdown or JSON), with --write into README or manual; progress goes to stderr. The
-standard error counts rigs, not numbers, because the numbers of one rig are not independent.
+homing, is hidden in the rigs of tests/hidden, which share no code with the project and have other
+equations. Only the true structure is fitted, without a search, so that a rig takes seconds. Rigs
+stored in the JSONL file are not run again. The table goes to stdout (markdown or JSON), with
+--write into README or manual; progress goes to stderr. The standard error counts rigs, not numbers,
+because the numbers of one rig are not independent.
 """
 
 from __future__ import annotations
@@ -34,8 +34,7 @@ from hidden.examination.cases import Case  # noqa: E402
 from hidden.examination.truth_values import NEUTRAL as HIDDEN_NEUTRAL  # noqa: E402
 from hidden.examination.truth_values import TRUE  # noqa: E402
 from hidden.excitations import PROGRAMS  # noqa: E402
-from hidden.hostile.lab import TRUTH_NAMES  # noqa: E402
-from hidden.sensors import ADC_STEP_PA, ENCODER_STEP_M  # noqa: E402
+from hidden.hostile.lab import FITTED, TRUTH_NAMES  # noqa: E402
 from measured_table import format_table, write_measured  # noqa: E402
 from resumable_study import run_resumable  # noqa: E402
 
@@ -43,33 +42,19 @@ from pamctl.diagnose import Record  # noqa: E402
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher  # noqa: E402
 from pamctl.diagnose.evidence.intervals import find_intervals  # noqa: E402
 from pamctl.diagnose.evidence.name_search import NameSearch  # noqa: E402
-from pamctl.diagnose.evidence.pool import PAPER_SCALES, list_effects  # noqa: E402
-from pamctl.diagnose.evidence.run_pieces import join_waves  # noqa: E402
 from pamctl.diagnose.evidence.weigh import list_pool, prepare_weigher  # noqa: E402
-from pamctl.plant.drive import drive_coupled  # noqa: E402
 from pamctl.plant.model import PlantSettings  # noqa: E402
-from pamctl.plant.parameters import NEUTRAL, PAPER, parameters_of  # noqa: E402
+from pamctl.plant.parameters import NEUTRAL  # noqa: E402
 
-RIGS = ("own", "hidden")
 SIZES = (1.0, 10.0)
 EXPLAINED = 2.0
 """A model that leaves less than this multiple of each sensor's noise (RMS) explains a rig."""
-OFF = {
-    "damping_n_s_per_m": 0.06,
-    "stiffness_n_per_m": 0.05,
-    "kinetic_friction_per_m": 0.08,
-    "valve_gain_m2_per_v": 0.07,
-    "tank_pressure_pa": 0.015,
-    "braid_length_m": 0.003,
-}
-"""Largest deviation of a rig's numbers from the paper's."""
 
 
 @dataclass(frozen=True)
 class Task:
     """One rig with one effect in it."""
 
-    rig: str
     effect: str
     seed: int
     program: str
@@ -77,7 +62,7 @@ class Task:
     @property
     def key(self) -> str:
         """Its key in the results."""
-        return f"{self.rig}/{self.effect}#{self.seed}@{self.program}"
+        return f"hidden/{self.effect}#{self.seed}@{self.program}"
 
     @property
     def random(self) -> np.random.Generator:
@@ -90,7 +75,7 @@ Runs = tuple[list[Record], list[Record]]
 
 def run_hidden_rig(task: Task) -> tuple[Runs, dict[str, float]]:
     """Return a hidden rig's records, and those of its numbers that mean the same in both forms."""
-    size = _size(task.random)
+    size = float(np.exp(task.random.uniform(*np.log(SIZES))))
     case = Case(
         task.key,
         "coverage",
@@ -100,7 +85,7 @@ def run_hidden_rig(task: Task) -> tuple[Runs, dict[str, float]]:
         repeat=task.seed,
     )
     rig, (train, held) = case.rig, case.records()
-    true = {name: getattr(rig.truth, TRUTH_NAMES[name]) for name in OFF}
+    true = {name: getattr(rig.truth, TRUTH_NAMES[name]) for name in FITTED}
     for name, number in TRUE.get(task.effect, {}).items():
         if not math.isclose(number(rig), HIDDEN_NEUTRAL.get(name, 0.0), abs_tol=1e-15):
             true[f"{task.effect}.{name}"] = number(rig)
@@ -109,52 +94,6 @@ def run_hidden_rig(task: Task) -> tuple[Runs, dict[str, float]]:
 
 def _to_record(record: Any) -> Record:
     return Record(name=record.name, **record.columns())
-
-
-def run_own_rig(task: Task) -> tuple[Runs, dict[str, float]]:
-    """Return records of the project's own plant, and its numbers."""
-    random = task.random
-    muscle = {n: PAPER[n] * (1.0 + by * random.uniform(-1.0, 1.0)) for n, by in OFF.items()}
-    hidden = _draw_parameters(task.effect, random)
-    truth = parameters_of({**muscle, **hidden})
-    noise_pa = float(random.choice([150.0, 300.0, 600.0]))
-    phase = random.uniform()
-
-    def run(name: str, command_v: np.ndarray) -> Record:
-        driven = drive_coupled(truth, command_v, 1e-3, steps=16)
-        pressure_pa = driven.pressure_pa + random.normal(0.0, noise_pa, len(command_v))
-        return Record(
-            name,
-            np.arange(len(command_v)) * 1e-3,
-            valve_v=command_v,
-            pressure_pa=np.round(pressure_pa / ADC_STEP_PA) * ADC_STEP_PA,
-            position_m=np.floor(driven.position_m / ENCODER_STEP_M + phase) * ENCODER_STEP_M,
-        )
-
-    train, held = PROGRAMS[task.program](int(random.integers(1_000_000)))
-    commands = [[(e.name, e.volts) for e in part if e.volts is not None] for part in (train, held)]
-    runs = ([run(*c) for c in commands[0]], [run(*c) for c in commands[1]])
-    return runs, {**muscle, **hidden}
-
-
-def _size(random: np.random.Generator) -> float:
-    return float(np.exp(random.uniform(*np.log(SIZES))))
-
-
-def _draw_parameters(effect: str, random: np.random.Generator) -> dict[str, float]:
-    """Draw an effect in one of its forms: its sizes, and its shapes about where a fit starts."""
-    forms = [
-        v for h in list_effects("muscle", PAPER_SCALES) if h.family == effect for v in h.variants
-    ]
-    form = forms[int(random.integers(len(forms)))]
-    size = _size(random)
-    values = dict(form.held)
-    for u in form.sizes:
-        neutral, step = u.neutral or 0.0, size * random.uniform(0.85, 1.15) * u.smallest
-        values[u.name] = neutral + step if neutral + step < u.high else neutral - step
-    for u in form.shapes:
-        values[u.name] = float(np.clip(u.value * random.uniform(0.7, 1.4), u.low, u.high))
-    return join_waves(values)[0]
 
 
 def fit_structure(runs: Runs, effect: str) -> tuple[Weigher, WeighedModel]:
@@ -170,14 +109,13 @@ def fit_structure(runs: Runs, effect: str) -> tuple[Weigher, WeighedModel]:
 
 def examine_task(task: Task) -> dict[str, Any]:
     """Return the intervals of one rig with the true values."""
-    runs, true = {"own": run_own_rig, "hidden": run_hidden_rig}[task.rig](task)
+    runs, true = run_hidden_rig(task)
     began = time.process_time()
     weigher, m = fit_structure(runs, task.effect)
     left2 = weigher.like.mean_squares(m.d) / weigher.find_noise2(m)
     ratios = dict(zip(weigher.train.channels, map(float, np.sqrt(left2)), strict=True))
     return {
         "key": task.key,
-        "rig": task.rig,
         "effect": task.effect,
         "at_floor": max(ratios.values()) < EXPLAINED,
         "ratios": ratios,
@@ -232,13 +170,8 @@ def summarise(results: Sequence[dict[str, Any]]) -> list[Coverage]:
     """Return the whole table: by rig, then by effect."""
     at_floor = [r for r in results if r["at_floor"]]
     lines = []
-    for rig in RIGS:
-        of_rig = [r for r in at_floor if r["rig"] == rig]
-        if of_rig:
-            lines.append(compute_coverage(f"{rig} rigs: numbers of the effect", of_rig))
-            lines.append(
-                compute_coverage(f"{rig} rigs: recalibrated numbers", of_rig, of_effect=False)
-            )
+    lines.append(compute_coverage("numbers of the effect", at_floor))
+    lines.append(compute_coverage("recalibrated numbers", at_floor, of_effect=False))
     above = [r for r in results if not r["at_floor"]]
     if above:
         lines.append(compute_coverage("fits that leave more than the noise", above))
@@ -268,7 +201,6 @@ def format_markdown(lines: Sequence[Coverage]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--rigs", default=",".join(RIGS))
     parser.add_argument("--effects", default=",".join(SINGLES))
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--program", choices=PROGRAMS, default="brief")
@@ -280,10 +212,9 @@ def main() -> None:
     )
     options = parser.parse_args()
     tasks = [
-        Task(rig, effect, seed, options.program)
+        Task(effect, seed, options.program)
         for seed in range(options.seeds)
         for effect in options.effects.split(",")
-        for rig in options.rigs.split(",")
     ]
     keyed = {task.key: task for task in tasks}
     found = run_resumable(keyed, examine_task, options.results, options.workers)

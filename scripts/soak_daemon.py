@@ -24,7 +24,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
 import numpy as np
+from support.patience import PATIENCE_S, await_true
+from support.processes.children import list_children
 
 from hal.sim import peek_v
 from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
@@ -38,7 +42,6 @@ SAMPLE_EVERY_S = 10.0
 WARM_UP_SHARE = 0.25
 MOST_GROWTH_BYTES = 4e6
 """After the warm-up. The largest answer takes 2 MB while it is written."""
-PATIENCE_S = 60.0
 AO_STEP_V = 20.0 / 65536.0
 SETTINGS = ["rig.homing.steady_s=0.05", "rig.homing.fills=1"]
 EXPERIMENTS: list[dict[str, Any]] = [
@@ -51,10 +54,6 @@ EXPERIMENTS: list[dict[str, Any]] = [
 CONTROLLERS = {
     name: settings_to_data(resolve(controller=name).controller) for name in ("qsmc", "pid")
 }
-
-
-class Amiss(Exception):
-    """Something went wrong."""
 
 
 class Rig:
@@ -78,7 +77,7 @@ class Rig:
                 client.call("status")
                 return process
             if process.poll() is not None or time.monotonic() > deadline_s:
-                raise Amiss(f"the daemon does not start, exit code {process.poll()}")
+                raise AssertionError(f"the daemon does not start, exit code {process.poll()}")
             time.sleep(0.05)
 
     def ask(self, method: str, **params: Any) -> Any:
@@ -88,7 +87,7 @@ class Rig:
                 return client.call(method, params)
         except DaemonDeclinedError as error:
             if error.code == INTERNAL_ERROR:
-                raise Amiss(f"{method}: {error}") from error
+                raise AssertionError(f"{method}: {error}") from error
             return None
 
     def status(self) -> dict[str, Any]:
@@ -98,7 +97,7 @@ class Rig:
 
     def kill(self, which: str, number: signal.Signals) -> None:
         """Send a signal to one of the daemon's processes, if it exists."""
-        for pid in children(self.process.pid):
+        for pid in list_children(self.process.pid):
             with suppress(OSError):
                 if which in Path(f"/proc/{pid}/cmdline").read_text():
                     os.kill(pid, number)
@@ -109,7 +108,7 @@ class Rig:
         while (status := self.status())["state"] != "idle":
             self.ask("ack" if status["state"] == "fault" else "disarm")
             if time.monotonic() > deadline_s:
-                raise Amiss(f"it does not become idle: {status}")
+                raise AssertionError(f"it does not become idle: {status}")
             time.sleep(0.05)
         self.require_safe()
 
@@ -117,12 +116,12 @@ class Rig:
         """Require the safe voltage at the output."""
         volts = peek_v(ao_path(self.device))
         if volts is None or abs(volts) > AO_STEP_V:
-            raise Amiss(f"{volts} V at the output of an idle daemon")
+            raise AssertionError(f"{volts} V at the output of an idle daemon")
 
     def sample(self) -> dict[str, float]:
         """The resources of an idle daemon."""
         self.to_idle()
-        await_that(lambda: not children(self.process.pid), "processes left behind when idle")
+        await_true(lambda: not list_children(self.process.pid), "processes left behind when idle")
         pid = self.process.pid
         return {
             "t_s": time.monotonic(),
@@ -144,23 +143,7 @@ class Rig:
         code = self.process.wait(PATIENCE_S)
         self._errors.close()
         if code:
-            raise Amiss(f"it left with {code} on SIGTERM")
-
-
-def children(pid: int) -> list[int]:
-    """All descendants of a process, whichever of its threads started them."""
-    found: list[int] = []
-    for tasks in Path(f"/proc/{pid}/task").glob("*/children"):
-        with suppress(OSError):
-            found += [int(child) for child in tasks.read_text().split() if lives(int(child))]
-    return found
-
-
-def lives(pid: int) -> bool:
-    """Tell whether a process exists and is not a zombie."""
-    with suppress(OSError):
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    return False
+            raise AssertionError(f"it left with {code} on SIGTERM")
 
 
 def resident_bytes(pid: int) -> int:
@@ -168,15 +151,7 @@ def resident_bytes(pid: int) -> int:
     for line in Path(f"/proc/{pid}/status").read_text().splitlines():
         if line.startswith("RssAnon:"):
             return int(line.split()[1]) * 1024
-    raise Amiss("no RssAnon")
-
-
-def await_that(holds: Any, otherwise: str) -> None:
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not holds():
-        if time.monotonic() > deadline_s:
-            raise Amiss(otherwise)
-        time.sleep(0.02)
+    raise AssertionError("no RssAnon")
 
 
 def acts(rig: Rig, dice: random.Random) -> dict[str, tuple[int, Any]]:
@@ -304,7 +279,7 @@ def main() -> int:
             rig.end()
             if rig.shared_memory():
                 wrong.append(f"left in shared memory: {rig.shared_memory()}")
-        except (Amiss, DaemonUnreachableError, subprocess.TimeoutExpired) as amiss:
+        except (AssertionError, DaemonUnreachableError, subprocess.TimeoutExpired) as amiss:
             wrong.append(f"{type(amiss).__name__}: {amiss}")
         finally:
             rig.process.kill()

@@ -46,12 +46,7 @@ class NidaqSettings(MSeriesWiring):
         ),
     ] = None
     loopback_channel: Annotated[
-        str | None,
-        Field(
-            pattern="^ai([0-9]|[1-7][0-9])$",
-            description="an input that is wired to the valve's output, for the doctor to see what "
-            "the output does when its task starts; empty: no such wire",
-        ),
+        str | None, Field(exclude=True, description="without effect; old rig files have it")
     ] = None
     data_transfer: Annotated[
         Literal["polled", "driver"],

@@ -41,7 +41,7 @@ from hal.problem import Problem
 from hal.rig import RigError
 
 if TYPE_CHECKING:
-    from hal.nidaq.probe import Card, ClockTrial, DriverUser, OutputStart
+    from hal.nidaq.probe import Card, ClockTrial
 
 
 REQUIRED = frozenset({"card.driver", "card.device", "card.channels", "card.reservations"})
@@ -93,7 +93,7 @@ def examine_card(request: ProbeRequest[NidaqSettings]) -> Iterator[Problem]:
     yield judge_input_range("nidaq", asked, card.input_ranges, request)
     yield judge_output_range(settings, card)
     busy = probe.find_conflicts(settings)
-    yield judge_reservations(busy, probe.find_driver_users([os.getpid()]) if busy else [])
+    yield judge_reservations(busy)
     if settings.pressure_channel in busy:
         return
     failure = probe.try_on_demand_read(settings)
@@ -118,43 +118,14 @@ def examine_card_clock(request: ProbeRequest[NidaqSettings]) -> Problem:
 
 
 def examine_output(request: ProbeRequest[NidaqSettings]) -> Iterator[Problem]:
-    """Check what the output does at a start, and what becomes of it when its process is killed.
+    """Check what becomes of the output when its process is killed; the caller holds the device."""
+    from hal.nidaq.probe import measure_release
 
-    The caller holds the device. The start is seen where a loop-back wire is declared.
-    """
-    from hal.nidaq.probe import measure_release, record_output_start
-
-    if request.settings.loopback_channel is not None:
-        try:
-            start = record_output_start(request.settings, request.safe_volts)
-        except RigError as error:
-            yield _report_unmeasured("card.output_start", error)
-        else:
-            yield judge_output_start(start, request.safe_volts)
     try:
         yield judge_release(measure_release(request.settings))
     except RigError as error:
-        yield _report_unmeasured("card.release", error)
-
-
-def _report_unmeasured(name: str, error: RigError) -> Problem:
-    found = f"not measured: {describe_rig_error(error)}"
-    return report_check(name, "warning", found, "", error.fix)
-
-
-def judge_output_start(start: OutputStart, safe_v: float) -> Problem:
-    """Say whether the output leaves the safe voltage while its task starts."""
-    name, data = "card.output_start", start._asdict()
-    if abs(start.rest_v - safe_v) > _LOOPBACK_V:
-        found = f"{start.rest_v:.3f} V at the safe voltage of {safe_v:g} V"
-        fix = "is nidaq.loopback_channel really wired to nidaq.valve_channel, and to AI GND?"
-        return report_check(name, "fault", found, "the safe voltage", fix, data)
-    if start.outside_s:
-        found = f"{start.worst_v:+.3f} V from the safe voltage, for {start.outside_s * 1e6:.0f} us"
-        fix = "the valve sees this pulse at every start: keep the supply shut until a run is ready"
-        return report_check(name, "warning", found, "no pulse", fix, data)
-    found = f"stays within {abs(start.worst_v) * 1e3:.0f} mV of the safe voltage"
-    return report_check(name, "ok", found, data=data)
+        found = f"not measured: {describe_rig_error(error)}"
+        yield report_check("card.release", "warning", found, "", error.fix)
 
 
 def judge_release(free_after_s: float | None) -> Problem:
@@ -237,14 +208,12 @@ def judge_output_range(settings: NidaqSettings, card: Card) -> Problem:
     return report_check("card.output_range", "fault", found, "within the card's range", fix)
 
 
-def judge_reservations(busy: dict[str, RigError], users: list[DriverUser]) -> Problem:
-    """Say which parts of the card another program holds, and which programs use the driver."""
-    first = next(iter(busy.values()), None)
-    if first is None or any(error.code not in BUSY_CODES for error in busy.values()):
-        return judge_parts(busy, first.fix if first else "")
-    who = "; ".join(f"process {user.pid} ({user.command})" for user in users)
-    fix = f"end what uses the driver: {who}" if who else f"{first.fix}; root sees which"
-    return judge_parts(busy, fix, {"users": [user._asdict() for user in users]})
+def judge_reservations(busy: dict[str, RigError]) -> Problem:
+    """Say which parts of the card another program holds."""
+    fix = next(iter(busy.values())).fix if busy else ""
+    if all(error.code in BUSY_CODES for error in busy.values()):
+        fix = f"{fix}; as root, `grep -l libnidaqmx /proc/[0-9]*/maps` names it"
+    return judge_parts(busy, fix)
 
 
 def judge_hardware_timing(trial: ClockTrial, period_s: float, is_wanted: bool) -> Problem:

@@ -13,13 +13,10 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from importlib.metadata import version
-from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 from nidaqmx import Task
 from nidaqmx.constants import TaskMode
-from nidaqmx.stream_readers import AnalogSingleChannelReader
 from nidaqmx.system import Device, System
 
 from hal.card import find_loaded_library
@@ -30,7 +27,6 @@ from hal.nidaq.driver import (
     make_encoder_task,
     make_pressure_task,
     make_valve_task,
-    make_valve_writer,
     make_volt_reader,
     raise_rig_errors,
     require_card,
@@ -38,11 +34,6 @@ from hal.nidaq.driver import (
 from hal.nidaq.nidaq_rig import HardwareTimedRig
 from hal.rig import RigError, open_rig
 
-GLITCH_V = 0.05
-"""Ten times what input and output of a card may differ by."""
-_START_RATE_HZ = 250e3
-"""The card's fastest: a sample every 4 us."""
-_START_SAMPLES = 25_000
 RELEASE_PATIENCE_S = 1.0
 """Ten times what a guardian needs from a frozen loop to the safe voltage."""
 _HARDWARE_TIMED_SAMPLES = 100
@@ -93,24 +84,6 @@ class ClockTrial(NamedTuple):
     """What moves the data of input, counter and output, as the driver says."""
 
 
-class OutputStart(NamedTuple):
-    """What the output did while its task started, as an input saw it."""
-
-    rest_v: float
-    """At the end."""
-    worst_v: float
-    """Farthest from the safe voltage, with its sign."""
-    outside_s: float
-    """How long it was farther away than `GLITCH_V`."""
-
-
-class DriverUser(NamedTuple):
-    """A process that has the driver loaded."""
-
-    pid: int
-    command: str
-
-
 def identify_driver() -> Driver:
     """Load the driver; raise `RigError` where there is none."""
     with raise_rig_errors("asking the driver for its version and devices"):
@@ -155,23 +128,6 @@ def find_conflicts(settings: NidaqSettings) -> dict[str, RigError]:
     return found
 
 
-def find_driver_users(ignore: Sequence[int]) -> list[DriverUser]:
-    """Find other processes that have the driver loaded, as far as this user may see them."""
-    users = []
-    for process in Path("/proc").glob("[0-9]*"):
-        pid = int(process.name)
-        if pid in ignore:
-            continue
-        try:
-            if "/libnidaqmx.so" not in (process / "maps").read_text():
-                continue
-            command = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode().strip()
-        except (OSError, UnicodeDecodeError):
-            continue
-        users.append(DriverUser(pid, command))
-    return sorted(users)
-
-
 def measure_release(settings: NidaqSettings) -> float | None:
     """Kill a process that holds the output; return after how long (s) the output was free.
 
@@ -200,34 +156,6 @@ def measure_release(settings: NidaqSettings) -> float | None:
             time.sleep(1e-3)
         else:
             return waited_s
-
-
-def record_output_start(settings: NidaqSettings, safe_v: float) -> OutputStart:
-    """Start the output's task and write the safe voltage, seen through the loop-back wire.
-
-    The caller holds the device, and the safe voltage is on the output already. Raises `RigError`.
-    """
-    through = settings.model_copy(
-        update={
-            "pressure_channel": settings.loopback_channel,
-            "input_low_v": -10.0,
-            "input_high_v": 10.0,
-        }
-    )
-    volts = np.zeros(_START_SAMPLES)
-    with raise_rig_errors("watching the output start"), make_pressure_task(through) as watch:
-        watch.timing.cfg_samp_clk_timing(_START_RATE_HZ, samps_per_chan=_START_SAMPLES)
-        watch.start()
-        with make_valve_task(settings) as valve:
-            valve.start()
-            make_valve_writer(valve)(safe_v, settings.timeout_s)
-        AnalogSingleChannelReader(watch.in_stream).read_many_sample(
-            volts, _START_SAMPLES, timeout=2.0 * _START_SAMPLES / _START_RATE_HZ + 1.0
-        )
-    away_v = volts - safe_v
-    worst = int(np.argmax(np.abs(away_v)))
-    outside_s = float(np.count_nonzero(np.abs(away_v) > GLITCH_V)) / _START_RATE_HZ
-    return OutputStart(float(volts[-1]), float(away_v[worst]), outside_s)
 
 
 def try_on_demand_read(settings: NidaqSettings) -> RigError | None:

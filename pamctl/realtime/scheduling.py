@@ -10,8 +10,6 @@ import contextlib
 import ctypes
 import gc
 import os
-import platform
-import struct
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -42,12 +40,6 @@ _DMA_LATENCY = "/dev/cpu_dma_latency"
 _SCHED_RESET_ON_FORK = 0x40000000
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _PR_SET_TIMERSLACK, _PR_GET_TIMERSLACK = 29, 30
-_SLICE_NS = 100_000
-"""The shortest slice that the kernel grants to an ordinary process."""
-_SCHED_ATTR = struct.Struct("=IIQiIQQQ")
-"""Size, policy, flags, nice, priority, runtime, deadline, period: `sched_attr`, version 0."""
-_SET_AND_GET_ATTR = {"x86_64": (314, 315), "aarch64": (274, 275), "riscv64": (274, 275)}
-"""System call numbers of sched_setattr and sched_getattr, which the C library does not offer."""
 
 
 class PreparationStep(NamedTuple):
@@ -197,7 +189,6 @@ def _real_time_steps(cpu: int | None, undo: ExitStack) -> list[PreparationStep]:
     ]
     if not steps[-1].done:  # under SCHED_FIFO the kernel allows timers no slack anyway
         steps.append(_attempt("timer_slack", _take_timer_slack, lambda: "", undo))
-        steps.append(_attempt("slice", _take_short_slice, _how_to_take_short_slice, undo))
     return steps
 
 
@@ -385,45 +376,6 @@ def _take_timer_slack(undo: ExitStack) -> str:
     if before_ns > 0:
         undo.callback(prctl, _PR_SET_TIMERSLACK, before_ns, 0, 0, 0)
     return "timer slack 1 ns"
-
-
-def _take_short_slice(undo: ExitStack) -> str:
-    """Ask the scheduler for short turns: a task that asks for little is served sooner.
-
-    Linux 6.12 and later grant this without privileges; earlier ones ignore it silently.
-    """
-    nice = os.getpriority(os.PRIO_PROCESS, 0)
-    _set_slice(_SLICE_NS, nice)
-    if _granted_slice_ns() != _SLICE_NS:
-        raise OSError(0, "the kernel took no notice")
-    undo.callback(_undo_quietly, _set_slice, 0, nice)  # 0: the kernel's own choice
-    return f"slice {_SLICE_NS // 1000} us"
-
-
-def _how_to_take_short_slice() -> str:
-    return f"Linux 6.12 and later grant it to every user, this is {platform.release()}"
-
-
-def _set_slice(slice_ns: int, nice: int) -> None:
-    attr = _SCHED_ATTR.pack(_SCHED_ATTR.size, os.SCHED_OTHER, 0, nice, 0, slice_ns, 0, 0)
-    _call_sched_attr(0, ctypes.create_string_buffer(attr, len(attr)))
-
-
-def _granted_slice_ns() -> int:
-    attr = ctypes.create_string_buffer(_SCHED_ATTR.size)
-    _call_sched_attr(1, attr, _SCHED_ATTR.size)
-    runtime_ns: int = _SCHED_ATTR.unpack(attr.raw)[5]
-    return runtime_ns
-
-
-def _call_sched_attr(which: int, attr: ctypes.Array[ctypes.c_char], *size: int) -> None:
-    """Call sched_setattr (0) or sched_getattr (1) for the calling thread."""
-    numbers = _SET_AND_GET_ATTR.get(platform.machine())
-    if numbers is None:
-        raise OSError(0, f"not known on {platform.machine()}")
-    arguments = [ctypes.c_long(0), attr, *map(ctypes.c_long, (*size, 0))]
-    if ctypes.CDLL(None, use_errno=True).syscall(ctypes.c_long(numbers[which]), *arguments):
-        raise _make_errno_error()
 
 
 def _free_foreign_threads(cpus: frozenset[int]) -> tuple[PreparationStep, ...]:

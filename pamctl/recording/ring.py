@@ -448,17 +448,8 @@ class Ring:
 
     def latest_tick(self) -> dict[str, float] | None:
         """Return the newest tick's columns by name, committed or not; None if there is none."""
-        while True:
-            head = self.head
-            self._barrier()
-            # Rows up to half a ring back are not being overwritten, see `_put`.
-            oldest = max(-1, head - 1 - self.rows // 4)
-            newest = range(head - 1, oldest, -1)
-            row = next((row for row in newest if self._kind(row) == RowKind.TICK), None)
-            payload = b"" if row is None else self._copy(row, row + 1)[ROW_HEADER.size :]
-            self._barrier()
-            if self.head - head <= self.rows // 4:
-                return None if row is None else self._tick_columns(payload)
+        newest = self.recent_ticks(-1 << 62, 1, 1)
+        return newest[0] if newest else None
 
     def recent_ticks(self, after: int, every: int, most: int) -> list[dict[str, float]]:
         """Return the ticks after tick `after` whose number is a multiple of `every`, oldest first.
@@ -471,7 +462,8 @@ class Ring:
             self._barrier()
             payloads: list[bytes] = []
             for row in range(head - 1, max(-1, head - 1 - self.rows // 4), -1):
-                kind, _, tick, _ = self._row_header(row)
+                at = self._rows_at + row % self.rows * ROW_BYTES
+                kind, _, tick, _ = ROW_HEADER.unpack_from(self._buffer, at)
                 if kind == RowKind.TICK:
                     if tick <= after or len(payloads) == most:
                         break
@@ -495,11 +487,6 @@ class Ring:
             self._barrier()
             if self.head - head <= self.rows // 4:
                 return RowBatch(first, data)
-
-    def _row_header(self, row: int) -> tuple[int, int, int, int]:
-        at = self._rows_at + row % self.rows * ROW_BYTES
-        kind, size, tick, t_ns = ROW_HEADER.unpack_from(self._buffer, at)
-        return kind, size, tick, t_ns
 
     def read_tick(self, row: bytes) -> dict[str, float]:
         """Return the columns of a row with a tick by name."""

@@ -15,20 +15,23 @@ import sys
 import time
 from collections.abc import Mapping
 from concurrent.futures import Future
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from pamctl.diagnose.record import Record
 from pamctl.exit_codes import ExitCode
 from pamctl.log.framing import LogError
 from pamctl.plant.model import PlantSettings
 from pamctl.recording.ring import RingError
-from pamctl.watch.explain_alarm import explain_gently
 from pamctl.watch.watch_run import BlockReport, RingFollower, RunWatch
 from pamctl.worker_processes import start_workers
 
-_NICE = 10
+if TYPE_CHECKING:  # the diagnosis is imported by the process that needs it
+    from pamctl.diagnose import Diagnosis
+
+_NICE, _IDLE_NICE = 10, 19
 _LOOK_S = 1.0
 _EXPLAIN_S = 40.0
 """Measurement since an alarm's begin that is diagnosed."""
@@ -102,10 +105,9 @@ class Monitor:
             return
         record = self._watch.recall(self._unexplained_s)
         if record is not None and record.duration_s >= least_s:
-            before = self._watch.recall_before(self._unexplained_s)
             self._unexplained_s = None
             worker = self._workers.enter_context(start_workers(1))
-            self._explanation = worker.submit(explain_gently, record, self._plant, before)
+            self._explanation = worker.submit(explain_gently, record, self._plant)
 
     def _say_explanation(self) -> None:
         found = self._explanation
@@ -128,6 +130,52 @@ class Monitor:
         """Leave the run."""
         if self._follower is not None:
             self._follower.close()
+
+
+# --- what an alarm means ------------------------------------------------------------------------
+
+
+def explain_gently(record: Record, plant: PlantSettings) -> dict[str, Any]:
+    """Do what `explain_record` does, in a worker process of its own that takes only idle time."""
+    os.nice(_IDLE_NICE)
+    with suppress(AttributeError, OSError):  # where the system knows it
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    return explain_record(record, plant)
+
+
+def explain_record(record: Record, plant: PlantSettings) -> dict[str, Any]:
+    """Diagnose a record; return verdict, sentence and names as plain values."""
+    from pamctl.diagnose import diagnose, sentence
+
+    found = diagnose([record], [], plant)
+    names, rivals = _list_names(found), _list_rivals(found)
+    numbers = {n.name: n.as_dict() for n in found.numbers if n.name.split(".")[0] in names}
+    text = f"best explanation: {sentence(found)}"
+    if rivals:
+        text += f"; not refuted: {', '.join(rivals)}"
+    return {
+        "sentence": text,
+        "verdict": found.verdict.value,
+        "effects": names,
+        "not_refuted": rivals,
+        "numbers": numbers,
+        "seconds": record.duration_s,
+    }
+
+
+def _list_names(found: Diagnosis) -> list[str]:
+    return [f.name for f in found.findings if f.level != "rest"]
+
+
+def _list_rivals(found: Diagnosis) -> list[str]:
+    """Return what the data do not refute beside the names, without freer terms of a sure name."""
+    names = _list_names(found)
+    open_ones = [f for f in found.findings if f.level not in ("name", "rest")]
+    rivals = dict.fromkeys(r.name for f in open_ones for r in f.rivals)
+    return [name for name in rivals if name not in names]
+
+
+# --- the process --------------------------------------------------------------------------------
 
 
 def say(kind: str, **details: object) -> None:

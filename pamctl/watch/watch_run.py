@@ -149,18 +149,12 @@ class RunWatch:
         self._judged_to_s = -np.inf
         self._silent: dict[str, int] = {}
         self._first_ratios: dict[str, list[float]] = {}
-        self._run_before: Record | None = None
-        """The end of the last run that ended without an alarm."""
         self.blocks: dict[str, BlockReport] = {}
         """The newest report of each block."""
         self.windows = 0
 
     def begin_run(self) -> None:
-        """Leave the run before; the sums, the noise and its last faultless minute are kept."""
-        if self._kept and not any(report.alarm for report in self.blocks.values()):
-            ended = _join(self._kept)
-            if ended.duration_s >= LEARN_S:
-                self._run_before = self._cut(ended, 0, len(ended), "before")
+        """Leave the run before; the sums and the noise are kept."""
         self._kept.clear()
         self._judged_to_s = -np.inf
 
@@ -187,24 +181,9 @@ class RunWatch:
             first = 0
         else:
             first = _find_clean_start(record, int(np.searchsorted(record.t_s, since_s)))
-        return self._cut(record, first, len(record), "last minute")
-
-    def recall_before(self, since_s: float) -> Record | None:
-        """Return the measurement before a time, of this run or of the one before it.
-
-        It is at least `LEARN_S` long; None if there is none.
-        """
-        if self._kept:
-            record = _join(self._kept)
-            end = int(np.searchsorted(record.t_s, since_s))
-            if end and record.t_s[end - 1] - record.t_s[0] >= LEARN_S:
-                return self._cut(record, 0, end, "before")
-        return self._run_before
-
-    def _cut(self, record: Record, first: int, end: int, name: str) -> Record | None:
-        if end - first < 2:
+        if len(record) - first < 2:
             return None
-        cut = record.cut_samples(first, end, name)
+        cut = record.cut_samples(first, len(record), "last minute")
         return replace(cut, t_s=cut.t_s - cut.t_s[0], stated_noise=self._stated)
 
     def _add(self, piece: Record) -> None:

@@ -28,10 +28,8 @@ from hal.nidaq.nidaq_backend import (
     examine_card_clock,
     examine_output,
     judge_release,
-    judge_reservations,
 )
 from hal.problem import Problem, worst_level
-from hal.rig import RigError
 from hal.sim import peek_v
 from pamctl.commissioning.bench import Bench, LimitError
 from pamctl.commissioning.pc_checks import (
@@ -247,7 +245,7 @@ time.sleep(60)
 """
 
 
-def test_a_part_of_the_card_that_another_program_holds_is_named_with_the_program(
+def test_a_part_of_the_card_that_another_program_holds_says_how_to_find_the_program(
     card: Card,
 ) -> None:
     with subprocess.Popen(
@@ -259,14 +257,7 @@ def test_a_part_of_the_card_that_another_program_holds_is_named_with_the_program
         holder.kill()
     assert found.level == "fault"
     assert found.data["channels"] == ["ao0"]
-    assert str(holder.pid) in found.fix
-
-
-def test_a_holder_that_cannot_be_seen_is_still_a_fault() -> None:
-    held = RigError("reserving Dev1/ai0: no", fix="another program holds it", code=-50103)
-    found = judge_reservations({"ai0": held}, [])
-    assert found.level == "fault"
-    assert "another program" in found.fix
+    assert "grep -l libnidaqmx /proc" in found.fix
 
 
 def test_the_card_s_clock_is_tried_with_the_safe_voltage_on_the_output(card: Card) -> None:
@@ -308,37 +299,6 @@ def test_what_the_driver_does_with_a_killed_process_s_output_is_measured(
     else:
         assert found.level != "fault"
         assert found.data["free_after_s"] < 1.0
-
-
-def examine_start(card: Card, *overrides: str) -> Problem:
-    settings = resolve(rig="pci6221", overrides=["rig.nidaq.loopback_channel=ai1", *overrides])
-    return index_by_name(list(examine_output(make_probe_request(settings))))["card.output_start"]
-
-
-@pytest.mark.parametrize(("glitch_ns", "level"), [(0, "ok"), (100_000, "warning")])
-def test_a_pulse_of_the_output_at_its_start_is_seen_through_the_loop_back_wire(
-    card: Card, glitch_ns: int, level: str
-) -> None:
-    card.stop_time()
-    card.registers.loopback_ai = 1
-    card.registers.ao_glitch_v, card.registers.ao_glitch_ns = 1.5, glitch_ns
-    found = examine_start(card)
-    assert found.level == level
-    if glitch_ns:
-        assert found.message.startswith("+1.500 V")
-        assert found.data["outside_s"] == pytest.approx(100e-6, abs=8e-6)
-
-
-def test_a_loop_back_wire_that_is_not_there_is_a_fault(card: Card) -> None:
-    card.stop_time()
-    found = examine_start(card, "rig.safe_volts=1.25")
-    assert found.level == "fault"
-    assert "nidaq.loopback_channel" in found.fix
-
-
-def test_without_a_declared_wire_nothing_is_said_of_the_start(card: Card) -> None:
-    found = examine_output(make_probe_request(resolve(rig="pci6221")))
-    assert [finding.key for finding in found] == ["card.release"]
 
 
 def test_a_slow_release_is_a_warning_and_one_that_could_not_be_measured_too(card: Card) -> None:

@@ -114,8 +114,7 @@ def test_auto_goes_on_with_a_clear_line_where_a_user_is_refused_and_takes_what_i
         """
 become_nobody()
 import ctypes
-from pamctl.realtime.scheduling import _granted_slice_ns
-state_ns = lambda: [ctypes.CDLL(None).prctl(30, 0, 0, 0, 0), _granted_slice_ns()]
+state_ns = lambda: ctypes.CDLL(None).prctl(30, 0, 0, 0, 0)
 before_ns = state_ns()
 with prepare("auto") as preparation:
     told = [preparation.fifo, preparation.may_spin, preparation.as_metadata()]
@@ -133,13 +132,8 @@ print(json.dumps([*told, before_ns, during_ns, state_ns()]))
     assert metadata["timer_slack"] == "done: timer slack 1 ns"
     assert metadata["gc"].startswith("done:")
     assert all("\n" not in line for line in metadata.values())
-    assert during_ns[0] == 1 < before_ns[0]
+    assert during_ns == 1 < before_ns
     assert after_ns == before_ns
-    if before_ns[1]:
-        assert metadata["slice"] == "done: slice 100 us"
-        assert during_ns[1] == 100_000 < before_ns[1]
-    else:  # before Linux 6.12 the kernel tells of no slice
-        assert metadata["slice"].startswith("not done: the kernel took no notice; Linux 6.12")
 
 
 @root_only
@@ -159,21 +153,6 @@ except SchedulingError as refusal:
     assert message.startswith("real-time scheduling is required, but was refused:\n  mlock: ")
     assert "\n  fifo: Operation not permitted; RLIMIT_RTPRIO is 0" in message
     assert after == before
-
-
-@linux_only
-def test_a_kernel_that_ignores_the_slice_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    for step in ("_lock_memory", "_keep_cpu_awake", "_pin"):
-        monkeypatch.setattr(scheduling, step, lambda *_: "pretended")
-
-    def refuse(_: object) -> str:
-        raise PermissionError(1, "Operation not permitted")
-
-    monkeypatch.setattr(scheduling, "_run_as_fifo", refuse)
-    monkeypatch.setattr(scheduling, "_call_sched_attr", lambda *_: None)  # Linux before 6.12
-    with prepare("auto") as preparation:
-        line = preparation.as_metadata()["slice"]
-    assert line.startswith("not done: the kernel took no notice; Linux 6.12 and later grant it")
 
 
 @linux_only
@@ -268,7 +247,7 @@ def nothing_is_permitted(monkeypatch: pytest.MonkeyPatch) -> None:
         raise PermissionError(1, "Operation not permitted")
 
     steps = ("_lock_memory", "_keep_cpu_awake", "_pin", "_run_as_fifo", "_take_timer_slack")
-    for step in (*steps, "_take_short_slice"):
+    for step in steps:
         monkeypatch.setattr(scheduling, step, refuse)
 
 
@@ -278,7 +257,7 @@ def test_where_nothing_is_permitted_every_step_says_why() -> None:
     with prepare("auto") as preparation:
         refused = [step.name for step in preparation.refused]
         lines = [str(step) for step in preparation.refused]
-    assert refused == ["mlock", "dma_latency", "affinity", "fifo", "timer_slack", "slice"]
+    assert refused == ["mlock", "dma_latency", "affinity", "fifo", "timer_slack"]
     assert all("not done: Operation not permitted" in line for line in lines)
 
 

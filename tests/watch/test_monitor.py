@@ -17,7 +17,6 @@ from pamctl.log.measured_signals import Signals
 from pamctl.offline.closed_loop import simulate_run
 from pamctl.settings.resolve import resolve
 from pamctl.signals import Phase
-from pamctl.watch.explain_alarm import hold_constants
 from pamctl.watch.judge_window import (
     ALARM,
     ALLOWANCE,
@@ -122,32 +121,6 @@ def test_homing_and_gaps_are_left_out() -> None:
     assert first > 0
     feed(watch, measured[:1400], 50.0 + LEARN_S + 10.0)  # too short for a window by itself
     assert watch.windows == first
-
-
-def test_the_rig_before_an_alarm_is_kept_over_a_restart(watch: RunWatch) -> None:
-    in_this_run = watch.recall_before(10.0)
-    assert in_this_run is not None
-    assert in_this_run.duration_s == pytest.approx(10.0, abs=0.01)
-    watch.begin_run()
-    feed(watch, simulate_signals("tracking-2", 8.0, LESS_FRICTION), 100.0)
-    before = watch.recall_before(100.0)
-    assert before is not None
-    assert before.duration_s == pytest.approx(12.0, abs=0.01)
-    assert watch.blocks[MECHANICS].alarm is not None
-    watch.begin_run()  # what was off is not what the rig was before
-    assert watch.recall_before(200.0) is before
-
-
-def test_an_alarm_is_explained_with_the_constants_of_the_rig_before() -> None:
-    guessed = resolve(plant=PLANT, overrides=("plant.parameters.stiffness_n_per_m=9500",)).plant
-    watch = RunWatch(guessed)
-    feed(watch, simulate_signals("tracking-2", 12.0), 0.0)
-    before = watch.recall_before(12.0)
-    assert before is not None
-    held = hold_constants(before, guessed)
-    true = resolve(plant=PLANT).plant.parameters
-    assert held.parameters.stiffness_n_per_m == pytest.approx(true.stiffness_n_per_m, rel=5e-3)
-    assert {"stiffness_n_per_m", "valve_gain_m2_per_v"} <= {*held.known}
 
 
 def test_one_window_is_no_alarm_and_an_alarm_ends() -> None:

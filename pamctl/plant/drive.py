@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from functools import lru_cache
+from threading import Lock
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -211,16 +212,20 @@ def _interpolate(ends_s: Array, samples_s: Array, values: Array) -> Array:
         return values
     made_from = (ends_s, samples_s, values)
     key = (id(ends_s), id(samples_s), id(values))
-    if key in _INTERPOLATED:
-        _INTERPOLATED.move_to_end(key)
-        return _INTERPOLATED[key][0]
+    with _ONE_AT_A_TIME:
+        if key in _INTERPOLATED:
+            _INTERPOLATED.move_to_end(key)
+            return _INTERPOLATED[key][0]
     made = np.interp(ends_s, samples_s, values)
-    _INTERPOLATED[key] = made, made_from
-    while sum(kept.nbytes for kept, _ in _INTERPOLATED.values()) > _MOST_INTERPOLATED_BYTES:
-        _INTERPOLATED.popitem(last=False)  # the one that was not asked for the longest time
+    with _ONE_AT_A_TIME:
+        _INTERPOLATED[key] = made, made_from
+        while sum(kept.nbytes for kept, _ in _INTERPOLATED.values()) > _MOST_INTERPOLATED_BYTES:
+            _INTERPOLATED.popitem(last=False)  # the one that was not asked for the longest time
     return made
 
 
+_ONE_AT_A_TIME = Lock()
+"""A diagnosis drives records in several threads."""
 _INTERPOLATED: OrderedDict[tuple[int, int, int], tuple[Array, tuple[Array, ...]]] = OrderedDict()
 """With what each was made from: while that is kept, no other array gets its `id`."""
 _MOST_INTERPOLATED_BYTES = 50_000_000

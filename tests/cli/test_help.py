@@ -96,13 +96,6 @@ def test_every_verb_says_what_it_does_in_a_sentence(words: str) -> None:
         assert "Exit codes: 0 ok" in done.output
 
 
-def test_a_flag_shows_no_type() -> None:
-    for words in ("run", "log info"):
-        done = CliRunner().invoke(app, [*words.split(), "--help"])
-        (line,) = (line for line in done.output.splitlines() if "--json" in line)
-        assert "<" not in line
-
-
 def test_the_verbs_are_grouped_and_the_end_says_what_is_shipped() -> None:
     assert {command.rich_help_panel for command in COMMANDS[""].commands.values()} == set(PANELS)
     told = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "100"}).output

@@ -117,12 +117,6 @@ def of_a_muscle() -> Any:
 
 
 @pytest.mark.long
-def test_the_audit_of_a_muscle_asks_for_every_effect_that_a_muscle_may_have(of_a_muscle):
-    unasked = {spot["name"] for spot in of_a_muscle["unasked"]}
-    assert unasked == {n for n, effect in CATALOGUE.items() if "muscle" not in effect.actuators}
-
-
-@pytest.mark.long
 def test_what_is_said_of_the_moving_mass_follows_from_the_plant_at_hand(of_a_muscle, tmp_path):
     """The size from which it shows is that of two finely stepped plants side by side."""
     heavy = tmp_path / "heavy.yaml"

@@ -45,15 +45,6 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_headers_that_say_nothing_are_a_question_with_a_way_on(table: Path) -> None:
-    for verb in (["plant", "new", "--from", table], ["diagnose", table]):
-        done = run_pamctl(*verb, "--out", table.with_name("never.yaml"))
-        assert done.returncode == 65
-        assert "no column is a pressure or a position by its name" in done.stderr
-        assert "'S1', 'A'" in done.stderr
-        assert "add --map MAP.yaml" in done.stderr
-
-
 def write_muscle(table: Path) -> Path:
     """Write a table with the columns of a muscle, or a cylinder."""
     t_s = np.arange(600) / 100.0
@@ -155,27 +146,6 @@ def test_what_an_import_warned_of_goes_on_to_the_diagnosis(tmp_path: Path) -> No
     found = Diagnosis(Verdict.BAD_DATA, PlantSettings(), PlantSettings(), "x", train=(record,))
     assert f"rig: {told}" in build_diagnosis_document(found)["notes"]
     assert "says mm, and the map cm" in write_html(build_diagnosis_page(found, [record]))
-
-
-def test_a_stated_effect_is_told_its_place_in_the_plant_file(tmp_path: Path) -> None:
-    made = ["plant", "new", "--value", "coulomb_friction.force_n=15", "--out", tmp_path / "a.yaml"]
-    refused = run_pamctl(*made)
-    assert refused.returncode == 2
-    assert "`effects: {coulomb_friction: {force_n: 15}}`" in refused.stderr
-
-
-def test_a_frozen_sensor_of_a_measured_file_is_told_once(tmp_path: Path) -> None:
-    t_s = np.arange(3000) / 250.0
-    pressure_kpa = 200.0 + 50.0 * np.sin(t_s) + np.random.default_rng(1).normal(0.0, 0.2, len(t_s))
-    pressure_kpa[1000:1600] = pressure_kpa[1000]
-    rows = zip(t_s, np.cos(t_s), pressure_kpa, strict=True)
-    table = tmp_path / "chamber.csv"
-    lines = [",".join(f"{cell:.4f}" for cell in row) for row in rows]
-    table.write_text("\n".join(["t_s,valve_V,pressure_gauge_kPa", *lines]) + "\n")
-    value = ["--value", "chamber_volume_m3=1 l"]
-    said = run_pamctl("plant", "new", "--from", table, *value, "--out", tmp_path / "rig.yaml")
-    assert said.returncode == 0, said.stderr
-    assert said.stderr.count("it is frozen") == 1
 
 
 def test_a_map_that_fits_one_file_of_a_call_names_the_way_for_the_others(

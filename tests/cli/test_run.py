@@ -137,30 +137,6 @@ def test_duration_counts_from_the_end_of_homing(short: Log) -> None:
     assert np.count_nonzero(short["phase"] == Phase.APPROACH) == 500
 
 
-def test_the_valve_ends_on_a_ramp_at_its_safe_voltage(of_every_phase: Log) -> None:
-    log = of_every_phase
-    stopping = log["phase"] == Phase.STOPPING
-    assert log["applied_v"][-1] == pytest.approx(0.0, abs=0.02)
-    assert np.all(np.diff(log["applied_v"][stopping]) <= 0)
-
-
-def test_an_open_loop_square_moves_the_muscle_as_the_model_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    done = CliRunner().invoke(
-        app, ["run", "--fast", "--json", "--experiment", "square-0.25", "--duration", "3"]
-    )
-    assert done.exit_code == 0, done.stderr
-    report = json.loads(done.stdout)
-    (path,) = (tmp_path / "logs").glob("*.mcap")
-    assert path.name.endswith("-qsmc-square-0.25.mcap"), "the whole name of the experiment"
-    log = read(path)
-    assert report["tracking"]["measured"]["max_m"] is None
-    swing = log["true_position_m"][log["phase"] == Phase.OPEN_LOOP]
-    assert swing.max() == pytest.approx(23.7e-3, abs=0.2e-3)
-
-
 def test_the_log_carries_the_resolved_configuration(short: Log) -> None:
     embedded = from_resolved(json.dumps(short.config))
     asked = resolve(duration_s=0.5, seed=7, fast=True, overrides=["rig.loop.stop_ramp_s=0.25"])
@@ -174,15 +150,6 @@ def test_a_dry_run_prints_a_configuration_that_resolves_to_itself(tmp_path: Path
     assert done.returncode == 0
     assert from_resolved(done.stdout) == resolve(overrides=["controller.lambda_per_s=12"])
     assert not list(tmp_path.iterdir())
-
-
-def test_log_info_says_what_a_log_holds(tmp_path: Path, short: Log) -> None:
-    done = pamctl("log", "info", str(short.path), "--json", cwd=tmp_path)
-    found = json.loads(done.stdout)
-    assert found["complete"]
-    assert found["law"] == "qsmc"
-    assert found["phases"]["approach"] == 500
-    assert found["channels"]["/pam/tick"] == found["ticks"]
 
 
 # --- a run in real time ------------------------------------------------------------------

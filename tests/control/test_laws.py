@@ -271,23 +271,6 @@ def test_smc_cancels_a_muscle_that_equals_its_model(state, e, rate, error_acc, j
     assert jerk_along_flow(x, v, p, command.command_v) == pytest.approx(wanted, abs=2e-6 * size)
 
 
-def test_half_of_k_p_is_half_of_the_command() -> None:
-    asked = (ARMED, moving(1e3), errors(1e-4, 1e-3, 0.1), DT_S)
-    whole, _ = respond(unlimited(gains(SMC)), *asked)
-    half, _ = respond(unlimited(gains(SMC, kp=0.5)), *asked)
-    assert half.command_v == pytest.approx(0.5 * whole.command_v, rel=1e-12)
-
-
-@pytest.mark.parametrize("x", [-10.0, -0.033, 0.2, 0.5, 10.0])
-@pytest.mark.parametrize("p", [0.0, P_ATM, P_TANK, 2e6])
-def test_a_wrong_encoder_value_keeps_the_command_of_smc_within_its_limit(x, p) -> None:
-    for velocity in (-10.0, 0.0, 10.0):
-        command, _ = respond(
-            gains(SMC), ARMED, moving(velocity=velocity), errors(1e-3, 0, 0, x, p), DT_S
-        )
-        assert abs(command.command_v) <= 5.0
-
-
 def test_a_balanced_pressure_gives_a_finite_command() -> None:
     """At tank or atmospheric pressure no air flows at any opening: g-hat has a lower limit."""
     for p in (P_ATM, P_TANK):
@@ -321,13 +304,6 @@ def test_pid_gains_in_inches_are_per_inch() -> None:
 
 
 every_law = pytest.mark.parametrize("law", [QSMC, SMC, PID], ids=lambda law: law["law"])
-
-
-@every_law
-def test_pid_fills_a_muscle_that_is_too_long_and_exhausts_one_that_is_too_short(law) -> None:
-    too_long, _ = respond(gains(law), ARMED, REST, errors(-1e-3, 0, 0), DT_S)
-    too_short, _ = respond(gains(law), ARMED, REST, errors(1e-3, 0, 0), DT_S)
-    assert too_long.command_v > 0 > too_short.command_v
 
 
 @every_law

@@ -277,13 +277,6 @@ def test_a_sequence_joins_its_parts_and_repeats_them() -> None:
     assert np.abs(np.diff(positions)).max() <= np.abs(speeds).max() * 1e-3 * (1 + 1e-9)
 
 
-def test_a_repeat_equals_its_parts_written_out() -> None:
-    parts = [state("staircase", cycles=1), {"kind": "pause", "duration_s": 0.5}]
-    written = plan({"kind": "sequence", "parts": parts * 5})
-    repeated = plan({"kind": "sequence", "parts": [{"kind": "repeat", "times": 5, "parts": parts}]})
-    assert sample(written) == sample(repeated)
-
-
 @pytest.mark.parametrize(
     ("data", "said"),
     [

@@ -11,7 +11,6 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -252,42 +251,6 @@ def test_the_largest_table_fits_into_a_request(up: Daemon, tmp_path: Path) -> No
 # --- refusals ------------------------------------------------------------------------
 
 
-def test_a_second_run_is_refused_while_one_goes_on(up: Daemon) -> None:
-    up.ask("start", experiment=SQUARE | {"cycles": 50}, name="square")
-    up.wait_for("running")
-    with pytest.raises(DaemonDeclinedError, match="the state is running"):
-        up.ask("start", experiment=SQUARE, name="again")
-    with pytest.raises(DaemonDeclinedError, match="stop it first"):
-        up.ask("goto", position_m=5e-3)
-    up.ask("stop")
-    parked(up)
-
-
-NO_POINTS = {"kind": "table", "file": "points.csv"}
-IMPOSSIBLE: tuple[tuple[str, dict[str, Any], str], ...] = (
-    ("start", {"experiment": {"kind": "square"}, "name": "x"}, "frequency_hz"),
-    ("start", {"experiment": {"kind": "dance"}, "name": "x"}, "kind"),
-    ("start", {"experiment": NO_POINTS, "name": "table"}, "two points at least"),
-    ("start", {"experiment": SQUARE, "name": "../../etc/passwd"}, "name"),
-    ("start", {"experiment": SQUARE, "name": "x", "duration_s": 0}, "duration_s"),
-    ("goto", {"position_m": 0.5}, "outside the stroke"),
-    ("goto", {"position_m": "far"}, "position_m"),
-    ("stop", {}, "nothing is running"),
-    ("ack", {}, "no fault"),
-    ("mark", {"text": "x"}, "nothing is being logged"),
-    ("mark", {}, "text"),
-    ("explode", {}, "no method"),
-    ("status", {"verbose": True}, "verbose"),
-)
-
-
-def test_an_impossible_request_is_refused_with_the_reason(up: Daemon) -> None:
-    parked(up)
-    for method, params, said in IMPOSSIBLE:
-        with pytest.raises(DaemonDeclinedError, match=said):
-            up.ask(method, **params)
-
-
 def test_a_second_daemon_on_the_device_is_refused(up: Daemon, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "pamctl", "daemon", "--logs", str(tmp_path)]
     command += ["--socket", str(tmp_path / "s"), "--set", f"rig.sim.device={up.device}"]
@@ -310,23 +273,6 @@ def test_a_socket_that_cannot_be_had_neither_removes_nor_leaves_a_file(
         asyncio.run(Server({}).listen(tmp_path / "socket", "no-such-group"))
     assert not (tmp_path / "socket").exists()
     assert up.state() in ("idle", "ready")
-
-
-def test_an_experiment_may_stand_in_a_file_of_any_name(up: Daemon, tmp_path: Path) -> None:
-    parked(up)
-    path = tmp_path / "_mein Versuch äöü 1.yaml"
-    path.write_text("kind: square\nfrequency_hz: 4.0\ncycles: 1\n")
-    done = run_pamctl("start", path, "--socket", up.socket)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.strip().endswith("-mein-Versuch-1.mcap")
-    parked(up)
-
-
-def test_a_negative_position_is_not_taken_for_an_option(up: Daemon) -> None:
-    parked(up)
-    done = run_pamctl("goto", "-300mm", "--socket", up.socket)
-    assert done.returncode == 3
-    assert "-300 mm lies outside the stroke" in done.stderr
 
 
 def test_only_user_and_group_may_steer(up: Daemon) -> None:

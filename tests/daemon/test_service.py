@@ -259,15 +259,6 @@ def test_a_log_that_cannot_be_removed_is_told_and_the_others_still_go(tmp_path: 
     assert newest.exists()
 
 
-def test_of_two_logs_of_one_second_the_second_is_the_newer(tmp_path: Path) -> None:
-    older, newer = (tmp_path / f"20260101-000000{again}-daemon-x.mcap" for again in ("", "-2"))
-    older.touch()
-    newer.touch()
-    assert Shelf(tmp_path, keep=1).put_away(newer) == ""
-    assert not older.exists()
-    assert newer.exists()
-
-
 def test_the_first_reason_of_a_fault_stays_until_it_is_acknowledged(tmp_path: Path) -> None:
     latch = Latch(tmp_path / "fault")
     latch.engage("the cause")

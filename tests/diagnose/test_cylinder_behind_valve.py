@@ -46,7 +46,7 @@ def diagnose_asking(
 
 
 @pytest.mark.long
-def test_dead_band_and_leak_are_named_from_valve_pressure_and_position_together() -> None:
+def test_dead_band_and_leak_are_named_from_valve_pressure_and_position_together():
     rig = Cylinder(stroke_m=0.2, dead_band_v=0.3, leak_m2=2e-8)
     asked = "deadband", "leak", "valve_curve", "opening~", "flow~", "supply", "friction"
     found = diagnose_asking([record(rig, 1)], [record(rig, 2)], GUESSED.plant(), *asked)
@@ -61,7 +61,7 @@ def test_dead_band_and_leak_are_named_from_valve_pressure_and_position_together(
 
 
 @pytest.mark.long
-def test_a_model_that_was_led_astray_is_fitted_anew_from_the_numbers_of_the_plant_file() -> None:
+def test_a_model_that_was_led_astray_is_fitted_anew_from_the_numbers_of_the_plant_file():
     rig, plant = Cylinder(stroke_m=0.2, coulomb_n=15.0, exponent=1.4), GUESSED.plant()
     weigher, start = prepare_weigher([record(rig, 1), record(rig, 2)], [], plant)
     pool = {h.name: h for h in list_pool(weigher.train, weigher.base, plant)}
@@ -86,7 +86,7 @@ def test_a_model_that_was_led_astray_is_fitted_anew_from_the_numbers_of_the_plan
 
 
 @pytest.mark.long
-def test_a_piston_that_was_homed_off_its_end_is_no_scale_of_the_encoder() -> None:
+def test_a_piston_that_was_homed_off_its_end_is_no_scale_of_the_encoder():
     """Friction holds it 10 mm off its end, and the far end is then seen 10 mm nearer."""
     rig = Cylinder(coulomb_n=15.0, preload_n=0.0, gain_m2_per_v=6e-7)
     run = record(rig, 1)
@@ -103,7 +103,7 @@ def test_a_piston_that_was_homed_off_its_end_is_no_scale_of_the_encoder() -> Non
     assert numbers["stiffness_n_per_m"] == pytest.approx(rig.stiffness_n_per_m, rel=0.03)
 
 
-def test_where_both_ends_are_seen_the_zero_of_the_position_is_off() -> None:
+def test_where_both_ends_are_seen_the_zero_of_the_position_is_off():
     rig = Cylinder(preload_n=0.0, gain_m2_per_v=6e-7)
     seen = record(rig, 1)
     homed = replace(seen, position_m=np.asarray(seen.position_m) - 0.01)
@@ -132,13 +132,13 @@ def fit_lifting_muscle(
     return weigher.settle(start, 12).values
 
 
-def test_of_a_muscle_whose_braid_does_not_rub_the_fitted_friction_goes_to_zero() -> None:
+def test_of_a_muscle_whose_braid_does_not_rub_the_fitted_friction_goes_to_zero():
     found = fit_lifting_muscle("kinetic_friction_per_m", 55.3)
     assert found["kinetic_friction_per_m"] < 0.5
     assert found["external_load.force_n"] == pytest.approx(LiftingMuscle().preload_n, rel=0.005)
 
 
-def test_a_braid_of_the_wrong_width_is_fitted_as_another_mass_and_load_of_the_same_motion() -> None:
+def test_a_braid_of_the_wrong_width_is_fitted_as_another_mass_and_load_of_the_same_motion():
     """The pull is 1.21 times too small: so are all forces, and the motion is the same."""
     rig = LiftingMuscle()
     found = fit_lifting_muscle("braid_turns", 1.1 * rig.turns)
@@ -149,7 +149,7 @@ def test_a_braid_of_the_wrong_width_is_fitted_as_another_mass_and_load_of_the_sa
         assert found[name] == pytest.approx(true / 1.21, rel=0.01)
 
 
-def test_a_valve_of_first_order_is_named_with_its_time_and_not_a_law_without_a_name() -> None:
+def test_a_valve_of_first_order_is_named_with_its_time_and_not_a_law_without_a_name():
     rig, fine_s, lag_s = Cylinder(stroke_m=0.2), np.arange(0.0, 4.0, 5e-4), 18e-3
     commands = np.repeat(excite(fine_s[::4]), 4)
     lag_v, opened, half = 0.0, np.empty(len(fine_s)), np.exp(-2.5e-4 / lag_s)
@@ -167,7 +167,7 @@ def test_a_valve_of_first_order_is_named_with_its_time_and_not_a_law_without_a_n
     assert found.evidence.values["valve_spool.time_constant_s"] == pytest.approx(lag_s, rel=0.05)
 
 
-def test_a_braid_of_the_wrong_width_is_found_by_a_mass_that_was_weighed() -> None:
+def test_a_braid_of_the_wrong_width_is_found_by_a_mass_that_was_weighed():
     rig = LiftingMuscle()
     found = fit_lifting_muscle("braid_turns", 1.1 * rig.turns, "mass_kg")
     assert found["braid_turns"] == pytest.approx(rig.turns, rel=0.001)

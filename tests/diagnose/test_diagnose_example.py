@@ -16,7 +16,7 @@ PAGE = Path(__file__).parents[2] / "pamctl" / "manual" / "how_to" / "diagnose-a-
 
 
 @pytest.mark.long
-def test_the_example_runs_unchanged(tmp_path: Path) -> None:
+def test_the_example_runs_unchanged(tmp_path):
     for seed, name in (("1", "a.mcap"), ("2", "b.mcap")):
         run = ["run", "--fast", "--quiet", "--experiment", "diagnosis", "--duration", "3.5"]
         run += ["--seed", seed, "--set", f"experiment.seed={seed}", "--log", str(tmp_path / name)]

@@ -29,14 +29,14 @@ def move_axis(mass_kg: float, damping: float, stiffness: float, dry_n: float) ->
     return Record("axis", T_S, position_m=found.y[0], force_n=np.array([*map(force_n, T_S)]))
 
 
-def test_mass_damping_and_spring_of_an_axis_are_guessed_within_a_third() -> None:
+def test_mass_damping_and_spring_of_an_axis_are_guessed_within_a_third():
     record = move_axis(4.0, 60.0, 900.0, 6.0)
     found = guess_numbers([record], "direct", {**PAPER, "atmospheric_pressure_pa": 1e5})
     for name, true in (("mass_kg", 4.0), ("damping_n_s_per_m", 60.0), ("stiffness_n_per_m", 900.0)):
         assert found[name].value == pytest.approx(true, rel=0.33), name
 
 
-def test_a_spring_that_is_not_there_is_guessed_small() -> None:
+def test_a_spring_that_is_not_there_is_guessed_small():
     record = move_axis(4.0, 60.0, 0.0, 6.0)
     found = guess_numbers([record], "direct", {**PAPER, "atmospheric_pressure_pa": 1e5})
     travel_m = np.ptp(record.position_m)
@@ -70,9 +70,7 @@ def move_muscle(return_share: float, drag_share: float) -> Record:
 
 
 @pytest.mark.parametrize(("back", "drag"), [(0.0, 0.0), (1.0, -1.0)])
-def test_a_muscle_s_friction_is_guessed_and_said_only_where_it_differs_from_the_paper_s(
-    back: float, drag: float
-) -> None:
+def test_a_muscle_s_friction_is_guessed_and_said_only_where_it_differs_from_the_paper_s(back, drag):
     found = guess_numbers([move_muscle(back, drag)], "muscle", PAPER)
     assert found["kinetic_friction_per_m"].value == pytest.approx(55.3, rel=0.33)
     assert found["external_load.force_n"].value == pytest.approx(40.0, rel=0.33)
@@ -111,9 +109,7 @@ def fill_vessel(gain_m2_per_v: float, volume_m3: float, tank_pa: float) -> Recor
 
 
 @pytest.mark.parametrize("gain", [2e-7, 6e-8])
-def test_the_gain_of_a_valve_is_guessed_within_a_third_and_the_supply_where_it_was_reached(
-    gain: float,
-) -> None:
+def test_the_gain_of_a_valve_is_guessed_within_a_third_and_the_supply_where_it_was_reached(gain):
     record = fill_vessel(gain, 2e-3, 600e3)
     values = {**PAPER, "temperature_k": 293.0, "chamber_volume_m3": 2e-3}
     found = guess_numbers([record], "chamber", values)
@@ -121,12 +117,12 @@ def test_the_gain_of_a_valve_is_guessed_within_a_third_and_the_supply_where_it_w
     assert found["tank_pressure_pa"].value >= 0.99 * np.max(record.pressure_pa)
 
 
-def test_without_a_pressure_nothing_of_the_air_is_guessed() -> None:
+def test_without_a_pressure_nothing_of_the_air_is_guessed():
     record = Record("still", T_S, valve_v=np.sin(T_S), position_m=1e-3 * np.sin(T_S))
     assert "valve_gain_m2_per_v" not in guess_numbers([record], "muscle", PAPER)
 
 
-def test_a_stated_number_far_from_what_the_records_show_is_doubted_by_name() -> None:
+def test_a_stated_number_far_from_what_the_records_show_is_doubted_by_name():
     record = move_axis(4.0, 60.0, 900.0, 6.0)
     stated = {"mass_kg": 4.0, "damping_n_s_per_m": 20.0, "stiffness_n_per_m": 900.0}
     for name, factor, doubted in (

@@ -45,7 +45,7 @@ def audit(name: str) -> Audit:
 
 
 @pytest.mark.parametrize("name", RECOMMENDED)
-def test_each_recommended_experiment_exists_and_runs_open_loop_without_a_trip(name: str) -> None:
+def test_each_recommended_experiment_exists_and_runs_open_loop_without_a_trip(name):
     done = run(name)
     assert done.tripped_s is None
     assert all(math.isnan(x) for x in done["reference_m"])
@@ -60,7 +60,7 @@ def test_each_recommended_experiment_exists_and_runs_open_loop_without_a_trip(na
         if not e.unidentifiable and "muscle" in e.actuators
     ],
 )
-def test_each_recommended_experiment_shows_its_effects(effect: str, experiment: str) -> None:
+def test_each_recommended_experiment_shows_its_effects(effect, experiment):
     found = audit(experiment)
     if effect in VISIBLE_LARGE:
         (spot,) = (s for s in found.blind_spots if s.name == effect)
@@ -69,7 +69,7 @@ def test_each_recommended_experiment_shows_its_effects(effect: str, experiment: 
         assert effect in found.sees
 
 
-def test_advice_is_found_for_either_order_of_two_effects() -> None:
+def test_advice_is_found_for_either_order_of_two_effects():
     told = {
         frozenset((name, other)): distinction
         for name, effect in CATALOGUE.items()
@@ -89,7 +89,7 @@ def test_advice_is_found_for_either_order_of_two_effects() -> None:
     assert write_command("chirp") == "pamctl run --experiment chirp"
 
 
-def test_advice_does_not_repeat_the_experiment_that_was_audited() -> None:
+def test_advice_does_not_repeat_the_experiment_that_was_audited():
     spot = BlindSpot("coulomb_friction", "small", "slow-ramps", None)
     pair = Inseparable(("encoder_scale", "pressure_damping"), "square-1", "it shows one best")
     found = Audit((), (spot,), (pair,))

@@ -132,7 +132,7 @@ def make(driver: Driver, card: Card) -> Iterator[Make]:
 # --- opening -----------------------------------------------------------------------------
 
 
-def test_the_safe_voltage_is_the_first_thing_written_and_the_last(card: Card, make: Make) -> None:
+def test_the_safe_voltage_is_the_first_thing_written_and_the_last(card, make):
     with open_rig(make()) as rig:
         rig.write(7.0)
     assert card.written_v[0] == safe
@@ -140,9 +140,7 @@ def test_the_safe_voltage_is_the_first_thing_written_and_the_last(card: Card, ma
     assert [volts for volts in card.written_v if volts != safe] == [pytest.approx(7.0, abs=1e-3)]
 
 
-def test_the_encoder_is_decoded_four_times_and_filtered_and_has_no_index(
-    card: Card, make: Make
-) -> None:
+def test_the_encoder_is_decoded_four_times_and_filtered_and_has_no_index(card, make):
     make().open()
     registers = card.registers
     assert registers.counter_runs
@@ -152,15 +150,13 @@ def test_the_encoder_is_decoded_four_times_and_filtered_and_has_no_index(
 
 
 @pytest.mark.parametrize("terminal", ["rse", "nrse", "diff"])
-def test_the_input_is_wired_as_the_file_says_in_its_narrowest_range(
-    driver: Driver, card: Card, make: Make, terminal: str
-) -> None:
+def test_the_input_is_wired_as_the_file_says_in_its_narrowest_range(driver, card, make, terminal):
     make(terminal=terminal).open()
     assert card.registers.ai_terminal == driver.terminals[terminal]
     assert card.registers.ai_full_scale_v == 5.0
 
 
-def test_a_rig_that_is_open_does_not_open_again(make: Make) -> None:
+def test_a_rig_that_is_open_does_not_open_again(make):
     rig = make()
     rig.open()
     with pytest.raises(RigError, match="open already"):
@@ -168,9 +164,7 @@ def test_a_rig_that_is_open_does_not_open_again(make: Make) -> None:
     rig.read()
 
 
-def test_the_stand_in_is_refused_where_tests_do_not_permit_it(
-    make: Make, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_stand_in_is_refused_where_tests_do_not_permit_it(make, monkeypatch):
     monkeypatch.delenv(PERMIT)
     with pytest.raises(RigError, match="stand-in driver of pamctl's tests"):
         make().open()
@@ -180,9 +174,7 @@ def test_the_stand_in_is_refused_where_tests_do_not_permit_it(
 
 
 @pytest.mark.parametrize("is_one_call", [True, False])
-def test_the_count_follows_the_muscle_through_many_reads(
-    driver: Driver, card: Card, make: Make, is_one_call: bool
-) -> None:
+def test_the_count_follows_the_muscle_through_many_reads(driver, card, make, is_one_call):
     if driver is COMEDI and not is_one_call:
         driver.fail(card, COMEDI_READ, errno.EINVAL)
     card.stop_time()
@@ -211,9 +203,7 @@ def test_the_count_follows_the_muscle_through_many_reads(
     ],
     indirect=["driver"],
 )
-def test_the_count_goes_on_where_the_counter_rolls_over(
-    card: Card, make: Make, register: str, value: int, bits: int
-) -> None:
+def test_the_count_goes_on_where_the_counter_rolls_over(card, make, register, value, bits):
     card.stop_time()
     setattr(card.registers, register, value)
     rig = make()
@@ -225,32 +215,14 @@ def test_the_count_goes_on_where_the_counter_rolls_over(
         assert rig.read().encoder_counts == counts
 
 
-def test_an_unplugged_encoder_stands_still_while_the_muscle_moves(card: Card, make: Make) -> None:
-    card.stop_time()
-    card.registers.encoder_is_unplugged = 1
-    rig = make()
-    rig.open()
-    rig.write(FILL_V)
-    card.set_time_ns(100 * MS)
-    assert rig.read().encoder_counts == 0
-    assert card.registers.plant.position_m > 5e-3
-
-
-def test_a_broken_sensor_wire_reads_zero_volts(card: Card, make: Make) -> None:
-    rig = make()
-    rig.open()
-    card.registers.wire_is_broken = 1
-    assert rig.read().pressure_v == 0.0
-
-
-def test_an_input_outside_its_range_reads_the_end_of_it(card: Card, make: Make) -> None:
+def test_an_input_outside_its_range_reads_the_end_of_it(card, make):
     card.registers.sensor_zero_v = 1.7
     rig = make(input_low_v=-1.0, input_high_v=1.0)
     rig.open()
     assert rig.read().pressure_v == pytest.approx(1.0, abs=1e-4)
 
 
-def test_a_write_stays_within_the_configured_range_of_the_output(card: Card, make: Make) -> None:
+def test_a_write_stays_within_the_configured_range_of_the_output(card, make):
     rig = make(output_low_v=0.0, output_high_v=7.3)
     rig.open()
     assert rig.write(-4.0) == card.output_v == 0.0
@@ -287,8 +259,8 @@ CALLS = [
 
 @pytest.mark.parametrize(("driver", "function", "doing"), CALLS, indirect=["driver"])
 def test_an_error_of_the_driver_names_what_failed_its_number_and_the_fix(
-    driver: Driver, card: Card, make: Make, function: str, doing: str
-) -> None:
+    driver, card, make, function, doing
+):
     rig = make()
     rig.open()
 
@@ -309,7 +281,7 @@ def test_an_error_of_the_driver_names_what_failed_its_number_and_the_fix(
         tick()
 
 
-def test_a_hanging_read_ends_with_a_timeout(driver: Driver, card: Card, make: Make) -> None:
+def test_a_hanging_read_ends_with_a_timeout(driver, card, make):
     rig = make()
     rig.open()
     card.fail(driver.read, hang_s=30.0, times=1)
@@ -320,9 +292,7 @@ def test_a_hanging_read_ends_with_a_timeout(driver: Driver, card: Card, make: Ma
 
 
 @pytest.mark.parametrize("failures", [1, 2, 5])
-def test_a_safe_write_that_fails_is_tried_again(
-    driver: Driver, card: Card, make: Make, failures: int
-) -> None:
+def test_a_safe_write_that_fails_is_tried_again(driver, card, make, failures):
     rig = make()
     rig.open()
     rig.write(9.0)
@@ -332,9 +302,7 @@ def test_a_safe_write_that_fails_is_tried_again(
     assert rig.safe_failure is None
 
 
-def test_after_a_passing_failure_to_make_safe_the_rig_is_still_open(
-    driver: Driver, card: Card, make: Make
-) -> None:
+def test_after_a_passing_failure_to_make_safe_the_rig_is_still_open(driver, card, make):
     rig = make()
     rig.open()
     driver.fail(card, driver.write, driver.timeout, times=1)
@@ -342,9 +310,7 @@ def test_after_a_passing_failure_to_make_safe_the_rig_is_still_open(
     assert rig.write(4.0) == card.output_v
 
 
-def test_a_card_that_is_gone_raises_nowhere_on_the_way_out(
-    driver: Driver, card: Card, make: Make
-) -> None:
+def test_a_card_that_is_gone_raises_nowhere_on_the_way_out(driver, card, make):
     rig = make()
     with pytest.raises(RigError) as caught, open_rig(rig):
         card.registers.is_gone = 1
@@ -374,8 +340,8 @@ def holder(driver: Driver, card: Card) -> Iterator[subprocess.Popen[str]]:
 
 
 def test_an_output_that_another_process_holds_is_left_to_it_until_it_is_dead(
-    driver: Driver, card: Card, make: Make, holder: subprocess.Popen[str]
-) -> None:
+    driver, card, make, holder
+):
     rig = make()
     with pytest.raises(RigError, match="another program") as caught:
         rig.open()
@@ -392,9 +358,7 @@ def test_an_output_that_another_process_holds_is_left_to_it_until_it_is_dead(
     assert card.output_v == safe
 
 
-def test_make_safe_outwaits_a_holder_that_is_just_dying(
-    make: Make, card: Card, holder: subprocess.Popen[str]
-) -> None:
+def test_make_safe_outwaits_a_holder_that_is_just_dying(make, card, holder):
     holder.send_signal(signal.SIGKILL)
     assert drive_safe(make(), patience_s=PATIENCE_S) is None
     assert card.output_v == safe
@@ -422,7 +386,7 @@ def test_make_safe_outwaits_a_holder_that_is_just_dying(
         ("comedi.timing=hardware_timed", "timing"),
     ],
 )
-def test_a_rig_file_that_cannot_be_is_refused(override: str, complaint: str) -> None:
+def test_a_rig_file_that_cannot_be_is_refused(override, complaint):
     one = COMEDI if override.startswith("comedi") else NIDAQ
     with pytest.raises(ConfigError, match="rig") as caught:
         resolve(rig=one.rig_file, overrides=[f"rig.{override}"])
@@ -445,12 +409,7 @@ def behind_comedi(card: Card, safe_output_v: float) -> tuple[Rig, Clock]:
     ],
     indirect=["driver"],
 )
-def test_card_and_simulation_give_the_same_ticks(
-    card: Card,
-    timed: Callable[[Card, float], tuple[Rig, Clock]],
-    output_delay_ticks: int,
-    equal_to_the_bit: int,
-) -> None:
+def test_card_and_simulation_give_the_same_ticks(card, timed, output_delay_ticks, equal_to_the_bit):
     settings = run_settings(
         "rig.sim.sensor_noise_v=0",
         "rig.sim.encoder_start_counts=0.4",

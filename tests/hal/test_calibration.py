@@ -42,18 +42,18 @@ zeros = st.builds(Zero, st.floats(0.0, 1.0), st.integers(-(10**6), 10**6).map(fl
 
 
 @given(calibrations, zeros, st.floats(-0.5, 5.0))
-def test_volts_to_pascals_and_back(cal, zero, volts) -> None:
+def test_volts_to_pascals_and_back(cal, zero, volts):
     assert sensor_v(cal, zero, pressure_pa(cal, zero, volts)) == pytest.approx(volts, abs=1e-10)
 
 
 @given(calibrations, zeros, st.integers(-(10**7), 10**7))
-def test_counts_to_metres_and_back(cal, zero, counts) -> None:
+def test_counts_to_metres_and_back(cal, zero, counts):
     there_and_back = encoder_counts(cal, zero, position_m(cal, zero, counts))
     assert there_and_back == pytest.approx(counts, abs=1e-6)
 
 
 @given(calibrations, st.floats(-5, 5))
-def test_commands_to_volts_and_back(cal, command_v) -> None:
+def test_commands_to_volts_and_back(cal, command_v):
     assert valve_v(cal, output_v(cal, command_v)) == pytest.approx(command_v, abs=1e-10)
 
 
@@ -68,16 +68,12 @@ def test_the_pressure_sensor_is_an_mpx5700() -> None:
         assert sensor_v(NOMINAL, VENTED, absolute_pa) == pytest.approx(data_sheet_v, abs=1e-12)
 
 
-def test_the_tanks_gauge_pressure_reads_2_386_volts() -> None:
-    assert sensor_v(NOMINAL, VENTED, ATMOSPHERE_PA + 340e3) == pytest.approx(2.386, abs=5e-4)
-
-
-def test_the_encoder_is_an_em2_counted_four_times_a_cycle() -> None:
+def test_the_encoder_is_an_em2_counted_four_times_a_cycle():
     assert position_m(NOMINAL, VENTED, 8000) == pytest.approx(25.4e-3, rel=1e-12)
     assert position_m(NOMINAL, VENTED, 1) == pytest.approx(3.175e-6, rel=1e-12)
 
 
-def test_a_contraction_is_positive_whichever_way_the_counts_run() -> None:
+def test_a_contraction_is_positive_whichever_way_the_counts_run():
     reversed_counts = calibration(CalibrationSettings(encoder_sign=-1))
     zero = Zero(0.2, 5000.0)
     assert position_m(reversed_counts, zero, 4000) == pytest.approx(1000 * COUNT_M)
@@ -85,16 +81,11 @@ def test_a_contraction_is_positive_whichever_way_the_counts_run() -> None:
     assert encoder_counts(reversed_counts, zero, 1000 * COUNT_M) == pytest.approx(4000)
 
 
-@pytest.mark.parametrize(("command_v", "volts"), [(-5.0, 0.0), (0.0, 5.0), (5.0, 10.0)])
-def test_the_driver_takes_five_volts_more_than_the_command(command_v, volts) -> None:
-    assert output_v(NOMINAL, command_v) == volts
-
-
 full_scales = st.sampled_from([5.0, 10.0])
 
 
 @given(full_scales, st.floats(-1, 1))
-def test_a_converter_rounds_to_the_nearest_of_65536_codes(full_scale_v, share) -> None:
+def test_a_converter_rounds_to_the_nearest_of_65536_codes(full_scale_v, share):
     step_v = 2 * full_scale_v / 65536
     volts = share * (full_scale_v - step_v)
     converted = quantise_v(Converter(full_scale_v), volts)
@@ -103,7 +94,7 @@ def test_a_converter_rounds_to_the_nearest_of_65536_codes(full_scale_v, share) -
 
 
 @given(full_scales, st.floats(0, allow_infinity=False))
-def test_a_converter_saturates_one_step_below_its_upper_end(full_scale_v, beyond_v) -> None:
+def test_a_converter_saturates_one_step_below_its_upper_end(full_scale_v, beyond_v):
     converter = Converter(full_scale_v)
     assert quantise_v(converter, full_scale_v + beyond_v) == full_scale_v * (1 - 2 / 65536)
     assert quantise_v(converter, -full_scale_v - beyond_v) == -full_scale_v
@@ -137,7 +128,7 @@ def sensed(settings: SimSettings, nominal=None, position=0.0, pressure=ATMOSPHER
 )
 def test_a_quiet_simulated_sensor_says_what_the_calibration_says(
     position, pressure, sign, zero_v, start
-) -> None:
+):
     nominal = CalibrationSettings(encoder_sign=sign)
     settings = SimSettings(sensor_noise_v=0, sensor_zero_v=zero_v, encoder_start_counts=start)
     sample = sensed(settings, nominal, position, pressure).read()
@@ -149,24 +140,15 @@ def test_a_quiet_simulated_sensor_says_what_the_calibration_says(
     assert -1e-12 <= beyond_edge <= COUNT_M * (1 + 1e-9)
 
 
-def test_the_simulated_sensor_saturates_where_its_converter_does() -> None:
+def test_the_simulated_sensor_saturates_where_its_converter_does():
     rig = sensed(SimSettings(sensor_noise_v=0), pressure=2e6)
     assert rig.read().pressure_v == 5.0 - 10.0 / 65536
 
 
-def test_a_simulated_sensor_is_as_noisy_as_it_is_set() -> None:
+def test_a_simulated_sensor_is_as_noisy_as_it_is_set():
     rig = sensed(SimSettings(sensor_noise_v=0.002, sensor_zero_v=0.3), seed=11)
     volts = [rig.read().pressure_v for _ in range(20_000)]
     # The standard error of the mean is 14 uV, that of the deviation 10 uV.
     assert statistics.fmean(volts) == pytest.approx(0.3, abs=70e-6)
     quantised = math.hypot(0.002, 10.0 / 65536 / math.sqrt(12))
     assert statistics.stdev(volts) == pytest.approx(quantised, abs=50e-6)
-
-
-def test_a_seed_gives_the_same_noise_and_another_one_another() -> None:
-    def noise(seed: int) -> list[float]:
-        rig = sensed(SimSettings(), seed=seed)
-        return [rig.read().pressure_v for _ in range(50)]
-
-    assert noise(3) == noise(3)
-    assert noise(3) != noise(4)

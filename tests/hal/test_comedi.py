@@ -18,7 +18,7 @@ from hal.rig import RigError
 
 SAFE_V = 1.25
 FILL_V = 10.0
-READ, WRITE, CONFIGURE = "comedi_do_insnlist", "comedi_data_write", "comedi_do_insn"
+READ, CONFIGURE = "comedi_do_insnlist", "comedi_do_insn"
 Make = Callable[..., ComediRig]
 safe = pytest.approx(SAFE_V, abs=AO_STEP_V)
 
@@ -40,9 +40,7 @@ def make(card: Card) -> Iterator[Make]:
 
 
 @pytest.mark.parametrize("after", range(13))
-def test_an_encoder_that_cannot_be_set_up_is_reported_at_the_safe_voltage(
-    card: Card, make: Make, after: int
-) -> None:
+def test_an_encoder_that_cannot_be_set_up_is_reported_at_the_safe_voltage(card, make, after):
     card.registers.ao_v[0] = 8.0  # left there by a run that was killed
     card.fail(CONFIGURE, -errno.EINVAL, after=after, times=1)
     rig = make()
@@ -55,9 +53,7 @@ def test_an_encoder_that_cannot_be_set_up_is_reported_at_the_safe_voltage(
 
 
 @pytest.mark.parametrize(("filter_ns", "filter_s"), [(0, 0.0), (6425, 6.425e-6)])
-def test_the_encoder_filter_is_that_of_the_rig_file(
-    card: Card, make: Make, filter_ns: int, filter_s: float
-) -> None:
+def test_the_encoder_filter_is_that_of_the_rig_file(card, make, filter_ns, filter_s):
     make(encoder_filter_ns=filter_ns).open()
     assert card.registers.counter_filter_s == filter_s
 
@@ -65,9 +61,7 @@ def test_the_encoder_filter_is_that_of_the_rig_file(
 @pytest.mark.parametrize(
     ("a", "b", "counted"), [(8, 10, 2000), (10, 8, -2000), (2, 3, 0), (8, 3, 0), (15, 10, 0)]
 )
-def test_the_encoder_counts_on_the_lines_that_it_is_wired_to(
-    card: Card, make: Make, a: int, b: int, counted: int
-) -> None:
+def test_the_encoder_counts_on_the_lines_that_it_is_wired_to(card, make, a, b, counted):
     card.stop_time()
     rig = make(encoder_a_pfi=a, encoder_b_pfi=b)
     rig.open()
@@ -78,9 +72,7 @@ def test_the_encoder_counts_on_the_lines_that_it_is_wired_to(
     assert counts * counted >= 0
 
 
-def test_once_opened_it_says_which_library_card_and_calibration_it_uses(
-    card: Card, make: Make
-) -> None:
+def test_once_opened_it_says_which_library_card_and_calibration_it_uses(card, make):
     rig = make()
     assert "library" not in rig.describe().extra
     rig.open()
@@ -92,7 +84,7 @@ def test_once_opened_it_says_which_library_card_and_calibration_it_uses(
     assert extra["input_volts_coefficients"] == [0.0, 10.0 / 65536.0]
 
 
-def test_no_child_process_inherits_the_device_file(make: Make) -> None:
+def test_no_child_process_inherits_the_device_file(make):
     """A child that did would keep the locks of a rig that was killed."""
     rig = make()
     rig.open()
@@ -109,7 +101,7 @@ def off_by_percents(card: Card) -> None:
     card.registers.ao_gain, card.registers.ao_offset_v = 0.97, -0.02
 
 
-def test_a_calibrated_card_reads_and_writes_true_volts(card: Card, make: Make) -> None:
+def test_a_calibrated_card_reads_and_writes_true_volts(card, make):
     off_by_percents(card)
     card.calibrate()
     rig = make()
@@ -121,7 +113,7 @@ def test_a_calibrated_card_reads_and_writes_true_volts(card: Card, make: Make) -
         assert card.output_v == pytest.approx(volts, abs=1.5 * AO_STEP_V)
 
 
-def test_a_voltage_beyond_the_last_code_puts_out_the_last_code(card: Card, make: Make) -> None:
+def test_a_voltage_beyond_the_last_code_puts_out_the_last_code(card, make):
     """The kernel refuses a code that the converter does not have."""
     off_by_percents(card)
     card.calibrate()
@@ -131,7 +123,7 @@ def test_a_voltage_beyond_the_last_code_puts_out_the_last_code(card: Card, make:
     assert card.output_v == pytest.approx(9.7 - 0.02, abs=1e-3)
 
 
-def test_a_nonlinear_polynomial_is_applied(card: Card, make: Make) -> None:
+def test_a_nonlinear_polynomial_is_applied(card, make):
     card.calibration_path.write_text(
         card.calibration_path.read_text().replace(
             "coefficients => [0.0, 0.000152587890625]",
@@ -146,9 +138,7 @@ def test_a_nonlinear_polynomial_is_applied(card: Card, make: Make) -> None:
 
 
 @pytest.mark.parametrize("parts", [{"inputs": False}, {"outputs": False}, None])
-def test_without_a_calibration_the_rig_says_what_to_run_at_the_safe_voltage(
-    card: Card, make: Make, parts: dict[str, bool] | None
-) -> None:
+def test_without_a_calibration_the_rig_says_what_to_run_at_the_safe_voltage(card, make, parts):
     card.registers.ao_v[0] = 8.0
     if parts is None:
         card.calibration_path.unlink()
@@ -161,7 +151,7 @@ def test_without_a_calibration_the_rig_says_what_to_run_at_the_safe_voltage(
     assert card.output_v == pytest.approx(SAFE_V, abs=5 * AO_STEP_V)
 
 
-def test_make_safe_needs_no_calibration(card: Card, make: Make) -> None:
+def test_make_safe_needs_no_calibration(card, make):
     card.calibration_path.unlink()
     card.registers.ao_v[0] = 8.0
     rig = make()
@@ -170,9 +160,7 @@ def test_make_safe_needs_no_calibration(card: Card, make: Make) -> None:
     assert card.output_v == pytest.approx(SAFE_V, abs=5 * AO_STEP_V)
 
 
-def test_an_uncalibrated_card_is_used_only_where_the_rig_file_says_so(
-    card: Card, make: Make
-) -> None:
+def test_an_uncalibrated_card_is_used_only_where_the_rig_file_says_so(card, make):
     off_by_percents(card)
     card.calibration_path.unlink()
     rig = make(calibration_file="none")
@@ -181,7 +169,7 @@ def test_an_uncalibrated_card_is_used_only_where_the_rig_file_says_so(
     assert rig.read().pressure_v == pytest.approx(0.215 * 0.94 + 0.011, abs=1e-3)
 
 
-def test_a_calibration_file_that_the_rig_file_names_is_read(card: Card, make: Make) -> None:
+def test_a_calibration_file_that_the_rig_file_names_is_read(card, make):
     named = card.calibration_path.with_name("mine")
     card.calibration_path.rename(named)
     rig = make(calibration_file=str(named))
@@ -192,9 +180,7 @@ def test_a_calibration_file_that_the_rig_file_names_is_read(card: Card, make: Ma
 # --- when the card refuses ---------------------------------------------------------------
 
 
-def test_where_both_are_read_singly_an_error_names_the_one_that_failed(
-    card: Card, make: Make
-) -> None:
+def test_where_both_are_read_singly_an_error_names_the_one_that_failed(card, make):
     card.fail(READ, -errno.EINVAL)
     rig = make()
     rig.open()
@@ -215,9 +201,7 @@ def test_where_both_are_read_singly_an_error_names_the_one_that_failed(
         (errno.ENOTTY, "no comedi device"),
     ],
 )
-def test_a_device_file_that_cannot_be_opened_says_why(
-    card: Card, make: Make, code: int, fix: str
-) -> None:
+def test_a_device_file_that_cannot_be_opened_says_why(card, make, code, fix):
     card.fail("comedi_open", -code)
     rig = make()
     with pytest.raises(RigError, match="opening /dev/comedi0") as caught:
@@ -226,21 +210,19 @@ def test_a_device_file_that_cannot_be_opened_says_why(
     assert fix in caught.value.fix
 
 
-def test_a_device_file_that_is_not_there_says_which_driver_makes_it(make: Make) -> None:
+def test_a_device_file_that_is_not_there_says_which_driver_makes_it(make):
     with pytest.raises(RigError, match="modprobe ni_pcimio") as caught:
         make(device="/dev/comedi7").open()
     assert caught.value.code == errno.ENOENT
 
 
-def test_a_channel_that_the_card_does_not_have_is_named(card: Card, make: Make) -> None:
+def test_a_channel_that_the_card_does_not_have_is_named(card, make):
     with pytest.raises(RigError, match="analog input 16 is not one of the card's 16"):
         make(pressure_channel="ai16").open()
     assert card.output_v == safe
 
 
-def test_without_the_library_the_error_says_what_to_install(
-    make: Make, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_the_library_the_error_says_what_to_install(make, monkeypatch):
     monkeypatch.setattr(libcomedi, "SONAME", "libcomedi-that-is-not-there.so")
     monkeypatch.setattr(libcomedi, "load_library", libcomedi.load_library.__wrapped__)
     rig = make()
@@ -250,9 +232,7 @@ def test_without_the_library_the_error_says_what_to_install(
     assert "apt install libcomedi0" in str(rig.safe_failure)
 
 
-def test_a_library_without_the_functions_that_are_needed_is_too_old(
-    make: Make, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_library_without_the_functions_that_are_needed_is_too_old(make, monkeypatch):
     monkeypatch.setattr(libcomedi, "SONAME", "libm.so.6")
     monkeypatch.setattr(libcomedi, "load_library", libcomedi.load_library.__wrapped__)
     with pytest.raises(RigError, match="libcomedi is too old"):

@@ -51,7 +51,7 @@ def examine(card: Card, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Exam
     return examine_one
 
 
-def test_a_sound_card_has_nothing_but_ok(examine: Examine, card: Card) -> None:
+def test_a_sound_card_has_nothing_but_ok(examine, card):
     found = examine()
     assert {finding.level for finding in found.values()} == {"ok"}
     assert set(found) == REQUIRED | {"card.kernel_driver", "card.input_range"}
@@ -64,7 +64,7 @@ def test_a_sound_card_has_nothing_but_ok(examine: Examine, card: Card) -> None:
 # --- the kernel's driver -----------------------------------------------------------------
 
 
-def test_only_ni_s_cards_are_listed_each_with_its_driver(tmp_path: Path) -> None:
+def test_only_ni_s_cards_are_listed_each_with_its_driver(tmp_path):
     make_pci_card(tmp_path / "devices", "")
     make_pci_card(tmp_path / "devices", "ni_pcimio", slot="0000:04:00.0")
     make_pci_card(tmp_path / "devices", "i915", slot="0000:00:02.0", vendor="0x8086")
@@ -85,9 +85,7 @@ def test_only_ni_s_cards_are_listed_each_with_its_driver(tmp_path: Path) -> None
         ([], "warning", "seated"),
     ],
 )
-def test_the_driver_that_holds_the_card_is_named_with_the_way_out(
-    drivers: list[str], level: str, fix: str
-) -> None:
+def test_the_driver_that_holds_the_card_is_named_with_the_way_out(drivers, level, fix):
     cards = [PciCard(f"0000:0{i}:00.0", "0x70af", driver) for i, driver in enumerate(drivers)]
     finding = judge_kernel_driver(cards)
     assert finding.level == level
@@ -98,8 +96,8 @@ def test_the_driver_that_holds_the_card_is_named_with_the_way_out(
 
 
 def test_without_the_library_the_doctor_says_what_to_install_and_looks_no_further(
-    examine: Examine, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    examine, monkeypatch
+):
     monkeypatch.setattr(libcomedi, "SONAME", "libcomedi-that-is-not-there.so")
     monkeypatch.setattr(comedi_backend, "load_library", libcomedi.load_library.__wrapped__)
     found = examine()
@@ -108,16 +106,14 @@ def test_without_the_library_the_doctor_says_what_to_install_and_looks_no_furthe
     assert "apt install libcomedi0" in found["card.driver"].fix
 
 
-def test_a_device_file_that_is_not_there_is_a_fault(examine: Examine) -> None:
+def test_a_device_file_that_is_not_there_is_a_fault(examine):
     found = examine("rig.comedi.device=/dev/comedi9")
     assert found["card.device"].level == "fault"
     assert "No such file" in found["card.device"].message
     assert "card.channels" not in found
 
 
-def test_a_file_without_permission_names_its_group(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_without_permission_names_its_group(tmp_path, monkeypatch):
     device = tmp_path / "comedi0"
     assert list(check_permission(device)) == []
     device.touch()
@@ -131,13 +127,13 @@ def test_a_file_without_permission_names_its_group(
 # --- the card's parts --------------------------------------------------------------------
 
 
-def test_a_channel_that_the_card_does_not_have_is_a_fault(examine: Examine) -> None:
+def test_a_channel_that_the_card_does_not_have_is_a_fault(examine):
     found = examine("rig.comedi.pressure_channel=ai20")
     assert found["card.channels"].level == "fault"
     assert "one of the card's 16" in found["card.channels"].message
 
 
-def test_lines_that_the_37_pin_card_does_not_have_are_a_fault() -> None:
+def test_lines_that_the_37_pin_card_does_not_have_are_a_fault():
     assert judge_pfi_lines(ComediSettings(), "pci-6221").level == "ok"
     finding = judge_pfi_lines(ComediSettings(), "pci-6221_37pin")
     assert finding.level == "fault"
@@ -146,15 +142,13 @@ def test_lines_that_the_37_pin_card_does_not_have_are_a_fault() -> None:
     assert judge_pfi_lines(low, "pci-6221_37pin").level == "ok"
 
 
-def test_an_input_range_that_hides_a_broken_wire_is_a_fault(examine: Examine) -> None:
+def test_an_input_range_that_hides_a_broken_wire_is_a_fault(examine):
     found = examine("rig.comedi.input_low_v=0.15", "rig.comedi.input_high_v=1")
     assert found["card.input_range"].level == "fault"
     assert "set comedi.input_low_v to -5" in found["card.input_range"].fix
 
 
-def test_a_missing_calibration_is_a_fault_and_a_disabled_one_a_warning(
-    examine: Examine, card: Card
-) -> None:
+def test_a_missing_calibration_is_a_fault_and_a_disabled_one_a_warning(examine, card):
     card.calibration_path.unlink()
     finding = examine()["card.calibration"]
     assert finding.level == "fault"
@@ -164,7 +158,7 @@ def test_a_missing_calibration_is_a_fault_and_a_disabled_one_a_warning(
     assert "5 %" in finding.message
 
 
-def test_a_part_that_another_file_has_locked_is_named(examine: Examine, card: Card) -> None:
+def test_a_part_that_another_file_has_locked_is_named(examine, card):
     rig = ComediRig(ComediSettings(), safe_output_v=0.0)
     rig.open()
     try:
@@ -177,7 +171,7 @@ def test_a_part_that_another_file_has_locked_is_named(examine: Examine, card: Ca
     assert examine()["card.reservations"].level == "ok"
 
 
-def test_a_part_that_fails_otherwise_is_not_called_busy(examine: Examine, card: Card) -> None:
+def test_a_part_that_fails_otherwise_is_not_called_busy(examine, card):
     card.fail("comedi_lock", -errno.EIO)
     finding = examine()["card.reservations"]
     assert finding.level == "fault"
@@ -196,7 +190,7 @@ def examine_driver(place: Path, *, is_clocked: bool = True) -> dict[str, Problem
     return {finding.key: finding for finding in findings}
 
 
-def test_a_card_that_ni_s_driver_holds_is_well(tmp_path: Path) -> None:
+def test_a_card_that_ni_s_driver_holds_is_well(tmp_path):
     make_pci_card(tmp_path / "pci", "niraptnonusb", iommu="identity")
     make_module(tmp_path / "dkms", "nikal", platform.release())
     found = examine_driver(tmp_path)
@@ -204,7 +198,7 @@ def test_a_card_that_ni_s_driver_holds_is_well(tmp_path: Path) -> None:
     assert set(found) == {"card.kernel_driver", "card.modules", "card.iommu"}
 
 
-def test_a_card_that_the_kernel_s_own_driver_took_has_two_ways_out(tmp_path: Path) -> None:
+def test_a_card_that_the_kernel_s_own_driver_took_has_two_ways_out(tmp_path):
     make_pci_card(tmp_path / "pci", "ni_pcimio")
     found = examine_driver(tmp_path)["card.kernel_driver"]
     assert found.level == "fault"
@@ -213,7 +207,7 @@ def test_a_card_that_the_kernel_s_own_driver_took_has_two_ways_out(tmp_path: Pat
     assert "--backend comedi" in found.fix
 
 
-def test_a_card_that_nobody_holds_points_to_the_modules(tmp_path: Path) -> None:
+def test_a_card_that_nobody_holds_points_to_the_modules(tmp_path):
     make_pci_card(tmp_path / "pci", "")
     make_module(tmp_path / "dkms", "nikal", "5.15.0-old")
     make_module(tmp_path / "dkms", "nipalk", platform.release())
@@ -226,7 +220,7 @@ def test_a_card_that_nobody_holds_points_to_the_modules(tmp_path: Path) -> None:
     assert f"linux-headers-{platform.release()}" in modules.fix
 
 
-def test_without_a_card_on_the_bus_the_doctor_warns_and_says_no_more(tmp_path: Path) -> None:
+def test_without_a_card_on_the_bus_the_doctor_warns_and_says_no_more(tmp_path):
     found = examine_driver(tmp_path)
     assert [(name, one.level) for name, one in found.items()] == [("card.kernel_driver", "warning")]
 
@@ -235,9 +229,7 @@ def test_without_a_card_on_the_bus_the_doctor_warns_and_says_no_more(tmp_path: P
     ("kind", "is_clocked", "level"),
     [("DMA-FQ", True, "warning"), ("DMA", False, "ok"), ("identity", True, "ok"), ("", True, "ok")],
 )
-def test_an_iommu_in_the_way_matters_to_a_clocked_card(
-    tmp_path: Path, kind: str, is_clocked: bool, level: str
-) -> None:
+def test_an_iommu_in_the_way_matters_to_a_clocked_card(tmp_path, kind, is_clocked, level):
     make_pci_card(tmp_path / "pci", "niraptnonusb", iommu=kind)
     found = examine_driver(tmp_path, is_clocked=is_clocked)["card.iommu"]
     assert found.level == level

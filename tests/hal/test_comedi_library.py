@@ -82,9 +82,7 @@ def environment(tmp_path: Path) -> dict[str, str]:
     }
 
 
-def test_the_rig_works_through_the_real_library(
-    environment: dict[str, str], tmp_path: Path
-) -> None:
+def test_the_rig_works_through_the_real_library(environment, tmp_path):
     done = run_process(
         [sys.executable, "-c", DRIVE, str(tmp_path / "registers.calibration")], env=environment
     )
@@ -146,14 +144,14 @@ def compute(tmp_path: Path, expressions: list[str]) -> list[int]:
     return [int(line) for line in told.stdout.split()]
 
 
-def test_the_constants_are_those_of_the_kernel_s_header(tmp_path: Path) -> None:
+def test_the_constants_are_those_of_the_kernel_s_header(tmp_path):
     own = {name: value for name, value in numbers().items() if name not in IN_COMEDILIB}
     assert len(own) > 30
     assert dict(zip(own, compute(tmp_path, list(own)), strict=True)) == own
     assert {name: numbers()[name] for name in IN_COMEDILIB} == IN_COMEDILIB
 
 
-def test_channels_and_lines_are_packed_as_the_kernel_s_header_packs_them(tmp_path: Path) -> None:
+def test_channels_and_lines_are_packed_as_the_kernel_s_header_packs_them(tmp_path):
     packed = [(0, 0, 0), (15, 3, 2), (79, 255, 1), (2, 1, 3)]
     assert compute(tmp_path, [f"CR_PACK({c}, {r}, {a})" for c, r, a in packed]) == [
         libcomedi.pack_channel(*one) for one in packed
@@ -167,9 +165,7 @@ def test_channels_and_lines_are_packed_as_the_kernel_s_header_packs_them(tmp_pat
     ("structure", "name"),
     [(libcomedi.ComediInsn, "comedi_insn"), (libcomedi.ComediInsnList, "comedi_insnlist")],
 )
-def test_the_structures_are_laid_out_as_the_kernel_s(
-    structure: type[ctypes.Structure], name: str, tmp_path: Path
-) -> None:
+def test_the_structures_are_laid_out_as_the_kernel_s(structure, name, tmp_path):
     fields = [field for field, _ in structure._fields_]  # type: ignore[misc]
     asked = [f"offsetof(struct {name}, {field})" for field in fields]
     told = compute(tmp_path, [f"sizeof(struct {name})", *asked])
@@ -199,7 +195,7 @@ def read_type(declared: str) -> object:
     return C_TYPES[re.sub(r"\s+", " ", kind).strip()]
 
 
-def test_the_signatures_are_those_of_the_stand_in() -> None:
+def test_the_signatures_are_those_of_the_stand_in():
     """And the stand-in's are those of comedilib.h 0.11.0, compared by hand on 2026-11-22."""
     source = (HERE / "comedi.c").read_text()
     prototypes = re.findall(r"EXPORT ([\w ]+?[ *]+)(comedi_\w+)\(([^)]*)\)\n{", source)
@@ -250,7 +246,7 @@ RUN = ("run", "--quiet", "--log", "run.mcap")
 
 
 @pytest.mark.long
-def test_a_run_is_complete_ends_at_the_safe_voltage_and_replays_to_the_bit(own: Card) -> None:
+def test_a_run_is_complete_ends_at_the_safe_voltage_and_replays_to_the_bit(own):
     process = start(own, *RUN, "--duration", "1", "--json", LC_ALL="C")
     said, complaints = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, complaints
@@ -271,7 +267,7 @@ def test_a_run_is_complete_ends_at_the_safe_voltage_and_replays_to_the_bit(own: 
     assert "equal" in replayed.stdout
 
 
-def test_when_the_loop_dies_the_guardian_takes_the_card_over(own: Card) -> None:
+def test_when_the_loop_dies_the_guardian_takes_the_card_over(own):
     process = start(own, *RUN)
     await_writes(own, process, 700)
     os.kill(await_children(process.pid, "loop_main")["loop_main"], signal.SIGKILL)
@@ -281,7 +277,7 @@ def test_when_the_loop_dies_the_guardian_takes_the_card_over(own: Card) -> None:
     assert own.output_v == safe
 
 
-def test_a_run_without_its_card_leaves_with_69_and_says_what_to_do(own: Card) -> None:
+def test_a_run_without_its_card_leaves_with_69_and_says_what_to_do(own):
     process = start(own, *RUN, STANDIN_DEVICE=None)
     said, complaints = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 69, said
@@ -290,7 +286,7 @@ def test_a_run_without_its_card_leaves_with_69_and_says_what_to_do(own: Card) ->
     assert not (own.path.parent / "cwd" / "run.mcap").exists()
 
 
-def test_safe_drives_the_safe_voltage_whatever_was_left_on_the_output(own: Card) -> None:
+def test_safe_drives_the_safe_voltage_whatever_was_left_on_the_output(own):
     process = start(own, "safe")
     _, complaints = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, complaints

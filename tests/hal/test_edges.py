@@ -37,7 +37,7 @@ def returns(
     ),
     st.floats(-100, 100),
 )
-def test_every_missed_edge_is_counted_however_late_the_reads_return(steps, drift_ppm) -> None:
+def test_every_missed_edge_is_counted_however_late_the_reads_return(steps, drift_ppm):
     periods, delays_ns = [1, *(p for p, _ in steps)], [0, *(d for _, d in steps)]
     seen, _ = returns(periods, delays_ns, drift_ppm)
     grid = EdgeGrid(MS)
@@ -45,7 +45,7 @@ def test_every_missed_edge_is_counted_however_late_the_reads_return(steps, drift
 
 
 @given(st.lists(st.integers(0, 10**12), min_size=1, max_size=50, unique=True))
-def test_samples_are_in_order_and_never_from_the_future_whatever_the_times(times_ns) -> None:
+def test_samples_are_in_order_and_never_from_the_future_whatever_the_times(times_ns):
     grid = EdgeGrid(MS)
     edges = [grid.place(now_ns) for now_ns in sorted(times_ns)]
     assert all(edge.t_ns <= edge.now_ns and edge.elapsed >= 1 for edge in edges)
@@ -53,7 +53,7 @@ def test_samples_are_in_order_and_never_from_the_future_whatever_the_times(times
 
 
 @pytest.mark.parametrize("drift_ppm", [-80.0, 80.0])
-def test_the_grid_follows_the_clock_of_the_card_for_ten_minutes(drift_ppm: float) -> None:
+def test_the_grid_follows_the_clock_of_the_card_for_ten_minutes(drift_ppm):
     """Two crystals differ by 48 ms in ten minutes: index and time follow the card's clock."""
     chance, grid, count = random.Random(1), EdgeGrid(MS), 0
     for tick in range(1, 600_000, 9):
@@ -65,7 +65,7 @@ def test_the_grid_follows_the_clock_of_the_card_for_ten_minutes(drift_ppm: float
     assert abs(edge.t_ns - true_ns) < 150_000
 
 
-def test_a_late_wake_up_is_computed_from_the_time_of_the_sample() -> None:
+def test_a_late_wake_up_is_computed_from_the_time_of_the_sample():
     grid = EdgeGrid(MS)
     grid.place(5 * MS)
     edge = grid.place(6 * MS + 400_000)
@@ -73,7 +73,7 @@ def test_a_late_wake_up_is_computed_from_the_time_of_the_sample() -> None:
     assert grid.place(7 * MS) == Edge(7 * MS, 7 * MS, 1)  # pulled back, and on it goes
 
 
-def test_the_jitter_of_wake_ups_does_not_reach_the_measured_dt() -> None:
+def test_the_jitter_of_wake_ups_does_not_reach_the_measured_dt():
     chance, grid = random.Random(2), EdgeGrid(MS)
     seen, _ = returns([1] * 2000, [round(chance.expovariate(1 / 50_000)) for _ in range(2000)])
     times_ns = [grid.place(now_ns).t_ns for now_ns in seen]
@@ -84,7 +84,7 @@ def test_the_jitter_of_wake_ups_does_not_reach_the_measured_dt() -> None:
     assert jitter_ns(times_ns) < 0.05 * jitter_ns(seen)
 
 
-def test_the_rigs_edges_become_the_ticks_of_its_clock() -> None:
+def test_the_rigs_edges_become_the_ticks_of_its_clock():
     grid, times = EdgeGrid(MS), iter([10 * MS, 11 * MS + 30_000, 14 * MS])
     clock = SampleClock(GridClock(MS), lambda: grid.place(next(times)))
     assert clock.wait() == Wake(0, 10 * MS, 10 * MS, 0)

@@ -44,13 +44,13 @@ def make(card: Card) -> Iterator[Callable[..., object]]:
 # --- order -------------------------------------------------------------------------------
 
 
-def test_what_follows_the_clock_starts_before_it_and_stops_output_first(card: Card, make) -> None:
+def test_what_follows_the_clock_starts_before_it_and_stops_output_first(card, make):
     with open_rig(make()):
         assert card.task_moves == ["+ao0", "-ao0", "+ctr0", "+ao0", "+ai"]
     assert card.task_moves[5:] == ["-ao0", "-ai", "-ctr0"]
 
 
-def test_the_safe_voltage_is_out_before_the_sample_clock_runs(card: Card, make) -> None:
+def test_the_safe_voltage_is_out_before_the_sample_clock_runs(card, make):
     card.registers.ao_v[0] = 8.0  # left there by a run that was killed
     card.fail("DAQmxStartTask", -200821, after=2)  # the one on demand and the counter do start
     with pytest.raises(RigError):
@@ -61,7 +61,7 @@ def test_the_safe_voltage_is_out_before_the_sample_clock_runs(card: Card, make) 
 # --- one tick ----------------------------------------------------------------------------
 
 
-def test_what_is_written_is_put_out_at_the_next_edge_and_not_before(card: Card, make) -> None:
+def test_what_is_written_is_put_out_at_the_next_edge_and_not_before(card, make):
     rig = make()
     rig.open()
     rig.read()
@@ -76,7 +76,7 @@ def test_what_is_written_is_put_out_at_the_next_edge_and_not_before(card: Card, 
     assert rig.describe().output_delay_ticks == 1
 
 
-def test_each_sample_is_that_of_the_edge_before_the_new_output_acts(card: Card, make) -> None:
+def test_each_sample_is_that_of_the_edge_before_the_new_output_acts(card, make):
     """Input, counter and output share the edge: the muscle cannot have moved yet."""
     rig = make()
     rig.open()
@@ -89,9 +89,7 @@ def test_each_sample_is_that_of_the_edge_before_the_new_output_acts(card: Card, 
     assert second.pressure_t_ns == second.encoder_t_ns
 
 
-def test_encoder_and_pressure_are_latched_together_even_where_they_are_read_late(
-    card: Card, make
-) -> None:
+def test_encoder_and_pressure_are_latched_together_even_where_they_are_read_late(card, make):
     rig = make()
     rig.open()
     rig.write(10.0)
@@ -104,9 +102,7 @@ def test_encoder_and_pressure_are_latched_together_even_where_they_are_read_late
     assert late < card.registers.counter
 
 
-def test_the_safe_voltage_is_out_when_make_safe_returns_and_the_rig_goes_on(
-    card: Card, make
-) -> None:
+def test_the_safe_voltage_is_out_when_make_safe_returns_and_the_rig_goes_on(card, make):
     rig = make()
     rig.open()
     for _ in range(3):
@@ -120,7 +116,7 @@ def test_the_safe_voltage_is_out_when_make_safe_returns_and_the_rig_goes_on(
     assert rig.read().encoder_t_ns < rig.read().encoder_t_ns
 
 
-def test_the_safe_voltage_is_driven_without_a_sample_clock_too(card: Card, make) -> None:
+def test_the_safe_voltage_is_driven_without_a_sample_clock_too(card, make):
     rig = make()
     rig.open()
     rig.write(9.0)
@@ -135,9 +131,7 @@ def test_the_safe_voltage_is_driven_without_a_sample_clock_too(card: Card, make)
 
 
 @pytest.mark.parametrize("code", [0, -209800, -209802, 209800, 209802])
-def test_missed_edges_are_counted_whatever_the_driver_says_of_them(
-    card: Card, make, code: int
-) -> None:
+def test_missed_edges_are_counted_whatever_the_driver_says_of_them(card, make, code):
     rig = make()
     rig.open()
     card.registers.late_code = code
@@ -154,7 +148,7 @@ def test_missed_edges_are_counted_whatever_the_driver_says_of_them(
     assert rig.warnings == ({str(code): 1} if code else {})
 
 
-def test_a_write_that_came_too_late_is_written_for_the_edge_after(card: Card, make) -> None:
+def test_a_write_that_came_too_late_is_written_for_the_edge_after(card, make):
     rig = make()
     rig.open()
     rig.read()
@@ -166,7 +160,7 @@ def test_a_write_that_came_too_late_is_written_for_the_edge_after(card: Card, ma
 
 
 @pytest.mark.parametrize("function", [READ_VOLTS, READ_COUNT, WRITE])
-def test_who_is_always_too_late_gets_an_error_that_says_so(card: Card, make, function: str) -> None:
+def test_who_is_always_too_late_gets_an_error_that_says_so(card, make, function):
     rig = make()
     rig.open()
     card.fail(function, -209800)
@@ -176,7 +170,7 @@ def test_who_is_always_too_late_gets_an_error_that_says_so(card: Card, make, fun
     assert caught.value.code == -209800
 
 
-def test_a_card_that_samples_no_more_is_an_error_and_no_wait_for_ever(card: Card, make) -> None:
+def test_a_card_that_samples_no_more_is_an_error_and_no_wait_for_ever(card, make):
     rig = make()
     rig.open()
     rig.read()
@@ -189,9 +183,7 @@ def test_a_card_that_samples_no_more_is_an_error_and_no_wait_for_ever(card: Card
 # --- how data move and reads wait --------------------------------------------------------
 
 
-def test_a_read_sleeps_until_the_card_interrupts_and_the_log_says_how_data_move(
-    card: Card, make
-) -> None:
+def test_a_read_sleeps_until_the_card_interrupts_and_the_log_says_how_data_move(card, make):
     rig = make()
     rig.open()
     assert card.registers.ai_wait_mode == WaitMode.WAIT_FOR_INTERRUPT.value
@@ -201,9 +193,7 @@ def test_a_read_sleeps_until_the_card_interrupts_and_the_log_says_how_data_move(
     assert told["data_transfer_in_use"] == polled
 
 
-def test_a_driver_that_refuses_the_wait_mode_keeps_its_own_and_the_log_says_which(
-    card: Card, make
-) -> None:
+def test_a_driver_that_refuses_the_wait_mode_keeps_its_own_and_the_log_says_which(card, make):
     card.fail("DAQmxSetReadAttribute", -200197)
     rig = make()
     rig.open()
@@ -212,9 +202,7 @@ def test_a_driver_that_refuses_the_wait_mode_keeps_its_own_and_the_log_says_whic
 
 
 @pytest.mark.parametrize("how", ["the file leaves it", "the driver keeps its own"])
-def test_a_driver_that_does_not_choose_programmed_io_says_what_to_set(
-    card: Card, make, how: str
-) -> None:
+def test_a_driver_that_does_not_choose_programmed_io_says_what_to_set(card, make, how):
     fixed = how == "the driver keeps its own"
     card.registers.transfer_is_fixed = fixed
     rig = make(data_transfer="polled" if fixed else "driver")
@@ -227,7 +215,7 @@ def test_a_driver_that_does_not_choose_programmed_io_says_what_to_set(
 
 
 @pytest.mark.parametrize("skips", [0, 1, 4])
-def test_the_probe_of_the_clock_counts_the_edges_that_nobody_saw(card: Card, skips: int) -> None:
+def test_the_probe_of_the_clock_counts_the_edges_that_nobody_saw(card, skips):
     card.registers.clock_skips = skips
     trial = try_hardware_timing(NidaqSettings(), 1e3, SAFE_V, card.now_ns)
     assert trial.missed == 99 * skips
@@ -237,7 +225,7 @@ def test_the_probe_of_the_clock_counts_the_edges_that_nobody_saw(card: Card, ski
     assert judge_hardware_timing(trial, 1e-3, is_wanted=False).level == "ok"
 
 
-def test_the_probe_warns_of_a_read_that_polls(card: Card) -> None:
+def test_the_probe_warns_of_a_read_that_polls(card):
     card.fail("DAQmxSetReadAttribute", -200197)
     trial = try_hardware_timing(NidaqSettings(), 1e3, SAFE_V, card.now_ns)
     found = judge_hardware_timing(trial, 1e-3, is_wanted=True)
@@ -248,7 +236,7 @@ def test_the_probe_warns_of_a_read_that_polls(card: Card) -> None:
 # --- where it is not possible ------------------------------------------------------------
 
 
-def test_a_card_on_usb_is_refused_with_what_to_do(card: Card, make) -> None:
+def test_a_card_on_usb_is_refused_with_what_to_do(card, make):
     card.registers.bus = USB
     with pytest.raises(RigError, match="on USB: no hardware-timed single points") as caught:
         make().open()
@@ -260,9 +248,7 @@ def test_a_card_on_usb_is_refused_with_what_to_do(card: Card, make) -> None:
     "code", [-200820, -200821, -200303, -200452, -200077, -200769, -200842, -200996, -50152]
 )
 @pytest.mark.parametrize("function", ["DAQmxCfgSampClkTiming", "DAQmxStartTask"])
-def test_a_card_that_does_not_do_it_says_its_number_and_what_to_do(
-    card: Card, make, function: str, code: int
-) -> None:
+def test_a_card_that_does_not_do_it_says_its_number_and_what_to_do(card, make, function, code):
     rig = make()
     card.fail(function, code, after=1)
     with pytest.raises(RigError) as caught:
@@ -274,13 +260,13 @@ def test_a_card_that_does_not_do_it_says_its_number_and_what_to_do(
     rig.open()  # nothing is left reserved
 
 
-def test_a_timeout_shorter_than_two_samples_is_refused() -> None:
+def test_a_timeout_shorter_than_two_samples_is_refused():
     overrides = ["rig.nidaq.timing=hardware_timed", "rig.nidaq.timeout_s=0.0015"]
     with pytest.raises(ConfigError, match="less than two periods"):
         resolve(rig="pci6221", overrides=overrides)
 
 
-def test_with_hardware_timing_the_rig_is_the_clock(card: Card) -> None:
+def test_with_hardware_timing_the_rig_is_the_clock(card):
     settings = resolve(rig="pci6221", overrides=["rig.nidaq.timing=hardware_timed"])
     parts = build_rig(settings, build_clock(settings, may_spin=False))
     assert isinstance(parts.clock, SampleClock)

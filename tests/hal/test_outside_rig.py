@@ -13,7 +13,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import pytest
 from support.command_line import run_pamctl, run_process
@@ -169,7 +169,7 @@ def toy(outside: Outside, monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleTyp
 
 
 @pytest.mark.parametrize("case", RIG_CONTRACT, ids=lambda case: case.__name__)
-def test_the_outside_rig_keeps_the_contract(case: Any, toy: ModuleType) -> None:
+def test_the_outside_rig_keeps_the_contract(case, toy):
     settings = run_settings()
 
     def make_bench() -> RigBench:
@@ -193,7 +193,7 @@ def test_the_outside_rig_keeps_the_contract(case: Any, toy: ModuleType) -> None:
     case(make_bench)
 
 
-def test_a_run_drives_it_and_its_log_says_which_package_it_came_from(driven: Path) -> None:
+def test_a_run_drives_it_and_its_log_says_which_package_it_came_from(driven):
     log = pamctl.log.read(driven)
     assert log.metadata["run"]["backend"] == "toy"
     assert log.metadata["run"]["backend_package"] == "toy-rig 0.1"
@@ -204,9 +204,7 @@ def test_a_run_drives_it_and_its_log_says_which_package_it_came_from(driven: Pat
     assert ao_path(DEVICE).read_text() == "0.0"
 
 
-def test_its_log_replays_to_the_bit_and_without_the_package_the_package_is_named(
-    driven: Path, outside: Outside
-) -> None:
+def test_its_log_replays_to_the_bit_and_without_the_package_the_package_is_named(driven, outside):
     done = pamctl_with(outside.environment, "replay", str(driven), cwd=driven.parent)
     assert done.returncode == 0, done.stdout + done.stderr
     done = run_pamctl("replay", driven)
@@ -214,7 +212,7 @@ def test_its_log_replays_to_the_bit_and_without_the_package_the_package_is_named
     assert "backend 'toy' of the package toy-rig 0.1" in done.stderr
 
 
-def test_safe_drives_its_safe_voltage(outside: Outside, tmp_path: Path) -> None:
+def test_safe_drives_its_safe_voltage(outside, tmp_path):
     chosen = ["--set=rig.safe_volts=2.5", f"--set=rig.toy.device={DEVICE}-safe"]
     try:
         done = pamctl_with(outside.environment, "safe", "--backend", "toy", *chosen, cwd=tmp_path)
@@ -224,9 +222,7 @@ def test_safe_drives_its_safe_voltage(outside: Outside, tmp_path: Path) -> None:
         ao_path(f"{DEVICE}-safe").unlink(missing_ok=True)
 
 
-def test_the_doctor_examines_it_and_names_no_key_of_another_backend(
-    outside: Outside, tmp_path: Path
-) -> None:
+def test_the_doctor_examines_it_and_names_no_key_of_another_backend(outside, tmp_path):
     arguments = ["doctor", "--backend", "toy", "--rt-seconds", "0.1", "--actuate"]
     named = f"--set=rig.toy.device={DEVICE}-doctor"
     done = pamctl_with(outside.environment, *arguments, named, cwd=tmp_path)
@@ -246,9 +242,7 @@ print(json.dumps([(done.exit_code, done.stdout, done.stderr) for done in asked])
 """
 
 
-def test_it_is_known_by_its_keys_and_a_package_that_does_not_load_harms_no_other(
-    outside: Outside, tmp_path: Path
-) -> None:
+def test_it_is_known_by_its_keys_and_a_package_that_does_not_load_harms_no_other(outside, tmp_path):
     verbs = (
         "config show --backend toy --set rig.toy.devise=x",
         "run --backend torn",
@@ -266,7 +260,7 @@ def test_it_is_known_by_its_keys_and_a_package_that_does_not_load_harms_no_other
     assert "ToyRigSettings" in json.loads(schema[1])["$defs"]
 
 
-def test_a_rig_file_for_a_missing_backend_asks_for_its_package(tmp_path: Path) -> None:
+def test_a_rig_file_for_a_missing_backend_asks_for_its_package(tmp_path):
     (tmp_path / "rig.yaml").write_text("backend: toy\n")
     done = run_pamctl("config", "show", "--rig", "rig.yaml", cwd=tmp_path)
     assert done.returncode == 78

@@ -24,7 +24,6 @@ from hal.nidaq.nidaq_backend import NIDAQ
 from hal.rig import RawSample, Rig, RigError, RigIdentity, open_rig
 from hal.rig_contract import (
     RIG_CONTRACT,
-    MakeBench,
     RigBench,
     every_read_is_fresh,
     record_names_its_device_output_and_pace,
@@ -149,11 +148,11 @@ FACTORIES = [
 
 @pytest.mark.parametrize("make", FACTORIES, ids=lambda make: make.__name__)
 @pytest.mark.parametrize("case", RIG_CONTRACT, ids=lambda case: case.__name__)
-def test_every_rig_keeps_the_contract(case: Callable[[MakeBench], None], make: MakeBench) -> None:
+def test_every_rig_keeps_the_contract(case, make):
     case(make)
 
 
-def test_a_hardware_timed_card_is_paced_by_the_computer_where_the_caller_wants_it() -> None:
+def test_a_hardware_timed_card_is_paced_by_the_computer_where_the_caller_wants_it():
     here().power_up()
     asked = request(NidaqSettings(timing="hardware_timed"), time.monotonic_ns)
     built = NIDAQ.build(RigRequest(**{**vars(asked), "by_computer": True}))
@@ -161,7 +160,7 @@ def test_a_hardware_timed_card_is_paced_by_the_computer_where_the_caller_wants_i
     assert not built.rig.describe().sample_clock
 
 
-def test_the_shipped_entry_points_are_those_that_a_stale_install_falls_back_on() -> None:
+def test_the_shipped_entry_points_are_those_that_a_stale_install_falls_back_on():
     pyproject = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
     declared = pyproject["project"]["entry-points"][RIGS]
     assert declared == {point.name: point.value for point in _SHIPPED_RIGS}
@@ -214,9 +213,7 @@ class CallsItselfOtherwise(Wrong):
         (CallsItselfOtherwise, record_names_its_device_output_and_pace),
     ],
 )
-def test_a_rig_that_breaks_a_promise_fails_the_case_for_it(
-    wrong: type[Wrong], case: Callable[[MakeBench], None]
-) -> None:
+def test_a_rig_that_breaks_a_promise_fails_the_case_for_it(wrong, case):
     def make() -> RigBench:
         bench = make_sim()
         bench.built = BuiltRig(wrong(bench.rig))  # type: ignore[arg-type]
@@ -229,7 +226,7 @@ def test_a_rig_that_breaks_a_promise_fails_the_case_for_it(
 # --- beyond the contract -------------------------------------------------------------------
 
 
-def test_a_rig_is_made_safe_before_it_is_closed_even_if_it_did_not_open() -> None:
+def test_a_rig_is_made_safe_before_it_is_closed_even_if_it_did_not_open():
     calls: list[str] = []
 
     class Recorded:
@@ -258,7 +255,7 @@ class BurstPlant:
         raise ValueError("math domain error")
 
 
-def test_a_simulated_plant_that_fails_cannot_keep_its_rig_from_being_made_safe() -> None:
+def test_a_simulated_plant_that_fails_cannot_keep_its_rig_from_being_made_safe():
     chain = sensor_chain(SimSettings(), CalibrationSettings())
     rig = SimRig(BurstPlant(), chain, safe_output_v=SAFE_V, now_ns=PassingTime().now_ns)
     with pytest.raises(RigError, match="domain"), open_rig(rig):
@@ -307,7 +304,7 @@ def play(delay: int) -> list[tuple[float, float]]:
     return plant.history
 
 
-def test_a_write_reaches_the_simulated_valve_when_it_is_made() -> None:
+def test_a_write_reaches_the_simulated_valve_when_it_is_made():
     assert play(delay=0) == [
         (-5.0, 0.25),
         (5.0, 0.75),
@@ -318,5 +315,5 @@ def test_a_write_reaches_the_simulated_valve_when_it_is_made() -> None:
     ]
 
 
-def test_with_output_delay_a_write_waits_for_the_next_read_but_the_safe_voltage_does_not() -> None:
+def test_with_output_delay_a_write_waits_for_the_next_read_but_the_safe_voltage_does_not():
     assert play(delay=1) == [(-5.0, 1.0), (5.0, 1.0), (2.0, 0.5), (-5.0, 0.5)]

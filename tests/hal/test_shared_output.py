@@ -31,9 +31,7 @@ def shared_rig(path: Path) -> SimRig:
     )
 
 
-def test_an_output_holds_its_voltage_after_its_owner_and_can_then_be_made_safe(
-    tmp_path: Path,
-) -> None:
+def test_an_output_holds_its_voltage_after_its_owner_and_can_then_be_made_safe(tmp_path):
     path = tmp_path / "bench0.ao"
     owner = (
         "import sys, time; sys.path.insert(0, sys.argv[2])\n"
@@ -60,7 +58,7 @@ def test_an_output_holds_its_voltage_after_its_owner_and_can_then_be_made_safe(
     assert peek_v(path) == pytest.approx(1.25, abs=AO_STEP_V)
 
 
-def test_the_output_of_another_process_moves_the_muscle(tmp_path: Path) -> None:
+def test_the_output_of_another_process_moves_the_muscle(tmp_path):
     path = tmp_path / "bench0.ao"
     with open_rig(shared_rig(path)) as rig:
         rig.write(5.0)
@@ -70,7 +68,7 @@ def test_the_output_of_another_process_moves_the_muscle(tmp_path: Path) -> None:
     assert peek_v(path) == pytest.approx(1.25, abs=AO_STEP_V)
 
 
-def test_a_run_without_a_clock_has_no_shared_output() -> None:
+def test_a_run_without_a_clock_has_no_shared_output():
     settings = resolve(fast=True, overrides=["rig.sim.device=never0"])
     with open_rig(build_rig(settings, build_clock(settings, may_spin=False)).rig):
         assert not ao_path("never0").exists()

@@ -22,7 +22,6 @@ from pamctl.plant.model import PlantSettings
 Array = NDArray[np.float64]
 
 TICK_S = 1e-3
-STEPS = 20
 ENCODER_STEP_M = 1e-6
 STROKE_M = 0.24
 

@@ -2,49 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from hidden.dirty import DIRT, RECALIBRATED, SHARES, Dirt, DirtyRig, run_dirty
-from hidden.rig import HiddenRig, in_floors
+from hidden.dirty import DIRT
 from hidden.rungs import KINDS, NAMES, PLACES, Cause, Said, carried_rung, mark, named_cause
 from pamctl.plant.catalogue import CATALOGUE
-
-
-def show(rig: HiddenRig, dirty: DirtyRig, dirts: tuple[Dirt, ...] = ()) -> NDArray[np.float64]:
-    """Return what perfect sensors show, in floors."""
-    perfect = replace(rig, sensors=replace(rig.sensors, perfect=True))
-    runs = dirty.programs[0][1:4]
-    return in_floors([run_dirty(perfect, run, dirts) for run in runs]).ravel()
-
-
-@pytest.mark.long
-def test_each_small_thing_leaves_its_share_of_what_the_effect_leaves() -> None:
-    rig = DirtyRig(3, program="brief")  # with cross-talk and a bowed sensor
-    base = show(rig.affected, rig)
-    number = rig.affected.truth._asdict()
-    moved = [
-        show(
-            replace(rig.affected, truth=rig.affected.truth._replace(**{n: 1.002 * number[n]})), rig
-        )
-        for n in RECALIBRATED[rig.actuator]
-    ]
-    basis = np.linalg.qr(np.stack([m - base for m in moved], axis=1))[0]
-
-    def left(seen: NDArray[np.float64]) -> float:
-        change = seen - base
-        return float(np.linalg.norm(change - basis @ (basis.T @ change)))
-
-    effect = left(show(rig.clean, rig))
-    assert 2 <= len(rig.dirts) <= 4
-    for dirt in rig.dirts:
-        share = left(show(rig.affected, rig, (dirt,))) / effect
-        assert share == pytest.approx(dirt.share, rel=0.05)
-        assert SHARES[0] <= share <= SHARES[1]
-        assert 0.0 < dirt.size <= dirt.kind.largest
 
 
 def test_every_kind_of_dirt_has_a_place() -> None:

@@ -93,7 +93,7 @@ def wait_until(is_so: Callable[[], object]) -> None:
 # --- once ------------------------------------------------------------------------------------
 
 
-def test_a_process_builds_and_the_next_one_only_loads(place: Place) -> None:
+def test_a_process_builds_and_the_next_one_only_loads(place):
     for _ in range(2):
         process = place.start()
         out, err = process.communicate(timeout=PATIENCE_S)
@@ -105,7 +105,7 @@ def test_a_process_builds_and_the_next_one_only_loads(place: Place) -> None:
     assert "inspect" not in imported
 
 
-def test_processes_that_need_the_same_build_it_once(place: Place) -> None:
+def test_processes_that_need_the_same_build_it_once(place):
     place.write_compiler('sleep 0.5; exec "$REAL" "$@"')
     processes = [place.start() for _ in range(3)]
     said = [process.communicate(timeout=PATIENCE_S) for process in processes]
@@ -114,7 +114,7 @@ def test_processes_that_need_the_same_build_it_once(place: Place) -> None:
     assert place.list_files() == [f"{place.find_library().parent.name}/{place.find_library().name}"]
 
 
-def test_other_sources_are_built_anew(place: Place, tmp_path: Path) -> None:
+def test_other_sources_are_built_anew(place, tmp_path):
     own = tmp_path / "own"
     own.mkdir()
     source = (Path(__file__).parent / "small_kernels.py").read_text()
@@ -128,7 +128,7 @@ def test_other_sources_are_built_anew(place: Place, tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_another_pamctl_has_machine_code_of_its_own(place: Place, tmp_path: Path) -> None:
+def test_another_pamctl_has_machine_code_of_its_own(place, tmp_path):
     own = tmp_path / "own"
     for package in ("pamctl", "hal"):
         skipped = shutil.ignore_patterns("__pycache__", "manual")
@@ -143,14 +143,14 @@ def test_another_pamctl_has_machine_code_of_its_own(place: Place, tmp_path: Path
     assert len([*place.cache.glob("pamctl/library-*")]) == 2
 
 
-def test_another_compiler_builds_anew(place: Place) -> None:
+def test_another_compiler_builds_anew(place):
     place.run()
     place.write_compiler('# newer\nexec "$REAL" "$@"')
     assert place.run() == (f"{RIGHT} native", "")
     assert place.count_calls() == 2
 
 
-def test_a_compiler_that_was_removed_leaves_what_it_built(place: Place) -> None:
+def test_a_compiler_that_was_removed_leaves_what_it_built(place):
     place.run()
     (place.path / "cc").unlink()
     assert place.run() == (f"{RIGHT} native", "")
@@ -159,18 +159,7 @@ def test_a_compiler_that_was_removed_leaves_what_it_built(place: Place) -> None:
 # --- builds that end early -------------------------------------------------------------------
 
 
-def test_a_killed_build_leaves_nothing_that_harms(place: Place) -> None:
-    place.write_compiler("sleep 30")
-    process = place.start()
-    wait_until(place.count_calls)
-    process.kill()
-    process.communicate(timeout=PATIENCE_S)
-    assert not [*place.cache.glob("pamctl/*/*.so")]
-    place.write_compiler('exec "$REAL" "$@"')
-    assert place.run() == (f"{RIGHT} native", "")
-
-
-def test_what_a_killed_build_left_is_removed_by_the_next(place: Place) -> None:
+def test_what_a_killed_build_left_is_removed_by_the_next(place):
     place.write_compiler('[ -e "$XDG_CACHE_HOME/../second" ] || sleep 30; exec "$REAL" "$@"')
     process = place.start()
     wait_until(place.count_calls)
@@ -182,7 +171,7 @@ def test_what_a_killed_build_left_is_removed_by_the_next(place: Place) -> None:
     assert place.list_files() == [f"{library.parent.name}/{library.name}"]
 
 
-def test_a_killed_compiler_means_plain_python_and_a_new_build_next_time(place: Place) -> None:
+def test_a_killed_compiler_means_plain_python_and_a_new_build_next_time(place):
     place.write_compiler("kill -9 $$")
     computed, said = place.run()
     assert computed == f"{RIGHT} plain"
@@ -192,7 +181,7 @@ def test_a_killed_compiler_means_plain_python_and_a_new_build_next_time(place: P
     assert place.run() == (f"{RIGHT} native", "")
 
 
-def test_a_compiler_that_fails_is_quoted_once(place: Place) -> None:
+def test_a_compiler_that_fails_is_quoted_once(place):
     place.write_compiler("echo 'kernel.c:6: fatal error: math.h: no such file' >&2; exit 1")
     code = (
         "import subprocess, sys, small_kernels\n"
@@ -213,7 +202,7 @@ def test_a_compiler_that_fails_is_quoted_once(place: Place) -> None:
 
 
 @pytest.mark.parametrize("how", ["sleep 30", "sleep 30 & wait", "trap '' TERM; sleep 30"])
-def test_a_compiler_that_hangs_is_ended(place: Place, how: str, tmp_path: Path) -> None:
+def test_a_compiler_that_hangs_is_ended(place, how, tmp_path):
     place.write_compiler(how)
     code = (
         "import small_kernels, pamctl.kernel.build as build\n"
@@ -226,7 +215,7 @@ def test_a_compiler_that_hangs_is_ended(place: Place, how: str, tmp_path: Path) 
     assert not place.list_files()
 
 
-def test_a_library_that_cannot_be_loaded_is_built_again(place: Place) -> None:
+def test_a_library_that_cannot_be_loaded_is_built_again(place):
     place.run()
     library = place.find_library()
     size = library.stat().st_size
@@ -239,7 +228,7 @@ def test_a_library_that_cannot_be_loaded_is_built_again(place: Place) -> None:
 # --- where it cannot be kept -----------------------------------------------------------------
 
 
-def test_without_a_compiler_plain_python_computes_and_names_both_remedies(place: Place) -> None:
+def test_without_a_compiler_plain_python_computes_and_names_both_remedies(place):
     if find_spec("ziglang") is not None:
         pytest.skip("ziglang is installed: there is always a compiler")
     (place.path / "cc").unlink()
@@ -251,20 +240,20 @@ def test_without_a_compiler_plain_python_computes_and_names_both_remedies(place:
     assert not place.list_files()
 
 
-def test_the_compiler_of_ziglang_is_used_where_there_is_no_other(place: Place) -> None:
+def test_the_compiler_of_ziglang_is_used_where_there_is_no_other(place):
     if find_spec("ziglang") is None:
         pytest.skip("ziglang is not installed (pip install ziglang)")
     (place.path / "cc").unlink()
     assert place.run() == (f"{RIGHT} native", "")
 
 
-def test_plain_python_can_be_asked_for(place: Place) -> None:
+def test_plain_python_can_be_asked_for(place):
     assert place.run(PAMCTL_PLAIN_PYTHON="1") == (f"{RIGHT} plain", "")
     assert not place.calls.exists()
     assert not place.cache.exists()
 
 
-def test_on_a_system_of_32_bits_plain_python_computes(place: Place) -> None:
+def test_on_a_system_of_32_bits_plain_python_computes(place):
     on_32_bits = "import ctypes; ctypes.sizeof = lambda kind: 4"
     computed, said = place.run(f"{on_32_bits}; import small_kernels; small_kernels.main()")
     assert computed == f"{RIGHT} plain"
@@ -283,7 +272,7 @@ def find_unwritable(place: Place) -> Iterator[str]:
         yield str(locked)
 
 
-def test_without_a_cache_each_process_builds_and_says_so_once(place: Place) -> None:
+def test_without_a_cache_each_process_builds_and_says_so_once(place):
     for count, unwritable in enumerate(find_unwritable(place), start=1):
         temporary = place.folder / f"tmp-{count}"
         temporary.mkdir()
@@ -296,18 +285,9 @@ def test_without_a_cache_each_process_builds_and_says_so_once(place: Place) -> N
         assert place.count_calls() == count
 
 
-def test_without_a_home_each_process_builds_and_says_so_once(place: Place) -> None:
-    code = "import os; os.getuid = lambda: 54321; import small_kernels; small_kernels.main()"
-    del place.environment["XDG_CACHE_HOME"]
-    computed, said = place.run(code, TMPDIR=str(place.folder))
-    assert computed == f"{RIGHT} native"
-    assert said.count("\n") == 1
-    assert "XDG_CACHE_HOME" in said
-
-
 @pytest.mark.skipif(not IS_ROOT, reason="only root can give a folder to another user")
 @pytest.mark.parametrize("whose", ["home", "folder", "link"])
-def test_code_in_a_folder_of_another_user_is_not_loaded(place: Place, whose: str) -> None:
+def test_code_in_a_folder_of_another_user_is_not_loaded(place, whose):
     place.run()
     home = place.cache / "pamctl"
     library = place.find_library()
@@ -330,7 +310,7 @@ def test_code_in_a_folder_of_another_user_is_not_loaded(place: Place, whose: str
 
 @pytest.mark.skipif(not IS_ROOT, reason="only root can make a small disk")
 @pytest.mark.parametrize("bytes_free", [0, 8192, 16384])
-def test_on_a_full_disk_plain_python_computes(place: Place, bytes_free: int) -> None:
+def test_on_a_full_disk_plain_python_computes(place, bytes_free):
     place.cache.mkdir()
     options = "size=64k,nr_inodes=100"
     mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", place.cache])
@@ -352,7 +332,7 @@ def test_on_a_full_disk_plain_python_computes(place: Place, bytes_free: int) -> 
 # --- the folders -----------------------------------------------------------------------------
 
 
-def test_old_folders_are_removed_but_for_those_used_last(place: Place) -> None:
+def test_old_folders_are_removed_but_for_those_used_last(place):
     home = place.cache / "pamctl"
     for k in range(20):
         old = home / f"library-{k:02d}"
@@ -372,7 +352,7 @@ def test_old_folders_are_removed_but_for_those_used_last(place: Place) -> None:
     assert len(kept) == build.KEPT + 1, "with the new one, and what is no machine code"
 
 
-def test_a_folder_that_was_removed_meanwhile_is_made_again(place: Place) -> None:
+def test_a_folder_that_was_removed_meanwhile_is_made_again(place):
     code = (
         "import shutil, small_kernels, pamctl.kernel.build as build\n"
         "shutil.rmtree(build._find_folder())\n"
@@ -393,7 +373,7 @@ def fresh_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pat
     build._find_folder.cache_clear()
 
 
-def test_two_threads_may_call_a_kernel_at_once(fresh_cache: Path) -> None:
+def test_two_threads_may_call_a_kernel_at_once(fresh_cache):
     machine = calls.Machine(small_kernels.fill_multiples)
     wrong: list[str] = []
     together = threading.Barrier(4)
@@ -416,7 +396,7 @@ def test_two_threads_may_call_a_kernel_at_once(fresh_cache: Path) -> None:
     assert {function is not None for _, function in machine._variants} == {True}
 
 
-def test_a_forked_process_calls_what_its_parent_built(fresh_cache: Path) -> None:
+def test_a_forked_process_calls_what_its_parent_built(fresh_cache):
     machine = calls.Machine(small_kernels.fill_multiples)
     values, multiples = array("d", (1.0, 2.0)), array("d", bytes(16))
     machine(values, multiples)
@@ -429,7 +409,7 @@ def test_a_forked_process_calls_what_its_parent_built(fresh_cache: Path) -> None
     assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
 
 
-def test_a_process_forked_during_a_build_does_not_keep_the_others_from_it(place: Place) -> None:
+def test_a_process_forked_during_a_build_does_not_keep_the_others_from_it(place):
     """The child inherits the lock, and lives on."""
     place.write_compiler('sleep 0.5; exec "$REAL" "$@"')
     code = (
@@ -449,7 +429,7 @@ def test_a_process_forked_during_a_build_does_not_keep_the_others_from_it(place:
     assert out.splitlines()[0] == f"{RIGHT} native"
 
 
-def test_a_killed_process_frees_the_lock_for_one_that_waits(place: Place) -> None:
+def test_a_killed_process_frees_the_lock_for_one_that_waits(place):
     place.write_compiler('[ -e "$XDG_CACHE_HOME/../second" ] || sleep 30; exec "$REAL" "$@"')
     first = place.start()
     wait_until(place.count_calls)
@@ -462,6 +442,6 @@ def test_a_killed_process_frees_the_lock_for_one_that_waits(place: Place) -> Non
     first.communicate(timeout=PATIENCE_S)
 
 
-def test_every_folder_that_machine_code_is_made_of_is_there() -> None:
+def test_every_folder_that_machine_code_is_made_of_is_there():
     """A folder that is missing would let changes of its kernels go unnoticed."""
     assert [at for at in build._SOURCES if not (build._ROOT / at).is_dir()] == []

@@ -46,7 +46,7 @@ def variants(tmp_path_factory: pytest.TempPathFactory) -> list[Variant]:
     return found
 
 
-def test_the_kernels_of_all_rooms_are_found(variants: list[Variant]) -> None:
+def test_the_kernels_of_all_rooms_are_found(variants):
     found = {variant.kernel for variant in variants}
     entries = [entry for effect in CATALOGUE.values() for entry in effect.entries]
     # Those of the place `numbers` change a plant before it runs, in Python.
@@ -164,7 +164,7 @@ def is_extreme(leaves: list[Any]) -> bool:
     return any(not 1e-12 < abs(number) < 1e12 for number in numbers if number != 0.0)
 
 
-def test_any_numbers_give_the_same_bits_or_fail_in_both(variants: list[Variant]) -> None:
+def test_any_numbers_give_the_same_bits_or_fail_in_both(variants):
     wrong = []
     for variant in variants:
         try:

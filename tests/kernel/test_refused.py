@@ -191,7 +191,7 @@ def make_kernel(body: str) -> Any:
 
 
 @pytest.mark.parametrize("body", BODIES.strip().split("\n\n"))
-def test_a_statement_is_refused_with_its_line_and_the_reason(body: str) -> None:
+def test_a_statement_is_refused_with_its_line_and_the_reason(body):
     lines = body.splitlines()
     (line,) = (number for number, text in enumerate(lines, start=2) if text.endswith("# no"))
     kernel = make_kernel(body)
@@ -256,7 +256,7 @@ closure = make_closure(2.0)
         ("return closure(x)", ""),
     ],
 )
-def test_a_function_that_is_more_than_its_source_is_refused(body: str, why: str) -> None:
+def test_a_function_that_is_more_than_its_source_is_refused(body, why):
     kernel = make_kernel(body)
     with pytest.raises(NotInC, match=rf":\d+: .*{why}"):
         Machine(kernel)(*GIVEN.values())
@@ -268,12 +268,12 @@ def test_a_function_that_is_more_than_its_source_is_refused(body: str, why: str)
 @pytest.mark.parametrize(
     "value", ["text", [1.0], {"a": 1.0}, 1j, object(), np.zeros(3, np.float32), np.zeros((2, 2, 2))]
 )
-def test_data_that_no_kernel_takes_are_refused_with_their_place(value: Any) -> None:
+def test_data_that_no_kernel_takes_are_refused_with_their_place(value):
     with pytest.raises(NotKernelData, match=r"^add_to\.x: .* is not a float, int, bool"):
         prepare(add_to, {"x": value, "by": 0.5})
 
 
-def test_an_array_of_another_byte_order_or_width_is_not_read_as_if_it_were_none() -> None:
+def test_an_array_of_another_byte_order_or_width_is_not_read_as_if_it_were_none():
     odd = np.frombuffer(b"\0" + np.arange(3.0).tobytes(), offset=1)
     for wrong in (np.arange(3.0).astype(">f8"), np.arange(3.0, dtype=np.float32), odd):
         with pytest.raises(TypeError, match="array"):

@@ -133,9 +133,7 @@ def logs(draw: st.DrawFn, path: Path) -> Written:
 
 @settings(max_examples=30)
 @given(data=st.data())
-def test_every_way_to_read_a_log_finds_what_was_written(
-    data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_every_way_to_read_a_log_finds_what_was_written(data, tmp_path_factory):
     folder = tmp_path_factory.mktemp("any")
     written = data.draw(logs(folder / "a.mcap"))
     count = len(written.columns["tick"])
@@ -197,7 +195,7 @@ def data_of(path: Path) -> bytes:
     return bytes(file[: next(r.start for r in walk_records(file) if r.opcode == Opcode.DATA_END)])
 
 
-def test_an_annotation_leaves_every_byte_of_the_data_and_passes_the_check(tmp_path: Path) -> None:
+def test_an_annotation_leaves_every_byte_of_the_data_and_passes_the_check(tmp_path):
     path = copy_golden(tmp_path)
     before, when_ns = data_of(path), path.stat().st_mtime_ns
     for number in range(3):
@@ -211,7 +209,7 @@ def test_an_annotation_leaves_every_byte_of_the_data_and_passes_the_check(tmp_pa
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_the_readers_of_the_mcap_package_read_what_they_read_before(tmp_path: Path) -> None:
+def test_the_readers_of_the_mcap_package_read_what_they_read_before(tmp_path):
     path = copy_golden(tmp_path)
     write_annotation(path, make_annotation(["good"], "new hose", "Ann", "M3"))
     with path.open("rb") as changed, GOLDEN.open("rb") as golden:
@@ -236,9 +234,7 @@ def test_the_readers_of_the_mcap_package_read_what_they_read_before(tmp_path: Pa
 
 @settings(max_examples=15)
 @given(steps=st.lists(st.tuples(st.booleans(), st.sampled_from("abc")), max_size=6))
-def test_the_newest_annotation_counts_also_after_a_recovery(
-    steps: list[tuple[bool, str]], tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_the_newest_annotation_counts_also_after_a_recovery(steps, tmp_path_factory):
     path = write_small(tmp_path_factory.mktemp("steps") / "log.mcap")
     said = Annotation()
     for adds, tag in steps:
@@ -250,14 +246,14 @@ def test_the_newest_annotation_counts_also_after_a_recovery(
     assert read_annotation(recovered) == said
 
 
-def test_a_piece_of_a_log_keeps_what_is_said_of_it(tmp_path: Path) -> None:
+def test_a_piece_of_a_log_keeps_what_is_said_of_it(tmp_path):
     path = copy_golden(tmp_path)
     write_annotation(path, make_annotation(["good"]))
     cut_log(path, tmp_path / "piece.mcap", from_row=0, to_row=100)
     assert read_annotation(tmp_path / "piece.mcap").tags == ("good",)
 
 
-def test_no_index_is_added_behind_what_follows_its_chunk(tmp_path: Path) -> None:
+def test_no_index_is_added_behind_what_follows_its_chunk(tmp_path):
     path = tmp_path / "foreign.mcap"
     with path.open("wb") as file:
         writer = Writer(file, chunk_size=1, index_types=IndexType.NONE)
@@ -273,7 +269,7 @@ def test_no_index_is_added_behind_what_follows_its_chunk(tmp_path: Path) -> None
     ]  # fmt: skip
 
 
-def test_damage_from_before_is_found_and_stays(tmp_path: Path) -> None:
+def test_damage_from_before_is_found_and_stays(tmp_path):
     path = copy_golden(tmp_path)
     octets = bytearray(path.read_bytes())
     octets[len(octets) // 2] ^= 1
@@ -284,7 +280,7 @@ def test_damage_from_before_is_found_and_stays(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("keep", [8, 5000, -30])
-def test_a_log_that_is_not_finished_is_refused_and_stays(tmp_path: Path, keep: int) -> None:
+def test_a_log_that_is_not_finished_is_refused_and_stays(tmp_path, keep):
     path = tmp_path / "half.mcap"
     path.write_bytes(GOLDEN.read_bytes()[:keep])
     before = path.read_bytes()
@@ -294,22 +290,13 @@ def test_a_log_that_is_not_finished_is_refused_and_stays(tmp_path: Path, keep: i
     assert read_annotation(path) == Annotation()
 
 
-def test_a_file_that_is_no_log_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "text.mcap"
-    path.write_text("some text")
-    with pytest.raises(LogError, match="not a log"):
-        read_annotation(path)
-    with pytest.raises(LogError):
-        write_annotation(path, Annotation())
-
-
 @pytest.mark.parametrize("tag", ["", "two words", "a,b", "x" * 65, "-a", "\x1b[31m", "a\u202eb c"])
-def test_a_tag_is_one_word(tag: str) -> None:
+def test_a_tag_is_one_word(tag):
     with pytest.raises(AnnotationError, match="one word"):
         make_annotation([tag])
 
 
-def test_texts_of_a_foreign_record_are_cleaned_when_read(tmp_path: Path) -> None:
+def test_texts_of_a_foreign_record_are_cleaned_when_read(tmp_path):
     path = write_small(tmp_path / "log.mcap")
     hostile = {"tags": json.dumps(["good", "b\x1b[2Jad", 3, "no tag"]), "note": "a\x1b]0;x\x07b"}
     append_metadata(path, ANNOTATION, hostile)
@@ -318,7 +305,7 @@ def test_texts_of_a_foreign_record_are_cleaned_when_read(tmp_path: Path) -> None
     assert read_annotation(path) == Annotation()
 
 
-def test_a_run_carries_what_is_said_of_it(tmp_path: Path) -> None:
+def test_a_run_carries_what_is_said_of_it(tmp_path):
     log = tmp_path / "run.mcap"
     words = ["run", "--fast", "--quiet", "--duration", "0.1", "--log", str(log), "--tag", "first"]
     words += ["--set", "rig.homing.enabled=false", "--note", "new \x1b[1mhose", "--operator", "Ann"]

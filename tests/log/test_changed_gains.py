@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 from support.command_line import run_pamctl
 
@@ -15,7 +14,7 @@ from pamctl.session.simulated_rig import simulate
 CHANGED = "qsmc*, lambda_per_s 60 (file 37.82)"
 
 
-def test_only_what_differs_is_named() -> None:
+def test_only_what_differs_is_named():
     assert describe_changes({"a": 1.0, "b": "x"}, {"a": 1.0, "b": "x"}) == ""
     assert describe_changes({"a": 2.0, "b": "x", "c": 3}, {"a": 1.0, "b": "x"}) == (
         "a 2 (file 1), c 3 (file none)"
@@ -25,7 +24,7 @@ def test_only_what_differs_is_named() -> None:
     assert describe_running_changes([{"a": 1.0}, {"a": 1.0, **beside}]) is None
 
 
-def test_a_run_with_changed_gains_says_so_in_info_and_report(tmp_path: Path) -> None:
+def test_a_run_with_changed_gains_says_so_in_info_and_report(tmp_path):
     log = tmp_path / "a.mcap"
     options = ["--fast", "--duration", "1", "--set", "rig.homing.enabled=false"]
     pamctl("run", *options, "--log", str(log), "--set", "controller.lambda_per_s=60")
@@ -42,7 +41,7 @@ def test_a_run_with_changed_gains_says_so_in_info_and_report(tmp_path: Path) -> 
     assert "*" not in pamctl("log", "info", str(plain))
 
 
-def test_a_session_says_what_was_set_until_a_file_is_loaded(tmp_path: Path) -> None:
+def test_a_session_says_what_was_set_until_a_file_is_loaded(tmp_path):
     with simulate(logs=tmp_path, overrides=["rig.homing.enabled=false"]) as rig:
         rig.set(lambda_per_s=60, ramp_s=0.1)
         assert CHANGED in format_status(rig.status())

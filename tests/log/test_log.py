@@ -20,9 +20,8 @@ from mcap.writer import CompressionType, Writer
 from mcap_protobuf.decoder import DecoderFactory
 from support.command_line import run_process
 from support.installing import alone
-from support.made_up import START_MONO_NS, START_WALL_NS, columns, log_run, meta, recording, tick
+from support.made_up import columns, log_run, meta, recording, tick
 from support.patience import PATIENCE_S
-from support.small_log import write_small
 
 from pamctl.json_text import from_json, to_json
 from pamctl.log import LogError, info, read
@@ -32,7 +31,6 @@ from pamctl.recording.ring import Ring
 from pamctl.signals import TICK_FIELDS, Field
 
 TICKS = 1500
-BESIDE_TICKS = {"/pam/event": 2, "/pam/gains": 1, "/pam/keyframe": 1}
 FOREIGN = Path(__file__).parents[1] / "foreign"
 
 
@@ -53,12 +51,6 @@ def test_every_column_of_every_tick_is_read_as_it_was_put(log_path):
     assert list(log.columns) == [field.name for field in TICK_FIELDS]
     for name, column in log.columns.items():
         assert column.tolist() == [row[name] for row in expected], name
-
-
-def test_ticks_carry_the_wall_time_of_their_sample(log_path):
-    log = read(log_path)
-    expected = START_WALL_NS + log["encoder_t_ns"] - START_MONO_NS
-    assert log.time_ns.tolist() == expected.tolist()
 
 
 def test_events_gains_and_keyframes_are_read_with_the_tick_they_belong_to(log_path):
@@ -86,14 +78,6 @@ def test_the_log_carries_the_configuration_and_what_was_attached(log_path):
     assert log.metadata["timing_setup"]["fifo"] == "true"
 
 
-def test_what_a_run_says_of_its_origin_joins_what_the_recorder_says(tmp_path):
-    path = tmp_path / "a.mcap"
-    log_run(tmp_path / "a.ring", path, 1, metadata={"pamctl": {"version": "9", "card": "6221"}})
-    origin = read(path).metadata["pamctl"]
-    assert (origin["version"], origin["card"]) == ("9", "6221")
-    assert origin["schema_version"] == str(SCHEMA_VERSION)
-
-
 def test_a_run_of_no_ticks_is_a_whole_log_with_empty_columns(tmp_path):
     path = tmp_path / "empty.mcap"
     with Ring.create(tmp_path / "a.ring", meta(path)) as ring, recording(ring) as process:
@@ -103,12 +87,6 @@ def test_a_run_of_no_ticks_is_a_whole_log_with_empty_columns(tmp_path):
     assert len(log) == 0
     assert log["position_m"].shape == (0,)
     assert info(path)["complete"]
-
-
-def test_a_log_read_for_its_events_only_has_no_ticks(log_path):
-    log = read(log_path, "/pam/event")
-    assert len(log.events) == 2
-    assert (len(log), log.keyframes) == (0, [])
 
 
 def test_a_column_that_is_not_there_is_refused_with_the_nearest_name(log_path):
@@ -202,21 +180,6 @@ def foreign_reader(request) -> Callable[..., list[dict[str, Any]]]:
         return [json.loads(line) for line in ran.stdout.splitlines()]
 
     return read_foreign
-
-
-@pytest.mark.long
-def test_a_foreign_reader_finds_every_message_and_every_value(log_path, foreign_reader, tmp_path):
-    cut, saved, small = (tmp_path / f"{name}.mcap" for name in ("cut", "saved", "small"))
-    cut.write_bytes(log_path.read_bytes()[:-5000])
-    recovery = recover_file(cut, saved)
-    seen, seen_of_saved, seen_of_small = foreign_reader(log_path, saved, write_small(small))
-    assert seen["messages"] == {TICK_TOPIC: TICKS, **BESIDE_TICKS}
-    assert sorted(seen["attachments"]) == ["config.json", "config.yaml", "filters.json"]
-    assert seen["first"] == pytest.approx(columns(tick(0)))
-    assert seen["last"] == pytest.approx(columns(tick(TICKS - 1)))
-    assert seen["keyframe"]["state"]["lpf1_b"] == "nan"
-    assert seen_of_saved["messages"] == recovery.messages
-    assert seen_of_small["messages"] == read(small).counts
 
 
 def test_a_foreign_reader_reads_golden_logs_as_we_do(foreign_reader):
@@ -315,13 +278,3 @@ def test_a_file_that_is_no_log_is_refused_by_read_info_and_recover(tmp_path, con
 def test_a_file_that_is_not_there_is_refused(tmp_path):
     with pytest.raises(LogError, match=r"cannot read .*: No such file"):
         read(tmp_path / "a.mcap")
-
-
-def test_a_truncated_log_is_refused_with_what_to_do_and_info_still_tells_of_it(log_path, tmp_path):
-    path = tmp_path / "a.mcap"
-    path.write_bytes(log_path.read_bytes()[:-20_000])
-    with pytest.raises(LogError, match=r"damaged: at byte \d+, .*cut short; .*pamctl log recover"):
-        read(path)
-    summary = info(path)
-    assert not summary["complete"]
-    assert 0 < summary["ticks"] < TICKS

@@ -20,7 +20,6 @@ from pamctl.log import LogError, read
 from pamctl.log.check import LogCheckReport, Severity, check_log
 from pamctl.log.framing import FileRecord, map_log_file
 from pamctl.log.measured_signals import find_signal_problems, judge_ticks
-from pamctl.log.record_problems import judge_schema
 from pamctl.log.record_walk import walk_records
 from pamctl.log.recover import recover_file
 from pamctl.log.run_meta import RunMeta
@@ -213,13 +212,6 @@ def test_a_long_log_is_checked_in_pieces_and_its_findings_are_those_of_the_whole
     assert any("2 ticks are missing between 299 and 302" in f.message for f in whole)
 
 
-def test_a_schema_version_that_never_was_is_named():
-    for version, is_wrong in {"0": True, "-1": True, "1.5": True, "": True, "1": False}.items():
-        found = [problem.describe() for problem in judge_schema(TICK_TOPIC, "protobuf", version)]
-        said = f"the schema version of /pam/tick is {version!r}; versions begin with 1"
-        assert found == [said] * is_wrong
-
-
 def test_a_protobuf_schema_that_is_labelled_otherwise_is_named(tmp_path):
     layout = TickLayout.of_fields(TICK_FIELDS)
     with create_new_file(tmp_path / "a.mcap") as stream:
@@ -323,15 +315,6 @@ def test_recovering_a_cut_log_saves_its_whole_chunks_and_says_that_the_rest_is_l
     checked = pamctl("log", "check", tmp_path / "saved.mcap")
     assert checked.exit_code == 0
     assert "the log was recovered" in checked.stdout
-
-
-def test_recovering_a_whole_log_loses_nothing_and_copies_its_chunks_as_they_are(run, tmp_path):
-    done = pamctl("log", "recover", "--json", run, tmp_path / "saved.mcap")
-    recovery = json.loads(done.stdout)
-    assert (done.exit_code, recovery["lossless"], recovery["damage"]) == (0, True, [])
-    assert pamctl("log", "check", tmp_path / "saved.mcap").exit_code == 0
-    saved, whole = chunks_of(tmp_path / "saved.mcap"), chunks_of(run)
-    assert [bytes(chunk.body) for chunk in saved] == [bytes(chunk.body) for chunk in whole]
 
 
 def chunks_of(path: Path) -> list[FileRecord]:

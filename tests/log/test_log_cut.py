@@ -51,9 +51,7 @@ def paused(tmp_path: Path) -> Path:
     return tmp_path / "paused.mcap"
 
 
-def test_a_piece_by_time_holds_the_same_ticks_and_says_where_they_come_from(
-    run: Path, tmp_path: Path
-) -> None:
+def test_a_piece_by_time_holds_the_same_ticks_and_says_where_they_come_from(run, tmp_path):
     piece = tmp_path / "piece.mcap"
     done = pamctl_("log", "cut", run, "--out", piece, "--from-s", "2.5", "--to-s", "4.25", "--json")
     assert done.exit_code == 0
@@ -77,7 +75,7 @@ def test_a_piece_by_time_holds_the_same_ticks_and_says_where_they_come_from(
     assert (checked.exit_code, "warning" in checked.stdout) == (0, False)
 
 
-def test_a_piece_replays_from_its_first_frozen_state_and_says_so(run: Path, tmp_path: Path) -> None:
+def test_a_piece_replays_from_its_first_frozen_state_and_says_so(run, tmp_path):
     whole = pamctl.log.read(run)
     states = [keyframe["tick"] for keyframe in whole.keyframes]
     late, right_after = tmp_path / "late.mcap", tmp_path / "right-after.mcap"
@@ -100,9 +98,7 @@ def test_a_piece_replays_from_its_first_frozen_state_and_says_so(run: Path, tmp_
     assert "holds no frozen state" in said.stderr
 
 
-def test_of_a_piece_that_begins_within_the_stop_all_but_the_ramp_is_compared(
-    run: Path, tmp_path: Path
-) -> None:
+def test_of_a_piece_that_begins_within_the_stop_all_but_the_ramp_is_compared(run, tmp_path):
     whole = pamctl.log.read(run)
     stop = int(np.argmax(whole["phase"] == Phase.STOPPING))
     state = next(k["tick"] for k in whole.keyframes if k["tick"] > stop)
@@ -113,7 +109,7 @@ def test_of_a_piece_that_begins_within_the_stop_all_but_the_ramp_is_compared(
     assert f"reference not compared in {ticks} ticks" in said.stdout
 
 
-def test_a_piece_of_a_piece_keeps_the_whole_story(run: Path, tmp_path: Path) -> None:
+def test_a_piece_of_a_piece_keeps_the_whole_story(run, tmp_path):
     pamctl_("log", "cut", run, "--out", tmp_path / "one.mcap", "--from-row", "3000")
     pamctl_("log", "cut", tmp_path / "one.mcap", "--out", tmp_path / "two.mcap", "--from-row", "9")
     two = pamctl.log.read(tmp_path / "two.mcap")
@@ -123,7 +119,7 @@ def test_a_piece_of_a_piece_keeps_the_whole_story(run: Path, tmp_path: Path) -> 
     assert pamctl_("compare", tmp_path / "two.mcap").exit_code == 0
 
 
-def test_at_gaps_every_stretch_becomes_a_file(paused: Path, tmp_path: Path) -> None:
+def test_at_gaps_every_stretch_becomes_a_file(paused, tmp_path):
     done = pamctl_("log", "cut", paused, "--out", tmp_path / "part.mcap", "--at-gaps")
     assert "left out, alone between two gaps: row 100" in done.stdout
     lengths = [len(record_of(tmp_path / f"part-{number}.mcap")) for number in (1, 2)]
@@ -136,7 +132,7 @@ def test_at_gaps_every_stretch_becomes_a_file(paused: Path, tmp_path: Path) -> N
         assert "of 300" in checked
 
 
-def test_what_cannot_be_cut_is_one_error_and_leaves_nothing(paused: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_cut_is_one_error_and_leaves_nothing(paused, tmp_path):
     new = tmp_path / "new.mcap"
     for options, code, words in (
         (["--from-s", "99"], 2, "it has rows 0 to 299, from 0 to 3.77 s"),
@@ -198,7 +194,7 @@ FORMATS = {"csv": from_csv, "mat": from_mat, "parquet": from_parquet}
 
 
 @pytest.mark.parametrize(("suffix", "read_back"), FORMATS.items(), ids=FORMATS)
-def test_every_column_comes_back_to_the_bit(log, tmp_path, suffix, read_back: Read):
+def test_every_column_comes_back_to_the_bit(log, tmp_path, suffix, read_back):
     done = pamctl_export(log, tmp_path / f"a.{suffix}")
     assert done.exit_code == 0, done.output
     back = read_back(tmp_path / f"a.{suffix}")
@@ -208,7 +204,7 @@ def test_every_column_comes_back_to_the_bit(log, tmp_path, suffix, read_back: Re
 
 
 @pytest.mark.parametrize(("suffix", "read_back"), FORMATS.items(), ids=FORMATS)
-def test_a_part_is_chosen_by_fields_time_and_stride(log, tmp_path, suffix, read_back: Read):
+def test_a_part_is_chosen_by_fields_time_and_stride(log, tmp_path, suffix, read_back):
     out = tmp_path / f"a.{suffix}"
     chosen = ("--fields", "position_m,t_s", "--from", "0.05", "--to", "0.1", "--every", "10")
     assert pamctl_export(log, out, *chosen).exit_code == 0

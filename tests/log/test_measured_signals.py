@@ -152,13 +152,6 @@ def test_a_gap_in_an_imported_log_counts_as_missed_ticks(imported):
     assert pamctl.log.info(imported.path)["missed_ticks"] == 4
 
 
-def test_a_slice_of_the_signals_is_a_slice_of_each(imported):
-    part = pamctl.log.signals(imported)[50:70]
-    assert len(part) == 20
-    assert np.array_equal(part.position_m, np.sin(part.t_s))
-    assert part.pressure_pa is None
-
-
 def test_the_package_costs_the_loop_nothing_until_a_log_is_read():
     code = "import sys, pamctl.log; print(*sys.modules)"
     loaded = subprocess.check_output([sys.executable, "-c", code], text=True).split()
@@ -169,7 +162,7 @@ def test_the_package_costs_the_loop_nothing_until_a_log_is_read():
 
 
 @pytest.mark.parametrize("name", ["qsmc", "missed", "card", "card-clocked"])
-def test_some_columns_suffice_for_figures_and_signals(name: str) -> None:
+def test_some_columns_suffice_for_figures_and_signals(name):
     path = GOLDEN / f"{name}.mcap"
     whole = pamctl.log.read(path)
     figures = read_some(path, FIGURE_FIELDS)

@@ -161,12 +161,6 @@ def test_an_answer_to_the_command_is_no_spike():
     assert "spikes" not in kinds
 
 
-def test_a_place_is_told_in_the_rows_of_the_source():
-    (problem,) = find(pressure_pa=put(3000, 5000))
-    lines = np.arange(len(T_S)) + 2
-    assert problem.describe(lines).endswith("it is frozen: rows 3002 to 5001 (3 to 4.999 s)")
-
-
 @given(st.integers(1, 50), st.floats(1e-9, 1e3), st.floats(-10.0, 10.0))
 def test_the_step_of_a_converter_is_found(spread, step, offset):
     levels = np.random.default_rng(spread).integers(-spread, spread + 1, 500)
@@ -175,7 +169,7 @@ def test_the_step_of_a_converter_is_found(spread, step, offset):
 
 
 @pytest.mark.parametrize(("start", "stop"), [(0, 100), (1000, 1100), (1900, 2000)])
-def test_a_frozen_stretch_is_found_wherever_it_lies(start: int, stop: int) -> None:
+def test_a_frozen_stretch_is_found_wherever_it_lies(start, stop):
     chance, t_s = np.random.default_rng(6), np.arange(2000) * 1e-3
     values = np.cumsum(chance.normal(size=2000)) + chance.normal(size=2000)
     assert not find_frozen(t_s, values).any()

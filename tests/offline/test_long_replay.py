@@ -44,7 +44,7 @@ def result_of(found: Replay) -> tuple[object, ...]:
 
 
 @pytest.mark.parametrize("name", ["qsmc", "missed", "trip-wire"])
-def test_a_replay_in_pieces_has_the_same_result(name: str) -> None:
+def test_a_replay_in_pieces_has_the_same_result(name):
     whole, paged = read(GOLDEN / f"{name}.mcap"), open_paged(GOLDEN / f"{name}.mcap")
     for from_s in (None, 0.6 * float(whole.t[-1])) if whole.keyframes else (None,):
         here = replay_log(whole, from_s=from_s, tolerances=OTHER_CPU)
@@ -53,7 +53,7 @@ def test_a_replay_in_pieces_has_the_same_result(name: str) -> None:
         assert there.is_equal
 
 
-def test_a_difference_is_found_in_the_same_tick() -> None:
+def test_a_difference_is_found_in_the_same_tick():
     whole, paged = read(GOLDEN / "qsmc.mcap"), open_paged(GOLDEN / "qsmc.mcap")
     config = {**whole.config, "controller": {**whole.config["controller"], "eta": 0.5}}
     here = replay_log(replace(whole, config=config))
@@ -62,7 +62,7 @@ def test_a_difference_is_found_in_the_same_tick() -> None:
     assert result_of(here) == result_of(there)
 
 
-def test_a_loss_is_found_in_pieces_too(tmp_path: Path) -> None:
+def test_a_loss_is_found_in_pieces_too(tmp_path):
     broken, saved = tmp_path / "broken.mcap", tmp_path / "saved.mcap"
     data = bytearray((GOLDEN / "qsmc.mcap").read_bytes())
     data[len(data) // 2 : len(data) // 2 + 3000] = bytes(3000)
@@ -73,7 +73,7 @@ def test_a_loss_is_found_in_pieces_too(tmp_path: Path) -> None:
     assert result_of(here)[:4] == result_of(there)[:4]
 
 
-def test_a_what_if_in_pieces_has_the_same_commands() -> None:
+def test_a_what_if_in_pieces_has_the_same_commands():
     whole, paged = read(GOLDEN / "qsmc.mcap"), open_paged(GOLDEN / "qsmc.mcap")
     settings = replace_law(read_replay_source(whole).settings, None, ["controller.eta=0"])
     here, there = run_what_if(whole, settings), run_what_if(paged, settings)
@@ -82,7 +82,7 @@ def test_a_what_if_in_pieces_has_the_same_commands() -> None:
     assert here.phases == there.phases
 
 
-def test_a_file_that_changes_under_the_log_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_changes_under_the_log_is_refused(tmp_path):
     copy = tmp_path / "copy.mcap"
     copy.write_bytes((GOLDEN / "qsmc.mcap").read_bytes())
     log = open_paged(copy)
@@ -98,7 +98,7 @@ def test_a_file_that_changes_under_the_log_is_refused(tmp_path: Path) -> None:
     st.integers(1, 7),
     st.integers(0, 5),
 )
-def test_the_grid_finds_every_tick(steps: list[tuple[int, int]], piece: int, begin: int) -> None:
+def test_the_grid_finds_every_tick(steps, piece, begin):
     tick = begin + np.cumsum([step for step, _ in steps])
     missed = np.array([missed for _, missed in steps])
     grid = GridRows()

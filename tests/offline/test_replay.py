@@ -72,9 +72,7 @@ def pamctl(*arguments: object) -> tuple[int, str]:
 # --- the golden logs -------------------------------------------------------------------------
 
 
-def test_the_golden_logs_hold_the_cases_that_they_are_kept_for(
-    golden: Callable[[str], Log],
-) -> None:
+def test_the_golden_logs_hold_the_cases_that_they_are_kept_for(golden):
     laws = {golden(name).config["controller"]["law"] for name in NAMES}
     assert laws == {"qsmc", "smc", "pid"}
     assert golden("missed")["missed"].sum() > 10
@@ -89,7 +87,7 @@ def test_the_golden_logs_hold_the_cases_that_they_are_kept_for(
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
-def test_a_golden_log_replays_equal(name: str, golden: Callable[[str], Log]) -> None:
+def test_a_golden_log_replays_equal(name, golden):
     found = replay_log(golden(name), tolerances=OTHER_CPU)
     assert found.differences == ()
     assert found.is_whole
@@ -98,9 +96,7 @@ def test_a_golden_log_replays_equal(name: str, golden: Callable[[str], Log]) -> 
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_compiled_tick_and_the_plain_one_agree_to_the_bit(
-    name: str, golden: Callable[[str], Log]
-) -> None:
+def test_the_compiled_tick_and_the_plain_one_agree_to_the_bit(name, golden):
     recording = read_replay_source(golden(name))
     after = None
     for begin, end in recording.cut_stretches(0):
@@ -117,7 +113,7 @@ def test_the_compiled_tick_and_the_plain_one_agree_to_the_bit(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_golden_log_passes_the_check(name: str) -> None:
+def test_a_golden_log_passes_the_check(name):
     code, said = pamctl("log", "check", GOLDEN / f"{name}.mcap")
     assert code == 0, said
 
@@ -136,9 +132,7 @@ segments = st.builds(
 
 
 @given(st.lists(segments, min_size=1, max_size=6), durations, st.floats(0, 10))
-def test_a_course_computed_at_once_equals_the_course_tick_by_tick(
-    course: list[Segment], duration_s: float, begin_s: float
-) -> None:
+def test_a_course_computed_at_once_equals_the_course_tick_by_tick(course, duration_s, begin_s):
     walked = Course(course, duration_s)
     t_s = begin_s + np.arange(round(1.2e3 * duration_s)) * 1e-3
     asked = [walked.at(t) for t in (t_s - begin_s).tolist()]
@@ -151,7 +145,7 @@ def test_a_course_computed_at_once_equals_the_course_tick_by_tick(
         assert trace_course(walked, begin_s, t_s) is None
 
 
-def test_values_from_the_wall_clock_are_not_compared(golden: Callable[[str], Log]) -> None:
+def test_values_from_the_wall_clock_are_not_compared(golden):
     compared = {field.name for field in replay_log(golden("qsmc")).fields}
     by_the_clock = {"late_s", "read_s", "compute_s", "write_s", "pressure_t_ns", "encoder_t_ns"}
     of_the_tick = {
@@ -196,22 +190,20 @@ SETTINGS = {
 
 
 @pytest.mark.parametrize("key", SETTINGS)
-def test_a_changed_setting_is_found_and_its_stage_is_named_first(
-    key: str, golden: Callable[[str], Log]
-) -> None:
+def test_a_changed_setting_is_found_and_its_stage_is_named_first(key, golden):
     value, stage = SETTINGS[key]
     found = replay_log(with_config(golden("qsmc"), key, value), tolerances=OTHER_CPU)
     assert found.differences[0].place.stage == stage
 
 
-def test_a_stage_before_the_changed_one_stays_equal(golden: Callable[[str], Log]) -> None:
+def test_a_stage_before_the_changed_one_stays_equal(golden):
     changed = with_config(golden("qsmc"), "controller.eta", 0.5)
     stages = {d.place.stage for d in replay_log(changed, tolerances=OTHER_CPU).differences}
     assert "command" in stages
     assert not stages & {"zero", "measurement", "reference", "estimate"}
 
 
-def test_the_first_difference_is_reported_first(golden: Callable[[str], Log]) -> None:
+def test_the_first_difference_is_reported_first(golden):
     log = golden("qsmc")
     command = log["command_v"].copy()
     at = 700
@@ -271,9 +263,7 @@ A law's kernel is called by the type of its gains.
 
 
 @pytest.mark.parametrize("what", MUTATIONS)
-def test_a_changed_source_is_found_and_its_stage_is_named_first(
-    what: str, golden: Callable[[str], Log], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_changed_source_is_found_and_its_stage_is_named_first(what, golden, monkeypatch):
     name, stage, where, function, old, new = MUTATIONS[what]
     is_law = where in answer.registry
     if is_law:
@@ -319,8 +309,8 @@ def other_libm(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) 
 
 @pytest.mark.parametrize("name", ["smc", "pid-delayed", "missed"])
 def test_another_libm_is_within_the_tolerances_for_other_cpus_and_not_equal(
-    name: str, other_libm: None, golden: Callable[[str], Log]
-) -> None:
+    name, other_libm, golden
+):
     assert replay_log(golden(name), plain=True, tolerances=OTHER_CPU).is_equal
     exact = replay_log(golden(name), plain=True)
     assert exact.differences[0].place.stage == "estimate"
@@ -328,8 +318,8 @@ def test_another_libm_is_within_the_tolerances_for_other_cpus_and_not_equal(
 
 @given(st.floats(), st.floats(), st.floats(0, 1e3) | st.just(0.0))
 def test_two_values_differ_unless_they_are_the_same_bits_both_nan_or_within_the_tolerance(
-    logged: float, replayed: float, absolute: float
-) -> None:
+    logged, replayed, absolute
+):
     a, b = np.array([logged]), np.array([replayed])
     same = a.tobytes() == b.tobytes() or (math.isnan(logged) and math.isnan(replayed))
     near = absolute > 0 and abs(logged - replayed) <= absolute
@@ -339,7 +329,7 @@ def test_two_values_differ_unless_they_are_the_same_bits_both_nan_or_within_the_
 # --- from the middle ---------------------------------------------------------------------------
 
 
-def test_a_replay_can_start_from_a_frozen_state(golden: Callable[[str], Log]) -> None:
+def test_a_replay_can_start_from_a_frozen_state(golden):
     log = golden("smc")
     found = replay_log(log, from_s=1.2, tolerances=OTHER_CPU)
     assert found.begin == 1000
@@ -348,13 +338,11 @@ def test_a_replay_can_start_from_a_frozen_state(golden: Callable[[str], Log]) ->
     assert found.ticks == len(log) - 1000
 
 
-def test_before_the_first_frozen_state_it_starts_from_the_beginning(
-    golden: Callable[[str], Log],
-) -> None:
+def test_before_the_first_frozen_state_it_starts_from_the_beginning(golden):
     assert replay_log(golden("smc"), from_s=0.5, tolerances=OTHER_CPU).begin == 0
 
 
-def test_a_start_after_the_end_is_refused(golden: Callable[[str], Log]) -> None:
+def test_a_start_after_the_end_is_refused(golden):
     with pytest.raises(NotReplayable, match="ends at"):
         replay_log(golden("smc"), from_s=100.0)
 
@@ -384,9 +372,7 @@ def recovered_without_a_chunk(tmp_path: Path, name: str, which: int) -> Log:
     return read(tmp_path / "saved.mcap")
 
 
-def test_after_a_loss_the_replay_continues_from_the_next_frozen_state_and_says_so(
-    tmp_path: Path,
-) -> None:
+def test_after_a_loss_the_replay_continues_from_the_next_frozen_state_and_says_so(tmp_path):
     log = recovered_without_a_chunk(tmp_path, "card", 2)
     lost = np.flatnonzero(np.diff(log["tick"]) - 1 != log["missed"][1:])
     assert len(lost) == 1
@@ -403,7 +389,7 @@ def test_after_a_loss_the_replay_continues_from_the_next_frozen_state_and_says_s
     assert f"not whole, {found.ticks} of {len(log)} ticks were replayed" in said
 
 
-def test_a_log_whose_tick_jumps_is_not_equal_whatever_was_replayed(golden, tmp_path) -> None:
+def test_a_log_whose_tick_jumps_is_not_equal_whatever_was_replayed(golden, tmp_path):
     log = golden("qsmc")
     jumped = {name: np.asarray(column).copy() for name, column in log.columns.items()}
     jumped["tick"][400:] += 10**9
@@ -415,7 +401,7 @@ def test_a_log_whose_tick_jumps_is_not_equal_whatever_was_replayed(golden, tmp_p
     assert replay_log(replace(log, columns=jumped)).skipped == 0
 
 
-def test_a_piece_that_lost_ticks_before_its_first_frozen_state_is_not_equal(golden) -> None:
+def test_a_piece_that_lost_ticks_before_its_first_frozen_state_is_not_equal(golden):
     log = golden("qsmc")
     whole = {name: np.asarray(column) for name, column in log.columns.items()}
     story = {"source": "run.mcap", "first_row": "100", "last_row": "1028"}
@@ -430,7 +416,7 @@ def test_a_piece_that_lost_ticks_before_its_first_frozen_state_is_not_equal(gold
     assert not found.is_equal
 
 
-def test_a_log_that_begins_with_a_loss_and_has_no_frozen_state_is_refused(tmp_path: Path) -> None:
+def test_a_log_that_begins_with_a_loss_and_has_no_frozen_state_is_refused(tmp_path):
     log = recovered_without_a_chunk(tmp_path, "missed", 0)
     assert len(log) > 100
     assert log["tick"][0] > 0
@@ -438,7 +424,7 @@ def test_a_log_that_begins_with_a_loss_and_has_no_frozen_state_is_refused(tmp_pa
         replay_log(log)
 
 
-def test_a_damaged_log_is_refused_with_the_way_to_recover_it(tmp_path: Path) -> None:
+def test_a_damaged_log_is_refused_with_the_way_to_recover_it(tmp_path):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes((GOLDEN / "qsmc.mcap").read_bytes()[:-9000])
     done = CliRunner().invoke(app, ["replay", str(cut)])
@@ -449,7 +435,7 @@ def test_a_damaged_log_is_refused_with_the_way_to_recover_it(tmp_path: Path) -> 
 # --- logs of other origin -------------------------------------------------------------------------
 
 
-def test_an_imported_log_cannot_be_replayed(tmp_path: Path) -> None:
+def test_an_imported_log_cannot_be_replayed(tmp_path):
     t_s = np.arange(100) * 1e-3
     write_imported(tmp_path / "lab.mcap", t_s, {"valve_v": 0 * t_s, "position_m": 0 * t_s}, {})
     done = CliRunner().invoke(app, ["replay", str(tmp_path / "lab.mcap"), "--json"])
@@ -458,26 +444,20 @@ def test_an_imported_log_cannot_be_replayed(tmp_path: Path) -> None:
     assert "no tick of pamctl to replay" in done.stderr
 
 
-def test_a_log_that_lacks_what_the_tick_needs_names_the_version_to_replay_it_with(
-    golden: Callable[[str], Log],
-) -> None:
+def test_a_log_that_lacks_what_the_tick_needs_names_the_version_to_replay_it_with(golden):
     log = golden("qsmc")
     columns = {name: column for name, column in log.columns.items() if name != "pressure_v"}
     with pytest.raises(NotReplayable, match=r"lacks pressure_v.* replay it with pamctl 0\.1\.0"):
         replay_log(replace(log, columns=columns))
 
 
-def test_a_configuration_of_another_version_is_refused_with_the_key_that_does_not_fit(
-    golden: Callable[[str], Log],
-) -> None:
+def test_a_configuration_of_another_version_is_refused_with_the_key_that_does_not_fit(golden):
     older = with_config(golden("qsmc"), "controller.lambda_hz", 3.0)
     with pytest.raises(NotReplayable, match=r"controller\.lambda_hz: unknown key"):
         replay_log(older)
 
 
-def test_a_field_that_an_older_log_lacks_is_not_compared_and_named(
-    golden: Callable[[str], Log],
-) -> None:
+def test_a_field_that_an_older_log_lacks_is_not_compared_and_named(golden):
     log = golden("qsmc")
     columns = {name: column for name, column in log.columns.items() if name != "robust_v"}
     found = replay_log(replace(log, columns=columns), tolerances=OTHER_CPU)
@@ -485,9 +465,7 @@ def test_a_field_that_an_older_log_lacks_is_not_compared_and_named(
     assert found.absent == ["robust_v"]
 
 
-def test_a_frozen_state_of_another_version_is_restored_by_its_names(
-    golden: Callable[[str], Log],
-) -> None:
+def test_a_frozen_state_of_another_version_is_restored_by_its_names(golden):
     log = golden("smc")
     keyframes = copy.deepcopy(log.keyframes)
     for keyframe in keyframes:
@@ -500,7 +478,7 @@ def test_a_frozen_state_of_another_version_is_restored_by_its_names(
         assert "safety.missed_ticks" not in {field.name for field in found.fields}
 
 
-def test_a_log_without_configuration_is_refused(golden: Callable[[str], Log]) -> None:
+def test_a_log_without_configuration_is_refused(golden):
     with pytest.raises(NotReplayable, match="no configuration"):
         replay_log(replace(golden("qsmc"), config={}))
 
@@ -508,7 +486,7 @@ def test_a_log_without_configuration_is_refused(golden: Callable[[str], Log]) ->
 # --- what if --------------------------------------------------------------------------------------
 
 
-def test_a_what_if_with_the_same_law_gives_the_same_command() -> None:
+def test_a_what_if_with_the_same_law_gives_the_same_command():
     log = GOLDEN / "qsmc.mcap"
     code, said = pamctl("replay", log, "--set", "controller.lpf2_hz=107.0", "--json")
     answer = json.loads(said)
@@ -518,7 +496,7 @@ def test_a_what_if_with_the_same_law_gives_the_same_command() -> None:
     assert all(row["difference_max_v"] < 1e-9 for row in answer["phases"])
 
 
-def test_a_what_if_with_twice_the_gain_gives_twice_the_command(tmp_path: Path) -> None:
+def test_a_what_if_with_twice_the_gain_gives_twice_the_command(tmp_path):
     log = read(GOLDEN / "qsmc.mcap")
     double = 2 * log.config["controller"]["kp_v_s3_per_length"]
     table = tmp_path / "what-if.csv"
@@ -536,7 +514,7 @@ def test_a_what_if_with_twice_the_gain_gives_twice_the_command(tmp_path: Path) -
         assert float(row["what_if_command_v"]) == pytest.approx(doubled, abs=1e-9)
 
 
-def test_a_what_if_accepts_another_controller_file() -> None:
+def test_a_what_if_accepts_another_controller_file():
     code, said = pamctl("replay", GOLDEN / "smc.mcap", "--controller", "pid", "--json")
     answer = json.loads(said)
     assert code == 0
@@ -556,15 +534,13 @@ def test_a_what_if_accepts_another_controller_file() -> None:
         (("--tolerance", "x.yaml"), "must be default-for-other-cpu", 2),
     ],
 )
-def test_an_invalid_what_if_is_refused(
-    arguments: tuple[str, ...], complaint: str, code: int
-) -> None:
+def test_an_invalid_what_if_is_refused(arguments, complaint, code):
     done = CliRunner().invoke(app, ["replay", str(GOLDEN / "qsmc.mcap"), *arguments])
     assert done.exit_code == code
     assert complaint in " ".join(done.stderr.split())
 
 
-def test_a_what_if_on_an_open_loop_run_is_refused() -> None:
+def test_a_what_if_on_an_open_loop_run_is_refused():
     done = CliRunner().invoke(
         app, ["replay", str(GOLDEN / "steps.mcap"), "--set", "controller.eta=0"]
     )
@@ -575,7 +551,7 @@ def test_a_what_if_on_an_open_loop_run_is_refused() -> None:
 # --- the verb ------------------------------------------------------------------------------------
 
 
-def test_equal_is_one_line_and_code_0() -> None:
+def test_equal_is_one_line_and_code_0():
     code, said = pamctl("replay", GOLDEN / "qsmc.mcap", "--tolerance", "default-for-other-cpu")
     assert code == 0
     assert said.count("\n") == 1
@@ -583,9 +559,7 @@ def test_equal_is_one_line_and_code_0() -> None:
     assert "x real time" in said
 
 
-def test_a_difference_is_code_3_with_tick_stage_field_and_both_values(
-    golden: Callable[[str], Log], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_difference_is_code_3_with_tick_stage_field_and_both_values(golden, monkeypatch):
     changed = with_config(golden("qsmc"), "controller.eta", 0.5)
     monkeypatch.setattr("pamctl.log.reader.read_paged", lambda path: changed)
     arguments = ("replay", "x.mcap", "--tolerance", "default-for-other-cpu")

@@ -167,11 +167,11 @@ def used(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return found
 
 
-def test_outside_effects_at_neutral_values_do_not_change_the_papers_model(used) -> None:
+def test_outside_effects_at_neutral_values_do_not_change_the_papers_model(used):
     assert used["position_m"]["neutral"] == used["position_m"]["paper"]
 
 
-def test_outside_effects_in_a_plant_file_agree_compiled_and_plain(used) -> None:
+def test_outside_effects_in_a_plant_file_agree_compiled_and_plain(used):
     assert used["twins_agree"]
     paper, slope, coil, on = (used["position_m"][name] for name in ("paper", "slope", "coil", "on"))
     assert max(paper) - max(slope) > 0.3e-3
@@ -180,7 +180,7 @@ def test_outside_effects_in_a_plant_file_agree_compiled_and_plain(used) -> None:
     assert on not in (slope, coil)
 
 
-def test_diagnose_names_a_hidden_outside_effect(used) -> None:
+def test_diagnose_names_a_hidden_outside_effect(used):
     assert used["verdict"] == "named"
     assert [*used["named"]] == ["friction_slope"]
     assert "stribeck" in used["named"]["friction_slope"]
@@ -188,6 +188,6 @@ def test_diagnose_names_a_hidden_outside_effect(used) -> None:
     assert used["plant"]["per_m"] == pytest.approx(12.0, rel=0.05)
 
 
-def test_a_broken_outside_effect_is_left_out_with_the_name_of_its_package(used) -> None:
+def test_a_broken_outside_effect_is_left_out_with_the_name_of_its_package(used):
     (warning,) = used["warned"]
     assert warning.startswith("effect broken of rig-of-ours 0.3 is left out: no_such_module: ")

@@ -51,11 +51,6 @@ def measure_silences(looks: list[tuple[float, float]]) -> list[float]:
     ]
 
 
-def test_a_loop_that_beats_is_never_silent_for_longer_than_between_two_looks() -> None:
-    silences = measure_silences([(t, t - 0.4) for t in range(0, 1000, POLL_MS)])
-    assert max(silences) == pytest.approx(0.4)
-
-
 def test_a_frozen_loop_is_heard_as_silent_for_as_long_as_it_is() -> None:
     silences = measure_silences([(0, 0), *((t, 3.0) for t in range(POLL_MS, 101, POLL_MS))])
     assert silences[-1] == pytest.approx(97.0)
@@ -68,15 +63,6 @@ def test_a_machine_that_stood_still_does_not_make_the_loop_a_frozen_one(stall_ms
         [(0, 0), (5, 4.6), (10 + stall_ms, 9.6), (15 + stall_ms, 14.6 + stall_ms)]
     )
     assert max(silences) <= 2 * POLL_MS
-
-
-def test_two_stalls_in_a_row_are_not_a_freeze() -> None:
-    assert max(measure_silences([(0, 0), (5, 4.6), (65, 9.6), (125, 9.7), (130, 129.6)])) < 50
-
-
-def test_a_guardian_that_is_always_late_still_hears_a_frozen_loop_in_the_end() -> None:
-    silences = measure_silences([(0, 0), *((30.0 * look, 0.0) for look in range(1, 10))])
-    assert silences[-1] > 50
 
 
 def test_a_beat_from_just_after_the_clock_was_read_is_no_negative_silence() -> None:

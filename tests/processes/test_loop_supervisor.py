@@ -55,26 +55,6 @@ def test_where_there_is_no_clock_there_is_no_guardian_to_miss(ring: Ring) -> Non
     assert ask_for_stop(make_supervisor(ring, patient=True), 2000) is None
 
 
-@pytest.mark.parametrize("who", ["guardian", "front", "recorder"])
-def test_the_death_of_any_other_process_ends_the_run_at_once(ring: Ring, who: str) -> None:
-    ours, theirs = os.pipe()
-    supervisor = make_supervisor(ring, ours)
-    assert ask_for_stop(supervisor, 8) is None
-    match who:
-        case "guardian":
-            ring.guardian_lost = 1
-        case "front":
-            os.close(theirs)
-        case "recorder":
-            ring.raise_flag(RecorderFlag.FAILED)
-    found = ask_for_stop(supervisor, 8)
-    assert found is not None
-    assert found[1]
-    os.close(ours)
-    if who != "front":
-        os.close(theirs)
-
-
 def test_during_a_smooth_stop_a_death_still_ends_the_run_at_once(ring: Ring) -> None:
     supervisor = make_supervisor(ring)
     supervisor._on_signal(signal.SIGINT, None)

@@ -78,11 +78,6 @@ def undisturbed() -> Run:
     return run(short())
 
 
-def test_a_run_ends_complete_and_safe(undisturbed: Run) -> None:
-    assert undisturbed.ending == Ending(ExitCode.OK, "the experiment is complete")
-    assert_left_safe(undisturbed)
-
-
 def test_every_tick_is_on_record_once_and_in_order(undisturbed: Run) -> None:
     ticks = [record.timing.tick for record in undisturbed.journal.ticks]
     assert ticks == list(range(APPROACH_TICKS + TRACK_TICKS + STOP_TICKS))
@@ -142,37 +137,10 @@ def test_once_a_second_a_keyframe_holds_the_state_after_its_tick(undisturbed: Ru
     assert KEYFRAME_TICKS == 1000
 
 
-def test_a_missed_tick_costs_no_keyframe() -> None:
-    ran = run(short(), missed={999: 1, 1990: 20, 2998: 1, 3998: 3})
-    assert [tick for tick, _ in ran.journal.keyframes] == [1000, 2010, 2999, 4001]
-
-
-def test_the_same_seed_gives_the_same_run_and_another_one_another(undisturbed: Run) -> None:
-    assert repr(run(short()).journal) == repr(undisturbed.journal)
-    other = run(short(seed=1))
-    assert repr(other.journal) != repr(undisturbed.journal)
-    assert other.ending.code == ExitCode.OK
-
-
 def test_with_an_output_delay_the_run_ends_as_well() -> None:
     delayed = run(short("rig.sim.output_delay_ticks=1"))
     assert delayed.ending.code == ExitCode.OK
     assert_left_safe(delayed)
-
-
-def test_an_open_loop_experiment_writes_its_steps_as_steps() -> None:
-    square = run(
-        run_settings(
-            "rig.homing.enabled=false",
-            f"rig.safe_volts={SAFE_OUTPUT_V}",
-            experiment="square-2",
-            duration_s=0.6,
-        )
-    )
-    assert square.ending.code == ExitCode.OK
-    held = [record.decision.valve_v for record in square.journal.phase(Phase.OPEN_LOOP)]
-    assert held == [5.0] * 250 + [-5.0] * 250 + [5.0] * 100
-    assert all(math.isnan(r.estimate.error_m) for r in square.journal.phase(Phase.OPEN_LOOP))
 
 
 # --- homing ----------------------------------------------------------------------------
@@ -284,21 +252,6 @@ def test_a_device_that_does_not_open_ends_with_code_69_and_its_own_words() -> No
     assert ran.journal.ticks == []
 
 
-def test_the_ending_is_told_where_a_device_does_not_open() -> None:
-    settings = short()
-    made, told = parts(settings, []), []
-    ending = loop.ControlLoop(
-        rig=Shut(made.whole),  # type: ignore[arg-type]
-        clock=made.clock,
-        **steered(settings, MemoryJournal()),
-        supervisor=ScriptedSupervisor(),
-        truth=lambda: loop.Truth(0.0, 0.0),
-        ended=told.append,
-    ).run()
-    assert ending.code == ExitCode.UNAVAILABLE
-    assert told == [ending]
-
-
 TRIPS = {
     "pressure_nan": (MEASUREMENT_NOT_FINITE, 1),
     "broken_wire": (SENSOR_RANGE, 21),
@@ -336,11 +289,6 @@ def test_a_sensor_that_is_bad_while_homing_trips_too(kind: str) -> None:
     assert ran.ending.code == ExitCode.SAFETY_TRIP
     assert ran.journal.ticks[-1].reference.phase == Phase.HOMING
     assert_left_safe(ran)
-
-
-def test_a_glitch_that_is_soon_over_does_not_end_the_run() -> None:
-    ran = run(short(), fault("broken_wire", ticks=15), fault("encoder_jump", ticks=1, size=300))
-    assert ran.ending.code == ExitCode.OK
 
 
 # --- errors of our own -----------------------------------------------------------------
@@ -450,13 +398,6 @@ def test_a_stop_while_homing_ends_smoothly_too() -> None:
     assert_left_safe(ran)
 
 
-def test_a_stop_that_is_wanted_from_the_start_leaves_the_law_one_tick() -> None:
-    ran = run(short(), supervisor=ScriptedSupervisor(INTERRUPTED, stop_at=0))
-    assert ran.ending == INTERRUPTED
-    phases = [record.reference.phase for record in ran.journal.ticks]
-    assert phases == [Phase.APPROACH] + [Phase.STOPPING] * (STOP_TICKS - 1)
-
-
 def test_a_fault_during_the_stop_still_trips() -> None:
     supervisor = ScriptedSupervisor(INTERRUPTED, stop_at=2000)
     ran = run(short(), fault("pressure_nan", from_tick=2050), supervisor=supervisor)
@@ -485,25 +426,11 @@ def test_missed_ticks_are_counted_and_the_measured_dt_is_used_and_tracking_goes_
     assert max(map(abs, true_m)) < 1.5e-3
 
 
-def test_the_reference_goes_by_time_and_not_by_ticks(undisturbed: Run) -> None:
-    late = run(short(), missed={1500: 40})
-    by_tick = {record.timing.tick: record.reference for record in undisturbed.journal.ticks}
-    for record in late.journal.phase(Phase.TRACK):
-        expected = by_tick[record.timing.tick]
-        assert record.reference.reference_m == pytest.approx(expected.reference_m, abs=1e-15)
-
-
 def test_too_many_missed_ticks_end_with_code_5() -> None:
     ran = run(short(), missed=dict.fromkeys(range(1500, 4000), 1))
     assert ran.ending.code == ExitCode.OVERRUNS == 5
     assert ran.journal.ticks[-1].decision.verdicts == OVERRUNS
     assert_left_safe(ran)
-
-
-def test_overruns_together_with_worse_end_with_code_4() -> None:
-    ran = run(short(), missed={1500: 120})
-    assert ran.journal.ticks[-1].decision.verdicts == OVERRUNS | STALE_SAMPLE
-    assert ran.ending.code == ExitCode.SAFETY_TRIP
 
 
 def test_a_gap_longer_than_a_sample_may_be_old_is_a_stale_sample() -> None:

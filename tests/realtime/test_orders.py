@@ -26,11 +26,6 @@ def orders(slot: memoryview) -> Orders:
     return Orders(slot)
 
 
-def test_an_empty_slot_holds_no_order(orders: Orders) -> None:
-    assert orders.take() is None
-    assert orders.is_free
-
-
 def test_an_order_is_taken_once(orders: Orders) -> None:
     orders.send({"do": "mark", "text": "here"})
     assert not orders.is_free
@@ -121,11 +116,6 @@ def tuning() -> GainRamp:
     return GainRamp(build_tick_setup(SETTINGS), SETTINGS.controller)
 
 
-def test_without_a_change_the_setup_is_the_same_object_in_every_tick() -> None:
-    setup = build_tick_setup(SETTINGS)
-    assert all(GainRamp(setup, SETTINGS.controller).at(t) is setup for t in (0.0, 1.0, 1e6))
-
-
 def test_a_gain_goes_from_old_to_new_in_equal_steps_and_stays_there() -> None:
     tuned = tuning()
     new = controller("controller.lambda_per_s=40")
@@ -136,13 +126,6 @@ def test_a_gain_goes_from_old_to_new_in_equal_steps_and_stays_there() -> None:
     quarter = 0.25 * (new_pole - old_pole)
     assert found[:3] == pytest.approx([old_pole, old_pole + quarter, old_pole + 2 * quarter])
     assert found[3:] == [new_pole, new_pole]
-
-
-def test_after_the_ramp_the_setup_is_that_of_a_run_with_the_new_gains() -> None:
-    tuned = tuning()
-    new = controller("controller.lambda_per_s=40", "controller.lpf2_hz=90")
-    tuned.change(new, 1.0, 0.5)
-    assert tuned.at(1.6) == build_tick_setup(SETTINGS.model_copy(update={"controller": new}))
 
 
 def test_no_ramp_is_shorter_than_fifty_ticks() -> None:

@@ -23,6 +23,12 @@ root_only = pytest.mark.skipif(
 )
 
 
+@pytest.fixture(autouse=True)
+def _heap_of_all_tests(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A loop collects its small heap once; here each step would go through that of all tests."""
+    monkeypatch.setattr(gc, "collect", lambda *_: 0)
+
+
 def in_fresh_process(script: str) -> Any:
     """The JSON that a script prints: real steps would change the test process for good."""
     run = run_process([sys.executable, "-c", PREAMBLE + script], cwd=ROOT)

@@ -51,10 +51,6 @@ def compiled() -> TickRunner:
     return TickRunner(SETUP, NativeCall)
 
 
-def list_numbers(record: TickRecord) -> list[float]:
-    return [number for stage in record if stage is not None for number in stage]
-
-
 def pack(record: TickRecord) -> bytes:
     return bytes(pack_row(record))
 

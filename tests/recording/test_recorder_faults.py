@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from mcap.opcode import Opcode
 from support.made_up import START_MONO_NS, columns, end, meta, put, recording, tick
-from support.patience import PATIENCE_S, await_true
+from support.patience import PATIENCE_S
 
 from hal.child import child_command
 from pamctl.exit_codes import Ending, ExitCode
@@ -281,12 +281,6 @@ def test_the_recorder_ignores_the_signals_that_end_everyone_else(log):
     assert_complete(log, 1000)
 
 
-def test_the_recorder_shows_that_it_lives_while_there_is_nothing_to_do(log):
-    with new_ring(log) as ring, recording(ring):
-        beats = ring.recorder_beats + 3
-        await_true(lambda: ring.recorder_beats >= beats)
-
-
 def test_the_recorder_beats_while_a_slow_disk_takes_the_last_rows(log, monkeypatch):
     beats: list[int] = []
     write_back = os.fsync
@@ -305,13 +299,6 @@ def test_the_recorder_beats_while_a_slow_disk_takes_the_last_rows(log, monkeypat
     assert beats[1] >= beats[0] + 3
     assert_complete(log, 300)
     assert "recovery" not in read(log).metadata
-
-
-def test_a_tick_does_not_wait_for_the_next_one_to_be_in_the_file(log):
-    with new_ring(log) as ring, recording(ring):
-        put_with_events(ring, range(20))
-        await_true(lambda: not ring.pending)
-        assert info(log)["ticks"] == 20
 
 
 def test_a_recorder_that_is_behind_loses_nothing_of_a_loop_that_waits_for_it(log):
@@ -358,13 +345,6 @@ def test_a_directory_that_may_not_be_written_is_named(log):
     path = log.parent / "closed" / "run.mcap"
     with Ring.create(log.parent / "pamctl-a.ring", meta(path), 64) as ring:
         assert "Permission denied" in refused(ring)
-
-
-def test_a_recorder_without_a_ring_says_so_in_one_line(tmp_path):
-    code, said = end(spawn_recorder(tmp_path / "missing.ring"))
-    assert code == 1
-    assert said.count("\n") == 1
-    assert "cannot attach to the ring" in said
 
 
 def test_a_disk_that_fails_is_not_called_full(log, monkeypatch):

@@ -17,8 +17,6 @@ from pamctl.report.axes import (
     break_at_gaps,
     choose_step,
     find_unbroken,
-    fit_scale,
-    format_tick,
     keep_extremes,
     thin_cloud,
 )
@@ -109,27 +107,6 @@ def test_a_nice_step_is_one_two_or_five_times_a_power_of_ten(rough):
     digits = f"{step:.3e}"
     assert digits[:5] in ("1.000", "2.000", "5.000")
     assert rough * 0.99 <= step <= rough * 2.6
-
-
-@pytest.mark.parametrize(
-    ("data", "low", "high"),
-    [([], 0.0, 1.0), ([np.nan, np.inf], 0.0, 1.0), ([0.0, 0.0], -1.0, 1.0), ([20.0], 19.0, 21.0)],
-)
-def test_an_axis_for_a_constant_gets_an_extent(data, low, high):
-    scale = fit_scale(PlotAxis("x"), [np.array(data)])
-    assert (scale.low, scale.high) == (low, high)
-
-
-def test_a_log_axis_leaves_out_what_it_cannot_show():
-    scale = fit_scale(PlotAxis("count", log=True), [np.array([-1.0, 0.0, 1.0, 1000.0])])
-    assert 0.5 < scale.low < 1.0
-    assert np.isnan(scale.places(np.array([0.0, -1.0]))).all()
-    assert [tick.text for tick in scale.ticks()] == ["1", "10", "100", "1000"]
-
-
-def test_numbers_far_from_zero_keep_the_digits_that_distinguish_them():
-    assert format_tick(101_325.25, 0.25 / 5, 101_325.25) == "101325.25"
-    assert format_tick(-0.5, 0.5, 1.0) == "\N{MINUS SIGN}0.5"
 
 
 def test_hostile_texts_are_escaped_everywhere():

@@ -16,10 +16,7 @@ from pamctl.cli.app import app
 from pamctl.log import read
 from pamctl.log.importing.pipeline import write_imported
 from pamctl.log.reader import read_some
-from pamctl.report.axes import PlotAxis
-from pamctl.report.figure import Plot
 from pamctl.report.html_page import write_html
-from pamctl.report.report import Figure, Report
 from pamctl.report.reported_run import REPORT_FIELDS, name_runs
 from pamctl.report.run_page import compose_report
 
@@ -193,17 +190,6 @@ def test_a_phone_shows_the_page_without_errors_and_without_scrolling_sideways(
     assert found["needed"] <= found["width"] <= 390
     assert found["plots"] > 0
     assert found["smallest"] >= 11.0  # px: a plot's words keep their size
-
-
-def test_the_browser_check_finds_faults_of_a_page(tmp_path):
-    page = tmp_path / "report.html"
-    wrong = Report("wrong")
-    wrong.add(Figure([Plot("p", PlotAxis("x"), PlotAxis("y")).line([0.0, 1.0], [0.0, 1.0])]))
-    bad = '<div style="width:900px">wide</div><img src="picture.png"></main>'
-    page.write_text(write_html(wrong).replace("</main>", bad))
-    found, console, _ = look(page, tmp_path, width=390)
-    assert found["outside"]
-    assert any("Content Security Policy" in line for line in console)
 
 
 def test_the_page_prints_with_its_folded_texts(minute, tmp_path):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 from support.command_line import run_process
-from support.patience import PATIENCE_S
 from support.processes.daemons import QUICK
 from support.runs import COUNT_M
 
@@ -30,7 +28,6 @@ from pamctl.settings.resolve import resolve
 from pamctl.signals import Phase
 
 SINE = pamctl.Sine(offset_mm=4, amplitude_mm=1, frequency_hz=2, cycles=2)
-ROOT = Path(__file__).resolve().parents[2]
 NOT_HOMED = "rig.homing.enabled=false"
 
 
@@ -252,14 +249,6 @@ def test_a_log_whose_loop_ends_before_its_first_tick_says_how_it_ended(
     assert read(log).events[-1]["reason"] == "emergency stop"
 
 
-def test_the_reason_of_a_stop_is_cleaned_wherever_it_is_told(rig: pamctl.SimulatedRig) -> None:
-    rig.goto(5e-3, within_s=0.5)
-    rig._ask("stop", reason="enough\x1b[2J of it")
-    (told,) = [each for each in rig.status()["events"] if each["event"] == "stopping"]
-    assert "enough" in told["reason"]
-    assert "\x1b" not in told["reason"]
-
-
 def test_a_wait_for_a_held_position_is_refused_at_once_and_one_with_an_end_returns(
     rig: pamctl.SimulatedRig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -347,33 +336,6 @@ def test_importing_pamctl_loads_nothing() -> None:
     )
     done = run_process([sys.executable, "-c", program])
     assert done.returncode == 0, done.stderr
-
-
-SEVERAL_AT_ONCE = """
-import sys
-from concurrent.futures import ThreadPoolExecutor
-from threading import Barrier
-from pamctl.settings.resolve import resolve
-from pamctl import simulate
-all_begin = Barrier(4)
-def begin(experiment):
-    all_begin.wait()
-    return resolve(experiment=experiment)
-sys.setswitchinterval(1e-4)
-with ThreadPoolExecutor(4) as threads:
-    made = [*threads.map(begin, ("sine", "chirp", "sequence", "tracking-1"))]
-    assert len({type(settings.rig) for settings in made}) == 1
-    for rig in threads.map(lambda seed: simulate(seed=seed), (1, 2)):
-        rig.close()
-"""
-
-
-def test_threads_may_begin_the_first_simulations_of_a_process(tmp_path: Path) -> None:
-    """The first use loads the laws and builds the models of the settings."""
-    subprocess.run(
-        [sys.executable, "-c", SEVERAL_AT_ONCE],
-        cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True, timeout=PATIENCE_S,
-    )  # fmt: skip
 
 
 def test_gains_are_searched_and_each_generation_is_told() -> None:

@@ -1124,11 +1124,3 @@ EXPORT int32_t DAQmxGetErrorString(int32_t code, char *buffer, uint32_t size)
     snprintf(buffer, size, "The stand-in driver has something to say about %d.", code);
     return 0;
 }
-
-/* --- for the tests alone --- */
-
-/* The plant behind the wires by itself. */
-EXPORT void StandInAdvance(double *state, double command_v, double duration_s)
-{
-    plant_advance((Plant *)state, command_v, duration_s);
-}

@@ -400,13 +400,3 @@ def here_behind_comedi() -> Card:
         else:
             os.environ["STANDIN_DEVICE"] = before
     return card
-
-
-def advance(state: tuple[float, float, float], command_v: float, duration_s: float) -> list[float]:
-    """Let time pass for the C plant alone: position, velocity and pressure."""
-    numbers = (ctypes.c_double * 3)(*state)
-    function = ctypes.CDLL(str(library())).StandInAdvance
-    function.argtypes = [ctypes.POINTER(ctypes.c_double), ctypes.c_double, ctypes.c_double]
-    function.restype = None
-    function(numbers, command_v, duration_s)
-    return list(numbers)

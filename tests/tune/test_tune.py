@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import pickle
 import signal
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -35,7 +33,6 @@ from pamctl.tune.gains_trial import (
     PARAMETER_TOLERANCE,
     RESTING,
     SHORT,
-    TRIP_COST,
     UNCERTAIN_PARAMETERS,
     GainsVerdict,
     holds_the_farthest_point,
@@ -64,17 +61,6 @@ def test_parameters_stay_in_their_range_and_each_plant_can_do_the_experiments() 
         assert 1.0 - PARAMETER_TOLERANCE <= min(found) < 0.9
         assert 1.1 < max(found) <= 1.0 + PARAMETER_TOLERANCE
     assert all(holds_the_farthest_point(m.plant) for m in members)
-
-
-def test_a_drawn_plant_is_the_same_after_pickling() -> None:
-    members = draw_ensemble(3, 1)
-    assert pickle.loads(pickle.dumps(members)) == members
-
-
-def test_a_muscle_too_weak_for_the_upper_set_point_is_recognised() -> None:
-    weak = {"parameters": {"tank_pressure_pa": 200e3}}
-    assert not holds_the_farthest_point(PlantSettings.model_validate(weak))
-    assert holds_the_farthest_point(PlantSettings())
 
 
 # --- the trial -----------------------------------------------------------------------
@@ -118,21 +104,6 @@ def test_trials_last_as_long_as_stated_and_the_short_one_rests_as_long_as_the_pa
         s.duration_s for experiment in experiments for s in plan_experiment(experiment).segments
     ]
     assert GainsTrial("whole").duration_s == pytest.approx(sum(both))
-
-
-def test_gains_that_trip_cost_more_than_gains_that_do_not() -> None:
-    wild = PID.model_copy(update={"kp_v_per_length": 100.0, "kd_v_s_per_length": 2.0})
-    verdict = GainsTrial().verdict(wild, Member("delayed", PAPER[0].plant, output_delay_ticks=1))
-    assert verdict.worst > 5.0
-    assert not verdict.is_inside
-
-
-def test_gains_cost_the_more_the_sooner_safety_ends_their_run() -> None:
-    strict = resolve(overrides=["rig.limits.tracking_error_mm=0.2"]).model_dump_json()
-    weak = PID.model_copy(update={"kp_v_per_length": 0.3, "ki_v_per_length_s": 0.0})
-    verdict = GainsTrial("short", strict).verdict(weak, PAPER[0])
-    assert (verdict.why, verdict.figures_um) == ("safety trip", {})
-    assert 85.0 < verdict.worst == verdict.mean < TRIP_COST
 
 
 @pytest.mark.parametrize("hold_s", [0.0, 6.0])
@@ -185,23 +156,6 @@ def test_the_stiffness_of_the_search_is_the_response_of_the_law_to_an_error(law:
     assert command.command_v == pytest.approx(0.01 * stiffness, rel=0.01)
 
 
-def answer_v(controller: Any, rate_m_per_s: float, acceleration_m_per_s2: float) -> float:
-    """Return a law's command to an error that changes, at mid-stroke, half filled."""
-    resting = Reference(Phase.REST, 11.8e-3, 0.0, 0.0, 0.0, np.nan)
-    estimate = Estimate(11.8e-3, 271e3, 0.0, rate_m_per_s, acceleration_m_per_s2)
-    return respond(law_of(controller).to_gains(controller), ARMED, ARMED, resting, estimate, 1e-9)[
-        0
-    ].command_v
-
-
-def test_smc_is_undamped_with_the_mass_of_table_i_and_damped_with_the_fitted_one() -> None:
-    """f-hat cancels the muscle's own damping: therefore the search fits the mass."""
-    fitted = find_space("smc").controller(find_space("smc").usual)
-    of_table_i = fitted.model_copy(update={"model": PlantSettings()})
-    assert answer_v(of_table_i, -1e-3, 0.0) < 0.0 < answer_v(fitted, -1e-3, 0.0)
-    assert answer_v(of_table_i, 0.0, -0.1) < 0.0 < answer_v(fitted, 0.0, -0.1)
-
-
 # --- the jury ------------------------------------------------------------------------
 
 
@@ -221,15 +175,6 @@ def test_gains_cost_the_worst_named_plant_and_a_quantile_of_the_drawn_ones() -> 
     found = compute_cost(PID, np.inf, jury, Told(), range(21))
     assert found.value == 30.0 + 19.0
     assert found.runs == 23
-
-
-def test_plants_are_skipped_once_the_gains_are_certainly_beyond_the_limit() -> None:
-    jury = Jury(called(1, 1, 1, 5, 5, 5, 1, 1, 1, 1, 1), called(1))
-    in_order = compute_cost(PID, 4.0, jury, Told(), range(11))
-    hardest_first = compute_cost(PID, 4.0, jury, Told(), [5, 4, 3, 0, 1, 2, 6, 7, 8, 9, 10])
-    assert (in_order.value, in_order.runs) == (6.0, 1 + 5)
-    assert (hardest_first.value, hardest_first.runs) == (6.0, 1 + 2)
-    assert compute_cost(PID, 0.5, jury, Told(), range(11)).runs == 1
 
 
 @given(
@@ -277,26 +222,6 @@ def test_a_search_begins_within_its_bounds_in_every_part_of_them() -> None:
     assert (np.unique(np.floor(apart * len(shares)), axis=0).shape) == apart.shape
 
 
-class Shortsighted(GainsTrial):
-    """A trial that gets better with K_P, and whose long form trips above 10 V/mm."""
-
-    def verdict(self, controller: Any, member: Member) -> GainsVerdict:
-        trips = self.length == "whole" and controller.kp_v_per_length > 10.0
-        return GainsVerdict(5.0 if trips else 1.0 / controller.kp_v_per_length, "told", {}, 0.0)
-
-
-def test_the_best_gains_also_stand_the_longer_trial() -> None:
-    short, whole = Shortsighted("short"), Shortsighted("whole")
-    blind = GainsSearch("pid", BEFORE_PAPER, 1, trial=short)
-    seeing = GainsSearch("pid", BEFORE_PAPER, 1, trial=short, elite_trial=whole)
-    for _ in range(12):
-        oversight, found = blind.advance(), seeing.advance()
-    assert oversight.gains["kp_v_per_length"] > 10.0
-    assert 8.0 < found.gains["kp_v_per_length"] <= 10.0
-    assert found.cost == pytest.approx(1.0 / found.gains["kp_v_per_length"])
-    assert 0 < found.longer_evaluations < found.evaluations
-
-
 def test_several_processes_or_threads_find_the_same_gains(three_generations: list[float]) -> None:
     going = search()
     with ThreadPoolExecutor(2) as executor:
@@ -332,21 +257,6 @@ def test_a_score_says_how_many_plants_are_inside_and_what_is_too_large_on_the_ot
     assert "3 generations, 75 runs of 104 s, for paper; cost 1.250." in words
     assert "on 3 named plants 1 inside Table IV (33.3 %), score median 1.50" in words
     assert "pamctl tune --law pid" in words
-
-
-@pytest.mark.long
-def test_drawn_plants_reach_other_processes(tmp_path: Path) -> None:
-    which = ["--ensemble", "2", "--plant", "paper"]
-    made = tune("--check", "pid", *which, "--jobs", "2", "--json", cwd=tmp_path)
-    assert made.returncode == 0, made.stderr
-    assert not list(tmp_path.iterdir())
-    found = json.loads(made.stdout)["scores"]
-    ratios = [
-        GainsTrial("whole").verdict(PID, member).worst for member in draw_ensemble(2, 1_000_003)
-    ]
-    assert found["fresh"]["plants"] == 2
-    assert found["fresh"]["worst"] == max(ratios)
-    assert found["named"]["plants"] == found["named"]["inside"] == 1
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,7 @@ def oscillating(seed: int) -> Record:
 
 
 @pytest.mark.long
-def test_a_fast_oscillator_shows_its_cubic_spring_and_a_held_force_is_no_fault() -> None:
+def test_a_fast_oscillator_shows_its_cubic_spring_and_a_held_force_is_no_fault():
     guess = axis_plant(0.5 * MASS_KG, 0.5 * DAMPING, 0.5 * STIFFNESS)
     found = diagnose([oscillating(1)], [oscillating(2)], guess)
     assert names_of(found)[0] == "cubic_stiffness"
@@ -117,7 +117,7 @@ def diagnose_axis(tmp_path: Path) -> dict[str, Any]:
     return document
 
 
-def test_a_force_that_climbs_to_break_away_is_no_wandering_sensor(tmp_path: Path) -> None:
+def test_a_force_that_climbs_to_break_away_is_no_wandering_sensor(tmp_path):
     document = diagnose_axis(tmp_path)
     assert [effect["name"] for effect in document["effects"]] == ["coulomb_friction"]
     (force,) = document["effects"][0]["parameters"].values()

@@ -32,7 +32,7 @@ COUNT = 30
 
 
 @pytest.mark.parametrize("command_v", [5.0, 2.0])
-def test_programs_stay_within_command_and_length_and_begin_alike(command_v: float) -> None:
+def test_programs_stay_within_command_and_length_and_begin_alike(command_v):
     begin = make_repeated_part(command_v, command_v)
     drawn = [d.program for d in draw_programs(COUNT, command_v, begin, seed=3)]
     again = [d.program for d in draw_programs(COUNT, command_v, begin, seed=3)]
@@ -47,7 +47,7 @@ def test_programs_stay_within_command_and_length_and_begin_alike(command_v: floa
     assert all(c[-1] == -command_v for c in commands)
 
 
-def test_blocks_of_a_pool_are_mixed_anew_within_the_length() -> None:
+def test_blocks_of_a_pool_are_mixed_anew_within_the_length():
     begin = make_repeated_part(5.0, 5.0)
     pool = [block for d in draw_programs(3, 5.0, begin, seed=3) for block in d.blocks]
     mixed = [*draw_programs(COUNT, 5.0, begin, seed=3, pool=pool)]
@@ -57,7 +57,7 @@ def test_blocks_of_a_pool_are_mixed_anew_within_the_length() -> None:
     assert len({d.program.model_dump_json() for d in mixed}) == COUNT
 
 
-def test_sampled_commands_are_those_of_the_rigs_course() -> None:
+def test_sampled_commands_are_those_of_the_rigs_course():
     """The course is evaluated as the loop does, tick by tick."""
     for drawn in draw_programs(6, 5.0, make_repeated_part(5.0, 5.0), seed=1):
         program = drawn.program
@@ -72,7 +72,7 @@ def test_sampled_commands_are_those_of_the_rigs_course() -> None:
             assert reference_at(segments[at], t_s - begin).reference_valve_v == command
 
 
-def test_the_limits_are_those_of_the_rig_and_trip_where_the_loop_trips() -> None:
+def test_the_limits_are_those_of_the_rig_and_trip_where_the_loop_trips():
     parts = "{wave: hold, valve_v: -5, duration_s: 0.5}, {wave: square, frequency_hz: 2, cycles: 1}"
     strokes = f"experiment.parts=[{parts}]"
     base = ["rig.homing.enabled=false", "rig.sim.sensor_noise_v=0", strokes]
@@ -88,7 +88,7 @@ def test_the_limits_are_those_of_the_rig_and_trip_where_the_loop_trips() -> None
         assert (simulate_run(settings).tripped_s is not None) is trips
 
 
-def test_without_settings_the_limits_are_what_the_records_reached() -> None:
+def test_without_settings_the_limits_are_what_the_records_reached():
     t_s = np.arange(10) * 1e-3
     record = Record(
         "r", t_s, np.full(10, -2.0), np.linspace(1e5, 2e5, 10), np.linspace(0, 5e-3, 10)
@@ -100,7 +100,7 @@ def test_without_settings_the_limits_are_what_the_records_reached() -> None:
 
 
 @pytest.mark.parametrize("atmosphere_pa", [101.3e3, 78e3])
-def test_a_gentle_program_is_admitted_at_any_altitude(atmosphere_pa: float) -> None:
+def test_a_gentle_program_is_admitted_at_any_altitude(atmosphere_pa):
     places = ("rig.calibration", "plant.parameters")
     settings = resolve(overrides=[f"{p}.atmospheric_pressure_pa={atmosphere_pa}" for p in places])
     limits = read_rig_limits(settings_to_data(settings), "these settings")
@@ -131,7 +131,7 @@ def run(commands_v: np.ndarray, seed: int, experiment: object = None) -> Record:
     )
 
 
-def test_full_strokes_leave_the_valve_open_and_the_chosen_program_names_its_null() -> None:
+def test_full_strokes_leave_the_valve_open_and_the_chosen_program_names_its_null():
     strokes = run(sample_commands(make_program(make_repeated_part(5.0, 5.0)), PERIOD_S), 1)
     asked = ask_only("null_offset", "valve_asymmetry", "valve_deadband", "valve_curve")
     first = diagnose([strokes], [], PlantSettings(), without=asked)

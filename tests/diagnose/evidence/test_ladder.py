@@ -38,9 +38,7 @@ PLAY = found(EFFECTS["encoder_backlash"], 400.0)
     ],
     ids=["understood", "at its range", "without a name", "of another channel", "smaller"],
 )
-def test_nothing_is_named_beside_a_larger_law_of_its_channel_that_is_open(
-    larger: Finding, is_alone: bool
-) -> None:
+def test_nothing_is_named_beside_a_larger_law_of_its_channel_that_is_open(larger, is_alone):
     assert stands_alone(PLAY, [larger, PLAY]) is is_alone
 
 
@@ -56,8 +54,8 @@ def test_nothing_is_named_beside_a_larger_law_of_its_channel_that_is_open(
     ],
 )
 def test_a_second_law_may_stand_for_one_that_cannot_stand_beside_the_first(
-    first: str, second: str, is_unasked: bool
-) -> None:
+    first, second, is_unasked
+):
     pool = EFFECTS | {h.name: h for h in list_terms("muscle", REACH | COMMAND, PAPER_SCALES)}
     m = WeighedModel((first, second), (), {}, np.zeros(0))
     assert has_unasked_rival(pool, m, pool[second]) is is_unasked

@@ -64,7 +64,7 @@ def true_shares(instants: CommandInstants, whole: Mapping[str, Record]) -> np.nd
     return np.array(found)
 
 
-def test_steps_stand_out_and_a_chirp_does_not() -> None:
+def test_steps_stand_out_and_a_chirp_does_not():
     t_s = np.arange(4000) * 1e-3
     chirp = np.sin(2.0 * np.pi * 15.0 * t_s**2)
     steps = np.where(t_s < 1.5, -5.0, 5.0)
@@ -72,19 +72,19 @@ def test_steps_stand_out_and_a_chirp_does_not() -> None:
     assert find_jumps(chirp).tolist() == []
 
 
-def test_the_pressure_shows_that_a_file_has_every_second_command_only() -> None:
+def test_the_pressure_shows_that_a_file_has_every_second_command_only():
     whole, _ = lay_out(record_all())
     half, _ = lay_out(record_half())
     assert find_instants(whole) == []
     assert find_instants(half)
 
 
-def test_a_file_that_says_when_its_commands_act_is_believed() -> None:
+def test_a_file_that_says_when_its_commands_act_is_believed():
     weigher, _ = lay_out(record_half(), acts_after_s=lambda r: np.full(len(r), 1e-4))
     assert find_instants(weigher) == []
 
 
-def test_a_pressure_that_is_early_everywhere_is_a_late_column_and_no_lost_command() -> None:
+def test_a_pressure_that_is_early_everywhere_is_a_late_column_and_no_lost_command():
     def early(record: Record) -> np.ndarray:
         return np.roll(record.pressure_pa, -1)
 
@@ -92,7 +92,7 @@ def test_a_pressure_that_is_early_everywhere_is_a_late_column_and_no_lost_comman
     assert find_instants(weigher) == []
 
 
-def test_each_jump_is_put_back_to_where_it_acted() -> None:
+def test_each_jump_is_put_back_to_where_it_acted():
     weigher, start = lay_out(record_half())
     instants = find_instants(weigher)
     base = weigher.settle(start, FIT_STEPS)
@@ -110,7 +110,7 @@ def test_each_jump_is_put_back_to_where_it_acted() -> None:
     assert after.max() < 2.0
 
 
-def test_half_of_the_ticks_say_the_same_as_all_of_them() -> None:
+def test_half_of_the_ticks_say_the_same_as_all_of_them():
     effect = "valve_asymmetry"
     asked = "valve_asymmetry", "valve_spool", "command_delay", "valve_deadband", "exhausting~"
     plant = make_case(effect).start_plant()

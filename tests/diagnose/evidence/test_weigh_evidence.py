@@ -28,7 +28,7 @@ def records_of(effects: dict[str, float], seed: int) -> tuple[list[Record], list
     return [rig.run(e).record for e in train], [rig.run(e).record for e in held_out]
 
 
-def test_every_effect_of_a_muscle_that_data_can_show_is_in_the_pool() -> None:
+def test_every_effect_of_a_muscle_that_data_can_show_is_in_the_pool():
     families = {h.family for h in list_effects("muscle", PAPER_SCALES)}
     assert families == {
         name
@@ -37,13 +37,13 @@ def test_every_effect_of_a_muscle_that_data_can_show_is_in_the_pool() -> None:
     }
 
 
-def test_records_without_an_input_are_refused() -> None:
+def test_records_without_an_input_are_refused():
     train, _ = records_of({}, 40713)
     with pytest.raises(ValueError, match="needs valve_v"):
         weigh_evidence([replace(r, valve_v=None, pressure_pa=None) for r in train])
 
 
-def test_no_law_counts_where_the_name_that_explains_as_much_is_too_small() -> None:
+def test_no_law_counts_where_the_name_that_explains_as_much_is_too_small():
     train, held_out = records_of({"coulomb_friction": 5}, 40714)
     weigher, start = prepare_weigher(train, held_out, PAPER)
     pool = {h.name: h for h in list_pool(weigher.train, weigher.base, PAPER)}
@@ -60,7 +60,7 @@ def test_no_law_counts_where_the_name_that_explains_as_much_is_too_small() -> No
     assert search.take(base, [name, law]) is None
 
 
-def test_what_explains_nothing_promises_nothing_and_hardly_a_loss_beside_a_large_gap() -> None:
+def test_what_explains_nothing_promises_nothing_and_hardly_a_loss_beside_a_large_gap():
     weigher, start = prepare_weigher(records_of({"valve_deadband": 10}, 40716)[0], [], PAPER)
     pool = {h.name: h for h in list_pool(weigher.train, weigher.base, PAPER)}
     search, base = NameSearch(weigher, pool), weigher.settle(start)
@@ -74,7 +74,7 @@ def test_what_explains_nothing_promises_nothing_and_hardly_a_loss_beside_a_large
         assert not score.shows
 
 
-def test_a_turned_column_is_seen_beside_two_gaps_that_hide_it_from_the_first_look() -> None:
+def test_a_turned_column_is_seen_beside_two_gaps_that_hide_it_from_the_first_look():
     effects = {"presliding": 2, "creep": 2}
     turned = [
         replace(r, position_m=-np.asarray(r.position_m)) for r in records_of(effects, 40717)[0]
@@ -88,7 +88,7 @@ def test_a_turned_column_is_seen_beside_two_gaps_that_hide_it_from_the_first_loo
     assert left[0] < 0.01
 
 
-def test_what_the_air_lacks_hardly_moves_the_position_while_the_blocks_are_apart() -> None:
+def test_what_the_air_lacks_hardly_moves_the_position_while_the_blocks_are_apart():
     weigher, start = prepare_weigher(records_of({"chamber_leak": 10}, 40718)[0], [], PAPER)
     before, together = weigher.find_residual(start.values), weigher.settle(replace(start))
     with weigher.apart():
@@ -99,7 +99,7 @@ def test_what_the_air_lacks_hardly_moves_the_position_while_the_blocks_are_apart
     np.testing.assert_array_equal(weigher.find_residual(start.values), before)
 
 
-def test_names_that_are_found_apart_are_fitted_with_the_whole_plant() -> None:
+def test_names_that_are_found_apart_are_fitted_with_the_whole_plant():
     effects = {"chamber_leak": 10, "cubic_stiffness": 5}
     weigher, start = prepare_weigher(records_of(effects, 40722)[0], [], PAPER)
     listed = list_pool(weigher.train, weigher.base, PAPER)
@@ -112,7 +112,7 @@ def test_names_that_are_found_apart_are_fitted_with_the_whole_plant() -> None:
     np.testing.assert_allclose(found.d, weigher.find_residual(found.values, FINE_STEP_S))
 
 
-def test_blocks_that_are_apart_take_signals_without_what_was_done_to_them() -> None:
+def test_blocks_that_are_apart_take_signals_without_what_was_done_to_them():
     (plain, *_), _ = records_of({}, 40719)
     late = 3
     shown_m, shown_pa = np.asarray(plain.position_m), np.asarray(plain.pressure_pa)
@@ -132,7 +132,7 @@ def test_blocks_that_are_apart_take_signals_without_what_was_done_to_them() -> N
     assert (rms[2] > 3.0 * rms[0]).all()
 
 
-def test_a_rival_that_is_ahead_takes_the_place_of_what_was_found() -> None:
+def test_a_rival_that_is_ahead_takes_the_place_of_what_was_found():
     weigher, start = prepare_weigher(records_of({"coulomb_friction": 5}, 40720)[0], [], PAPER)
     asked = "coulomb_friction", "spring_hysteresis", "creep"
     listed = list_pool(weigher.train, weigher.base, PAPER)
@@ -147,7 +147,7 @@ def test_a_rival_that_is_ahead_takes_the_place_of_what_was_found() -> None:
     assert [(f.name, f.level) for f in findings] == [("coulomb_friction", "name")]
 
 
-def test_a_size_that_the_plant_file_states_stays_within_the_limits_of_plant_files() -> None:
+def test_a_size_that_the_plant_file_states_stays_within_the_limits_of_plant_files():
     plant = PlantSettings.model_validate(
         {"effects": {"return_friction": {"share": 0.9}, "coulomb_friction": {"force_n": 4.0}}}
     )
@@ -157,9 +157,7 @@ def test_a_size_that_the_plant_file_states_stays_within_the_limits_of_plant_file
     assert ranges["coulomb_friction.force_n"] == (0.0, 200.0)
 
 
-def test_intervals_are_wider_where_much_is_left_and_not_where_noise_is_left(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_intervals_are_wider_where_much_is_left_and_not_where_noise_is_left(monkeypatch):
     for effects, is_wider in ({"coulomb_friction": 5}, True), ({}, False):
         weigher, start = prepare_weigher(records_of(effects, 40715)[0], [], PAPER)
         base = weigher.settle(start)
@@ -172,7 +170,7 @@ def test_intervals_are_wider_where_much_is_left_and_not_where_noise_is_left(
         assert ratio > 1.5 if is_wider else 1.0 <= ratio < 1.4  # a part of the noise is slow
 
 
-def test_what_another_search_found_in_its_stead_is_a_rival_of_a_name() -> None:
+def test_what_another_search_found_in_its_stead_is_a_rival_of_a_name():
     weigher, start = prepare_weigher(records_of({"encoder_scale": 3}, 40722)[0], [], PAPER)
     pool = {h.name: h for h in list_pool(weigher.train, weigher.base, PAPER)}
     asked = "encoder_scale", "rest_length"
@@ -190,7 +188,7 @@ def test_what_another_search_found_in_its_stead_is_a_rival_of_a_name() -> None:
     assert [h.name for h in beside[0].rivals] == ["rest_length"]
 
 
-def test_what_stands_at_its_range_is_asked_what_it_becomes_from_where_the_model_stands() -> None:
+def test_what_stands_at_its_range_is_asked_what_it_becomes_from_where_the_model_stands():
     """A hysteresis without a way is dry friction. Without either, spring and damping go astray."""
     weigher, start = prepare_weigher(records_of({"coulomb_friction": 20}, 40720)[0], [], PAPER)
     asked = "coulomb_friction", "spring_hysteresis"

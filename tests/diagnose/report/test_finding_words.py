@@ -14,7 +14,7 @@ from pamctl.diagnose.report.finding_words import (
     spell_names,
 )
 from pamctl.diagnose.report.next_experiment import name_apart, spell_next
-from pamctl.plant.effects.description import ACTUATORS, Actuator
+from pamctl.plant.effects.description import ACTUATORS
 from pamctl.plant.model import PlantSettings, values_of
 from pamctl.plant.terms import DRIVERS
 
@@ -30,8 +30,8 @@ LATE = next(list_of_chain(["position_m"], {}, 1e-3, "direct", {}))
     ],
 )
 def test_a_rival_is_behind_or_ahead_and_never_a_negative_number_behind(
-    behind_nats: float, is_beaten: bool, words: str
-) -> None:
+    behind_nats, is_beaten, words
+):
     ends = (behind_nats - 5.0, behind_nats + 5.0)
     rival = JudgedRival(
         LATE, behind_nats, ends, 0.9, is_beaten, is_freer=False, is_better=False, model=None
@@ -47,9 +47,7 @@ def test_a_rival_is_behind_or_ahead_and_never_a_negative_number_behind(
         ("position_smoothed", 12e-3, "position_m smoothed over 12 ms"),
     ],
 )
-def test_a_late_or_smoothed_column_is_said_with_its_milliseconds(
-    name: str, value_s: float, words: str
-) -> None:
+def test_a_late_or_smoothed_column_is_said_with_its_milliseconds(name, value_s, words):
     chain = {h.name: h for h in list_of_chain(["position_m"], {}, 1e-3, "direct", {})}
     number = FittedNumber("~", value_s, value_s, value_s, "s")
     ends = 90.0, 110.0
@@ -59,13 +57,13 @@ def test_a_late_or_smoothed_column_is_said_with_its_milliseconds(
     assert spell_best(finding) == words
 
 
-def test_a_rival_of_the_measuring_chain_is_said_in_words() -> None:
+def test_a_rival_of_the_measuring_chain_is_said_in_words():
     assert spell_names("skew of position_m") == "a late or early position_m"
     assert spell_names("filter of position_m") == "a smoothed position_m"
     assert spell_names("curve of position_m over time") == "curve of position_m over time"
 
 
-def test_explanations_are_told_apart_by_what_they_do_not_share() -> None:
+def test_explanations_are_told_apart_by_what_they_do_not_share():
     shared = "all_clock and chamber_leak"
     curve = "curve of position_m over position"
     one, other = f"{shared} and {curve}", f"{shared} and encoder_scale"
@@ -73,7 +71,7 @@ def test_explanations_are_told_apart_by_what_they_do_not_share() -> None:
     assert name_apart([shared, one], "; ") == f"nothing more; {curve}"
 
 
-def test_a_next_step_is_a_command_with_a_remark_or_plain_words() -> None:
+def test_a_next_step_is_a_command_with_a_remark_or_plain_words():
     asked = {"separates": ["null_offset", "valve_curve"], "why": "a long reason"}
     command = spell_next({**asked, "do": "pamctl run --experiment chirp"})
     assert command == "next: pamctl run --experiment chirp  # it tells null offset from valve curve"
@@ -84,7 +82,7 @@ def test_a_next_step_is_a_command_with_a_remark_or_plain_words() -> None:
 
 
 @pytest.mark.parametrize("actuator", ACTUATORS)
-def test_every_place_that_may_be_said_is_a_noun_of_its_own(actuator: Actuator) -> None:
+def test_every_place_that_may_be_said_is_a_noun_of_its_own(actuator):
     reach = dict.fromkeys(DRIVERS, (0.0, 1.0))
     channels = ["force_n"] if actuator == "direct" else ["pressure_pa", "position_m"]
     plant = {**values_of(PlantSettings()), "stroke_m": 1.0}

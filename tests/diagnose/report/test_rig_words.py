@@ -30,7 +30,7 @@ from pamctl.plant.drive import drive_coupled
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.terms import LOCATIONS
 from pamctl.report.html_page import write_html
-from pamctl.report.report import SIGNAL_DISPLAYS, format_terminal
+from pamctl.report.report import format_terminal
 from pamctl.settings.yaml12 import parse_yaml
 
 pytestmark = pytest.mark.long
@@ -84,9 +84,7 @@ def found(records: list[Record]) -> Diagnosis:
 
 
 @pytest.mark.parametrize("verdict", [None, Verdict.NONE_KNOWN, Verdict.PARTIAL])
-def test_no_word_of_a_mechanism_speaks_of_air(
-    found: Diagnosis, records: list[Record], verdict: Verdict | None
-) -> None:
+def test_no_word_of_a_mechanism_speaks_of_air(found, records, verdict):
     said = found if verdict is None else replace(found, verdict=verdict)
     assert names_of(found) == ["coulomb_friction"]
     html = write_html(build_diagnosis_page(said, records))
@@ -105,7 +103,7 @@ def test_no_word_of_a_mechanism_speaks_of_air(
     assert "next.mcap" not in told
 
 
-def test_an_axis_without_a_pressure_is_told_nothing_of_a_pressure(found: Diagnosis) -> None:
+def test_an_axis_without_a_pressure_is_told_nothing_of_a_pressure(found):
     spots = {spot["name"] for spot in build_diagnosis_document(found)["blind_spots"]}
     assert not {name for name in spots if "pressure" in name or name == "piston"}
     assert "encoder_scale" not in json.dumps(build_diagnosis_document(found)["next_experiment"])
@@ -116,9 +114,7 @@ def test_an_axis_without_a_pressure_is_told_nothing_of_a_pressure(found: Diagnos
     assert "at several pressures" in advise_experiment(with_pressure, "diagnosis")
 
 
-def test_who_diagnoses_another_rig_with_the_papers_muscle_is_told_to_describe_his(
-    found: Diagnosis,
-) -> None:
+def test_who_diagnoses_another_rig_with_the_papers_muscle_is_told_to_describe_his(found):
     assert found.evidence is not None
     far = {c: 2000.0 * noise for c, noise in found.evidence.noise_rms.items()}
     evidence = replace(found.evidence, gap={**found.evidence.gap, "extended": far})
@@ -131,7 +127,7 @@ def test_who_diagnoses_another_rig_with_the_papers_muscle_is_told_to_describe_hi
     assert "plant new" not in " ".join(advise_next_steps(found))
 
 
-def test_a_refused_record_of_a_mechanism_is_not_to_be_vented(records: list[Record]) -> None:
+def test_a_refused_record_of_a_mechanism_is_not_to_be_vented(records):
     still = [replace(r, force_n=np.zeros(len(r))) for r in records]
     refused = diagnose(still, [], AXIS)
     assert refused.verdict is Verdict.BAD_DATA
@@ -141,27 +137,7 @@ def test_a_refused_record_of_a_mechanism_is_not_to_be_vented(records: list[Recor
     assert "pamctl run" not in told
 
 
-def test_signal_and_residual_share_a_picture(found: Diagnosis, records: list[Record]) -> None:
-    html = write_html(build_diagnosis_page(found, records))
-    assert "Displacement, signal and residual" in html
-    (signal,) = re.findall(r"signal, RMS ([\d.e-]+) mm", html)[:1]
-    spread_mm = 1e3 * float(np.std(records[1]["position_m"]))
-    assert float(signal) == pytest.approx(spread_mm, rel=0.02)
-    assert SIGNAL_DISPLAYS["position_m"].choose_unit(0.2) == (1e3, "mm")
-
-
-def test_an_accepted_doubt_is_in_the_document_and_on_the_page(records: list[Record]) -> None:
-    gauge = [replace(r, pressure_pa=np.full(len(r), 1e4) + 10.0 * np.sin(r.t_s)) for r in records]
-    others = ask_only("cubic_stiffness", of=list_asked(gauge, AXIS))
-    reason = "a vacuum chamber"
-    kept = diagnose(gauge[:1], gauge[1:], AXIS, without=others, accept={"pressure_unit": reason})
-    (entry,) = build_diagnosis_document(kept)["accepted"]
-    assert (entry["rule"], entry["reason"]) == ("pressure_unit", reason)
-    assert reason in write_html(build_diagnosis_page(kept, gauge))
-    assert reason in format_terminal(report_diagnosis(kept))
-
-
-def test_only_a_muscle_whose_records_pamctl_made_is_told_to_run(found: Diagnosis) -> None:
+def test_only_a_muscle_whose_records_pamctl_made_is_told_to_run(found):
     mine = [replace(record, is_imported=False) for record in found.train]
     muscle = replace(found, nominal=PlantSettings(), train=tuple(mine), holdout=())
     assert runs_here(muscle)
@@ -174,7 +150,7 @@ def test_only_a_muscle_whose_records_pamctl_made_is_told_to_run(found: Diagnosis
     assert "driving force" in write_advice("chirp", "direct", runs_here=False)
 
 
-def test_a_chamber_of_constant_volume_is_diagnosed_without_a_position() -> None:
+def test_a_chamber_of_constant_volume_is_diagnosed_without_a_position():
     base = {"actuator": "chamber", "chamber_volume_m3": 1e-3}
     leak = {"chamber_leak": {"area_m2": 5e-8}}
     truth = PlantSettings.model_validate({**base, "effects": leak})
@@ -222,7 +198,7 @@ def chamber_record(seed: int, truth: PlantSettings) -> Record:
     )
 
 
-def test_an_interval_has_the_digits_that_its_ends_need_to_differ() -> None:
+def test_an_interval_has_the_digits_that_its_ends_need_to_differ():
     shown = FittedNumber("f.width_v", 0.25, 0.249962, 0.250031, "V").spell()
     assert shown == ["0.25000", "0.24996 to 0.25003", "V"]
     assert FittedNumber("mass_kg", 1342.04, 1341.0, 1343.0, "kg").spell()[:2] == [
@@ -241,7 +217,7 @@ def test_an_interval_has_the_digits_that_its_ends_need_to_differ() -> None:
         ((0.0, 0.1, 0.2, 0.1, 0.0), "from 0 % to 20 %"),
     ],
 )
-def test_a_law_that_takes_a_force_away_says_so(knots: tuple[float, ...], said: str) -> None:
+def test_a_law_that_takes_a_force_away_says_so(knots, said):
     numbers = tuple(FittedNumber(f"f.knot_{k}", v, v, v, "1") for k, v in enumerate(knots))
     term = FreeTerm(
         LOCATIONS["braid_friction"], "curve", "time", {"size": 1.0}, numbers, (0.0, 9.0)
@@ -249,7 +225,7 @@ def test_a_law_that_takes_a_force_away_says_so(knots: tuple[float, ...], said: s
     assert term.text == f"a change of the braid's friction that follows time along a curve, {said}"
 
 
-def test_a_curve_of_which_no_knot_is_sure_has_no_size_in_its_words() -> None:
+def test_a_curve_of_which_no_knot_is_sure_has_no_size_in_its_words():
     knots = [FittedNumber(f"f.knot_{k}", v, v - 9.0, v + 9.0, "1") for k, v in enumerate(range(5))]
     place, values, span = LOCATIONS["braid_friction"], {"size": 1.0}, (0.0, 9.0)
     unsure = FreeTerm(place, "curve", "time", values, (*knots,), span)

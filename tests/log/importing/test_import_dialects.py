@@ -134,7 +134,7 @@ def dialects(draw: st.DrawFn) -> dict[str, Any]:
         "end": draw(st.sampled_from(["\n", "\r\n", "\r"])),
         "above": draw(st.lists(st.sampled_from(ABOVE), max_size=3)),
         "units": draw(st.sampled_from(["name", "row", "bracketed row"])),
-        "comment": draw(st.sampled_from(["", "", "# ", "%"])),
+        "comment": draw(st.sampled_from(["", "", "# ", "%", "// "])),
         "time": draw(st.sampled_from(["s", "s", "ms", *CLOCKS])),
         "order": draw(st.permutations(["time", *TRUTH, "note"])),
         "note": draw(st.booleans()) and not is_spaced,

@@ -257,7 +257,6 @@ def import_columns(folder: Path, **named: Any) -> Outcome:
 
 
 TIME = {"Time [s]": T_S}
-PRESSURE = {"Pressure [kPa abs]": ABSOLUTE_KPA}
 
 
 @pytest.mark.parametrize(
@@ -293,18 +292,6 @@ def test_a_time_column_of_a_strange_name_stands_in_the_map_to_write(tmp_path, na
     np.testing.assert_allclose(done.signals.position_m, POSITION_MM * 1e-3, atol=1e-9)
 
 
-def test_a_column_for_something_else_is_left_out(tmp_path):
-    others = {
-        "Supply pressure [bar]": GAUGE_BAR + 5, "Position setpoint [mm]": POSITION_MM,
-        "Tracking error [mm]": POSITION_MM, "Velocity [mm/s]": POSITION_MM, "Temp [C]": T_S,
-    }  # fmt: skip
-    done = import_columns(tmp_path, **TIME, **PRESSURE, **others)
-    assert done.code == 0
-    assert done.signals.position_m is None
-    for name in others:
-        assert name in [column["name"] for column in done.report["columns"] if column["left_out"]]
-
-
 def test_an_unnamed_sense_of_a_pressure_is_told_and_kept_in_the_log(tmp_path):
     done = import_columns(tmp_path, **TIME, **{"Pressure [bar]": ABSOLUTE_KPA / 100})
     assert "taken as absolute, as it falls to" in done.said["warning", "gauge"]
@@ -324,14 +311,6 @@ def refuse(path: Path, content: bytes | None = None) -> str:
     assert str(path) in done.stderr
     assert not done.path.exists()
     return str(done.stderr)
-
-
-@pytest.mark.parametrize(
-    ("ending", "content"),
-    [("tdms", b""), ("lvm", b"x"), ("xlsx", b"t_s,position_m\n"), ("mat", b"t_s\n" * 40)],
-)
-def test_another_file_under_this_name_is_refused(tmp_path, ending, content):
-    assert "crashed" not in refuse(tmp_path / f"a.{ending}", content)
 
 
 @pytest.mark.parametrize(

@@ -419,24 +419,3 @@ def test_a_matrix_of_no_rows_and_a_thousand_million_columns_is_left_out(tmp_path
     assert content.count(size) == 1
     name.write_bytes(content.replace(size, struct.pack("<ii", 0, 1 << 30)))
     assert [column.name for column in read_table(name).columns] == ["t_s"]
-
-
-def test_columns_apart_by_spaces_and_without_names_are_called_by_their_numbers(
-    tmp_path: Path,
-) -> None:
-    rows = "\n".join(f"  {10 * k}   {0.1 * k:.3f}  {2.0 + 0.01 * k:.3f}" for k in range(50))
-    (tmp_path / "pistons.txt").write_text(rows)
-    (tmp_path / "map.yaml").write_text(
-        "time: {column: 1, unit: ms}\n"
-        "position: {column: 2, unit: mm}\n"
-        "pressure: {column: '3', unit: bar, gauge: true}\n"
-    )
-    imported = Outcome(tmp_path / "pistons.txt", "--map", str(tmp_path / "map.yaml")).signals
-    assert len(imported) == 50
-    assert imported.position_m[7] == pytest.approx(0.7e-3)
-    assert imported.pressure_pa[7] == pytest.approx(ATMOSPHERE_PA + 2.07e5)
-
-
-def test_rows_at_10_hz_are_no_milliseconds(tmp_path: Path) -> None:
-    slow = {**GOOD, "t_s": 0.1 * np.arange(len(T_S))}
-    assert Outcome(write_csv(tmp_path / "slow.csv", slow)).code == 0

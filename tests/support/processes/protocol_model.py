@@ -83,7 +83,7 @@ RULES = Rules()
 
 FRONT, LOOP, GUARDIAN, RECORDER = range(4)
 NAMES = ("front", "loop", "guardian", "recorder")
-_R, _F, _D, _L = Life
+_R = Life.RUNS
 
 
 class State(NamedTuple):

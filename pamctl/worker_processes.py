@@ -7,15 +7,17 @@ is imported where an address is given, and nowhere else.
 from __future__ import annotations
 
 import multiprocessing
-import multiprocessing.context
 import os
 import platform
 import signal
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from importlib import metadata
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any
 
 from hal.child import without_working_directory
@@ -23,7 +25,7 @@ from pamctl import __version__
 from pamctl.exit_codes import ExitCode
 
 
-class _Worker(multiprocessing.context.SpawnProcess):
+class _Worker(SpawnProcess):
     """A worker process, started when there is work for it."""
 
     def start(self) -> None:
@@ -31,7 +33,7 @@ class _Worker(multiprocessing.context.SpawnProcess):
             super().start()
 
 
-class _Spawn(multiprocessing.context.SpawnContext):
+class _Spawn(SpawnContext):
     """The way to start workers that finds the same modules as this process."""
 
     Process = _Worker
@@ -54,6 +56,23 @@ def start_workers(jobs: int | None, cluster: str | None = None) -> Iterator[Exec
         yield executor
     finally:
         executor.shutdown(cancel_futures=True)
+
+
+def start_worker(work: Callable[..., Any], *given: Any) -> tuple[SpawnProcess, Connection]:
+    """Start a process for one piece of work; what it returns can be received once.
+
+    A worker that dies leaves the end of the connection.
+    """
+    answer, told = Pipe(duplex=False)
+    worker = _Worker(target=_work_once, args=(told, work, given), daemon=True)
+    worker.start()
+    told.close()
+    return worker, answer
+
+
+def _work_once(told: Connection, work: Callable[..., Any], given: tuple[Any, ...]) -> None:
+    _begin_work()
+    told.send(work(*given))
 
 
 def _begin_work() -> None:

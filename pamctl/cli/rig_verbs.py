@@ -193,7 +193,7 @@ class DoctorOptions(RigOptions):
 
     actuate: bool = flag("--actuate", "Fill and exhaust for a moment; the muscle moves")
     rt_seconds: float = option(
-        "--rt-seconds SECONDS", "Duration of each measurement of wake-ups", 2.0, low=0.1, high=600.0
+        "--rt-seconds SECONDS", "Duration of the measurement of wake-ups", 2.0, low=0.1, high=600.0
     )
 
 

@@ -18,7 +18,6 @@ from pamctl.cli.options import (
     JOBS,
     LOGS,
     NO_CHANGES,
-    SOCKET,
     AnnotationOptions,
     Options,
     flag,
@@ -32,7 +31,6 @@ from pamctl.cli.settings_from_options import SettingsOptions, resolve_options
 from pamctl.exit_codes import ExitCode
 from pamctl.log.run_meta import file_safe_name
 from pamctl.new_file import require_folder, write_files
-from pamctl.settings.config_files import DEFAULT_NAMES
 
 if TYPE_CHECKING:
     from pamctl.session.run_sweep import SweepEnd, SweepPlan
@@ -178,8 +176,7 @@ class SweepOptions(SettingsOptions, AnnotationOptions):
         shown="sweep-DATE",
     )
     logs: Path = LOGS
-    by_daemon: bool = flag("--daemon", "Run on the daemon; only its gains can be swept")
-    socket: Path | None = SOCKET
+    by_daemon: bool = flag("--daemon", "Gone: steer the daemon from Python instead")
     quiet: bool = flag("--quiet", "Print no progress")
 
 
@@ -189,7 +186,7 @@ def sweep(asked: SweepOptions) -> None:
 
     An interrupted sweep keeps its logs and goes on with the same command and --name.
     """
-    from pamctl.session.sweep_plan import parse_sweep, require_end
+    from pamctl.session.run_sweep import OwnRunner, parse_sweep, require_end, run_sweep
 
     said = asked.make_annotation()
     title = asked.name or datetime.now().strftime("sweep-%Y%m%d-%H%M%S")
@@ -200,42 +197,19 @@ def sweep(asked: SweepOptions) -> None:
     silent = asked.quiet or asked.as_json
     tell_run: Callable[[str], object] = (lambda line: None) if silent else tell
     if asked.by_daemon:
-        own = ["backend", "controller", "controller_from", "rig", "plant", "seed", "rt", "fast"]
-        if any(map(asked.is_typed, own)):
-            raise typer.BadParameter(
-                "the daemon has its own rig, plant and gains; give only --experiment, --duration "
-                "and --set controller.KEY=...",
-                param_hint="--daemon",
-            )
-        named = asked.experiment or DEFAULT_NAMES["experiment"]
-        settings, _ = resolve_options(
-            None, None, None, experiment=named, duration_s=asked.duration_s
-        )
+        fix = "from Python, set each gain and run: `pamctl manual find-runs-again`"
+        raise typer.BadParameter(f"a sweep makes runs of its own; {fix}", param_hint="--daemon")
+    base, names = asked.resolve_with(request.fixed)
+    # Every point is checked before the first run.
+    points = [asked.resolve_with(whole).settings for whole in request.list_overrides()]
+    for settings in points:
         require_end(settings)
-        require_linux()
-        from pamctl.daemon.client import Client, default_socket
-        from pamctl.session.run_sweep import DaemonRunner, run_sweep
-
-        with (
-            Client(asked.socket or default_socket()) as client,
-            DaemonRunner(client, settings, file_safe_name(named)) as runner,
-        ):
-            plan = runner.plan_sweep(request, asked.repeats, title, said)
-            end = run_sweep(plan, runner, tell_run)
-    else:
-        base, names = asked.resolve_with(request.fixed)
-        # Every point is checked before the first run.
-        points = [asked.resolve_with(whole).settings for whole in request.list_overrides()]
-        for settings in points:
-            require_end(settings)
-        require_linux()
-        require_folder(asked.logs)
-        asked.logs.mkdir(parents=True, exist_ok=True)
-        from pamctl.session.run_sweep import OwnRunner, run_sweep
-
-        own_runner = OwnRunner(points, names, asked.logs, not silent)
-        plan = own_runner.plan_sweep(base, request, asked.repeats, title, said)
-        end = run_sweep(plan, own_runner, tell_run)
+    require_linux()
+    require_folder(asked.logs)
+    asked.logs.mkdir(parents=True, exist_ok=True)
+    runner = OwnRunner(points, names, asked.logs, not silent)
+    plan = runner.plan_sweep(base, request, asked.repeats, title, said)
+    end = run_sweep(plan, runner, tell_run)
     _conclude(plan, end, as_json=asked.as_json)
 
 

@@ -107,8 +107,7 @@ _ALL: Mapping[str, Verb] = {
         "compiling and drawing plants", "Tune", "tune:tune", _FILES,
         "Search gains by simulation, or score given ones; Ctrl-C keeps the best so far."),
     "sweep": Verb(
-        ["--fast --set controller.lambda_per_s=20,40,80 --repeat 3",
-         "--daemon --experiment tracking-2 --set controller.lambda_per_s=20,40"],
+        ["--fast --set controller.lambda_per_s=20,40,80 --repeat 3"],
         "", "Tune", "tune:sweep", _RIG,
         "Run every combination of some settings, repeated; write a table and a page beside the "
         "logs."),

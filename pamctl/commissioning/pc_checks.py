@@ -179,7 +179,6 @@ def _read_text(path: Path) -> str:
 CALLS = 2000
 _LONGEST_S = 2.0
 """Longest time spent on measuring calls: a slow rig has shown itself by then."""
-_EDGES_US = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000)
 
 _GOOD_SHARE, _BAD_SHARE = 0.05, 0.5
 """Shares of a period at the 99th percentile: up to the first is ok, above the second a fault."""
@@ -192,8 +191,6 @@ class LatencySpread(NamedTuple):
     p50_us: float
     p99_us: float
     max_us: float
-    histogram: dict[str, int]
-    """Number of durations below each edge and not below the edge before."""
 
     def __str__(self) -> str:
         """Return one phrase for people."""
@@ -208,15 +205,7 @@ def summarise_latencies(durations_ns: Sequence[int]) -> LatencySpread:
     def quantile_us(share: float) -> float:
         return ordered[math.ceil(share * last)] * 1e-3
 
-    edges = (*_EDGES_US, math.inf)
-    counts = dict.fromkeys((f"below_{edge}_us" for edge in edges), 0)
-    for duration_ns in ordered:
-        edge = next(edge for edge in edges if duration_ns < edge * 1e3)
-        counts[f"below_{edge}_us"] += 1
-    histogram = {name: count for name, count in counts.items() if count}
-    return LatencySpread(
-        len(ordered), quantile_us(0.5), quantile_us(0.99), ordered[-1] * 1e-3, histogram
-    )
+    return LatencySpread(len(ordered), quantile_us(0.5), quantile_us(0.99), ordered[-1] * 1e-3)
 
 
 # --- waking up -------------------------------------------------------------------------------

@@ -356,9 +356,8 @@ def make_probe_request(settings: RunSettings) -> ProbeRequest[Any]:
 
 
 def _measure_timing(settings: RunSettings, rt_seconds: float) -> Iterator[Problem]:
-    """Measure the loop's clock as an ordinary program, then with all that is permitted."""
+    """Measure the loop's clock with all that is permitted."""
     period_s = 1.0 / settings.rig.loop.rate_hz
-    plain = measure_wake_ups(build_clock(settings, may_spin=False), rt_seconds)
     with prepare("auto", settings.rig.loop.cpu) as preparation:
         permitted = tuple(judge_permissions(preparation))
         how = "SCHED_FIFO" if preparation.fifo else "no SCHED_FIFO"
@@ -368,9 +367,6 @@ def _measure_timing(settings: RunSettings, rt_seconds: float) -> Iterator[Proble
         prepared = measure_wake_ups(clock, rt_seconds)
     yield from permitted
     yield judge_wake_ups("pc.wakeup", prepared, period_s, how)
-    # For comparison only: a run is scheduled like this with `--rt off`.
-    plainly = judge_wake_ups("pc.wakeup_plain", plain, period_s, "as an ordinary program")
-    yield plainly._replace(level="ok")
 
 
 def _ask_for_motion(bench: Bench) -> int | None:

@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, Field
 
 from pamctl import __version__
 from pamctl.daemon.protocol import RequestRefusedError, order
@@ -29,19 +29,11 @@ if TYPE_CHECKING:
     from pamctl.daemon.requested_settings import GainEdit
     from pamctl.settings.resolve import RunSettings
 
-_MOST_SWEPT = 8
 _MOST_VALUES = 5000
 """Values in one answer: writing more would keep the next client waiting."""
 
 
 # --- what orders are made of -------------------------------------------------------------------
-
-
-def _refuse_many(swept: Any) -> Any:
-    """Count first: to check thousands of entries would keep an emergency stop waiting."""
-    if isinstance(swept, dict) and len(swept) > _MOST_SWEPT:
-        raise ValueError(f"more than {_MOST_SWEPT} entries")
-    return swept
 
 
 DEFAULT_RAMP_S = 0.5
@@ -158,18 +150,16 @@ class RigSession(SessionLife):
         operator: Annotated[str, Field(max_length=LONGEST_NAME)] = "",
         sample: Annotated[str, Field(max_length=LONGEST_NAME)] = "",
         tags: Annotated[list[str], Field(max_length=MOST_TAGS)] = [],  # noqa: B006
-        sweep: Annotated[dict[str, str] | None, BeforeValidator(_refuse_many)] = None,
     ) -> dict[str, str]:
         """Run an experiment; home first if the muscle is not homed."""
-        from pamctl.log.annotation import SWEEP, AnnotationError, make_annotation
+        from pamctl.log.annotation import AnnotationError, make_annotation
         from pamctl.log.run_meta import bare_name
 
         try:
             said = make_annotation(tags, note, operator, sample)
         except AnnotationError as error:
             raise RequestRefusedError(str(error)) from error
-        records = {} if sweep is None else {SWEEP: sweep}
-        return {"log": str(self._begin(experiment, bare_name(name), duration_s, said, records))}
+        return {"log": str(self._begin(experiment, bare_name(name), duration_s, said))}
 
     @order(on_page=True, said="log: {log}")
     def goto(self, position_m: Length, within_s: Within = None) -> dict[str, str]:

@@ -234,7 +234,6 @@ class SessionLife(OrderTaker):
         name: str,
         duration_s: float | None,
         said: Annotation | None = None,
-        records: Mapping[str, Mapping[str, str]] | None = None,
     ) -> Path:
         from pamctl.control.experiment import HoldSettings
         from pamctl.daemon.requested_settings import (
@@ -256,7 +255,7 @@ class SessionLife(OrderTaker):
         self._require(RigState.READY, RigState.RUNNING)
         with self._shelf.new_path(f"{bare_name(self._names['controller'])}-{name}") as path:
             meta = make_run_meta(settings, {**self._names, "experiment": name}, path)
-            meta = annotate_meta(meta, said or NOTHING_SAID, records)
+            meta = annotate_meta(meta, said or NOTHING_SAID)
             try:
                 carrier.begin(name, meta, rows, packed)
             except RequestRefusedError:

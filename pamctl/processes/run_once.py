@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -33,10 +33,14 @@ from pamctl.processes.backends import (
 )
 from pamctl.processes.front import conduct_run
 from pamctl.processes.keep_awake import keep_awake
+from pamctl.processes.loop_main import compose_loop, run_to_ending
+from pamctl.processes.loop_supervisor import LoopSupervisor
+from pamctl.realtime.clock import LoopSettings
 from pamctl.realtime.orders import MARK_SLOT_BYTES
 from pamctl.realtime.tick import first_state, keyframe_fields
 from pamctl.realtime.tick_runner import TickRunner
-from pamctl.recording.recorded_run import LogReport
+from pamctl.recording.journal import RingJournal, wait_for_recorder
+from pamctl.recording.recorded_run import LogReport, ThreadRecordedRun
 from pamctl.recording.recorder import finish_orphans
 from pamctl.recording.ring import Ring
 from pamctl.report.progress_line import ProgressLine
@@ -87,8 +91,6 @@ def run_once(
     length_s = min(length_s, settings.duration_s or length_s)
     progress = ProgressLine(quiet=not shows_progress, length_s=length_s)
     if settings.fast:
-        from pamctl.processes.run_here import run_here  # numpy, which the daemon does without
-
         finish_orphans(SHARED_MEMORY, quiet=quiet)
         report = run_here(meta, settings, lambda tick: progress(tick, 0.0))
     else:
@@ -114,6 +116,60 @@ def _run_guarded(
                 if not ring.head:
                     ring.unlink()
                 raise
+
+
+# --- without a clock: in this one process, as no valve depends on it ----------------------------
+
+
+_TELL_EVERY_S = 0.05
+
+
+class _Watch(LoopSupervisor):
+    """Tells the progress, too."""
+
+    def __init__(
+        self, ring: Ring, pace: LoopSettings, tell: Callable[[Mapping[str, float]], None]
+    ) -> None:
+        super().__init__(ring, None, pace, patient=True)
+        self._tell = tell
+        self._told_s = 0.0
+
+    def find_stop(self, tick: int) -> Ending | None:
+        now_s = time.monotonic()
+        if now_s - self._told_s >= _TELL_EVERY_S and (newest := self._ring.latest_tick()):
+            self._told_s = now_s
+            self._tell(newest)
+        return super().find_stop(tick)
+
+
+def run_here(
+    meta: RunMeta,
+    settings: RunSettings,
+    tell: Callable[[Mapping[str, float]], None],
+) -> LogReport:
+    """Run a simulation to its end, with its log at `meta.log_path`; return how it ended.
+
+    It is the same loop, with ring and recorder as everywhere; the recorder is a thread. If this
+    process dies, the next start finishes the log. Where there are no rings in shared memory, the
+    log ends with the last whole chunk.
+
+    `tell` is called with the newest tick's columns from time to time. Takes over the signals that
+    end a run: call it within `restore_signals`. Raise `RecorderError` if there can be no log.
+    """
+    rows = settings.rig.loop.ring_rows
+    has_rings = sys.platform == "linux"
+    ring = Ring.create(new_ring_path(), meta, rows) if has_rings else Ring.in_memory(meta, rows)
+    wait_for_recorder(ring)
+    run = ThreadRecordedRun("run", ring)
+    watch = _Watch(ring, settings.rig.loop, tell)
+    watch.listen()
+    ending = run_to_ending(lambda: compose_loop(settings, RingJournal(ring), watch).run())
+    report = run.finish(ending)
+    ring.close()
+    return report
+
+
+# --- the log, and what is said of it ------------------------------------------------------------
 
 
 def make_run_meta(settings: RunSettings, names: Mapping[str, str], path: Path) -> RunMeta:

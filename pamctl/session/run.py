@@ -30,7 +30,6 @@ from pamctl.signals import find_followed_m
 
 if TYPE_CHECKING:
     import pandas
-    import xarray
 
     from pamctl.diagnose import Diagnosis, Record
     from pamctl.plant.model import PlantSettings
@@ -174,19 +173,6 @@ class Run:
         frame = frame_module.DataFrame({name: self[name] for name in names}, index=index)
         frame.attrs["units"] = {name: self.units[name] for name in names}
         return frame
-
-    def to_xarray(self, columns: Sequence[str] | None = None) -> xarray.Dataset:
-        """Return the ticks over the coordinate `t_s`, each variable with the attribute `units`.
-
-        `columns` are the columns to take [default: all]. Raises `PamctlError` without xarray.
-        """
-        arrays: Any = require_package("xarray")
-        names = [name for name in columns or self.columns if name != "t_s"]
-        variables = {name: ("t_s", self[name], {"units": self.units[name]}) for name in names}
-        axis = ("t_s", self.t_s, {"units": "s"})
-        source = {"source": str(self.path)}
-        data: xarray.Dataset = arrays.Dataset(variables, coords={"t_s": axis}, attrs=source)
-        return data
 
     def to_record(self) -> Record:
         """Return the signals that `pamctl.diagnose.diagnose` takes; raises `PamctlError`."""

@@ -1,22 +1,21 @@
-"""Make the runs of a sweep that are not there yet, and read what is there from their logs.
+"""The runs of a sweep: every combination of the swept values, and that as often as it is repeated.
 
-The logs are the only memory of a sweep: each carries its name as a tag, and its place in it. A
-sweep that was interrupted goes on from there. Runs are made by `pamctl run`'s own means, or
-through the daemon.
+All combinations are run once before any is repeated: a drift of the rig then spreads over all
+values, and does not look like an effect of one. The logs are the only memory of a sweep: each
+carries its name as a tag, and its place in it. A sweep that was interrupted goes on from there.
 """
 
 from __future__ import annotations
 
-import time
+import hashlib
+import math
+import re
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import asdict
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pamctl.daemon.client import Client, DaemonDeclinedError
-from pamctl.daemon.protocol import RequestRefusedError
-from pamctl.daemon.requested_settings import change_gains, load_controller
+from pamctl.control.experiment import plan_experiment
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.json_text import to_json
 from pamctl.log.annotation import SWEEP, Annotation
@@ -24,9 +23,149 @@ from pamctl.log.run_meta import bare_name, make_dated_path
 from pamctl.processes.interrupts import restore_signals
 from pamctl.processes.run_once import run_once
 from pamctl.runs.run_index import RunIndex
-from pamctl.runs.run_row import RunRow, read_row
-from pamctl.session.sweep_plan import SweepError, SweepRequest, SweepRun, list_runs
+from pamctl.runs.run_row import RunRow
 from pamctl.settings.resolve import RunSettings, settings_to_data
+
+_MOST_RUNS = 10_000
+_KEY = re.compile(r"\s*([^=\s]+)\s*=\s*(.*)", re.DOTALL)
+
+
+class SweepError(Exception):
+    """A sweep cannot be made or continued. The message says why, and what to do."""
+
+    exit_code = ExitCode.USAGE
+
+
+class SweepRequest(NamedTuple):
+    """What `--set` says: settings that are swept, and overrides that are the same in all runs."""
+
+    swept: Mapping[str, Sequence[str]]
+    """The values of each key, as they were written."""
+    fixed: tuple[str, ...]
+
+    def list_points(self) -> list[tuple[str, ...]]:
+        """Return the overrides `key=value` of every combination, the last key fastest."""
+        options = [[f"{key}={value}" for value in values] for key, values in self.swept.items()]
+        return list(product(*options))
+
+    def list_overrides(self) -> list[tuple[str, ...]]:
+        """Return all overrides of every combination."""
+        return [(*self.fixed, *point) for point in self.list_points()]
+
+    def read_point(self, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the swept settings by key, as they were understood."""
+        return {key: _read_setting(settings, key) for key in self.swept}
+
+    def mark_base(self, settings: Mapping[str, Any]) -> str:
+        """Return a short mark of all settings but the swept ones and the seed.
+
+        A sweep is continued under the same settings only: else its runs could not be compared.
+        """
+        left = _leave_out(settings, {"seed", *self.swept})
+        return hashlib.sha256(to_json(left)).hexdigest()[:16]
+
+
+class SweepRun(NamedTuple):
+    """One run of a sweep."""
+
+    point: Mapping[str, Any]
+    """The swept settings, by key."""
+    repeat: int
+    """From 0."""
+    number: int
+    """Number of the point, from 0."""
+
+    @property
+    def place(self) -> str:
+        """What tells it from the other runs of the sweep."""
+        return to_json([sorted(self.point.items()), self.repeat]).decode()
+
+    @property
+    def title(self) -> str:
+        """Its settings, for people."""
+        said = ", ".join(f"{key}={value}" for key, value in self.point.items())
+        return f"{said}, repeat {self.repeat + 1}"
+
+
+def parse_sweep(overrides: Sequence[str], repeats: int) -> SweepRequest:
+    """Split overrides into swept and fixed ones: `key=1,2,3` is swept; raise SweepError.
+
+    A comma within brackets or quotes belongs to the value.
+    """
+    swept: dict[str, list[str]] = {}
+    fixed = []
+    for override in overrides:
+        found = _KEY.fullmatch(override)
+        values = _split_values(found[2]) if found else []
+        if found is None or len(values) < 2:
+            fixed.append(override)
+            continue
+        key = found[1]
+        if key in swept:
+            raise SweepError(f"--set {override}: {key} is swept already; write all its values once")
+        if "" in values:
+            raise SweepError(f"--set {override}: a value is empty; write {key}=1,2,3")
+        if len(set(values)) < len(values):
+            raise SweepError(f"--set {override}: a value stands twice; repeat it with --repeat")
+        swept[key] = values
+    if not swept:
+        raise SweepError(
+            "nothing is swept; give a setting several values: --set controller.lambda_per_s=20,40"
+        )
+    request = SweepRequest(swept, tuple(fixed))
+    if (runs := len(request.list_points()) * repeats) > _MOST_RUNS:
+        raise SweepError(f"these are {runs} runs, {_MOST_RUNS} are allowed; sweep fewer values")
+    return request
+
+
+def _split_values(text: str) -> list[str]:
+    values, depth, quote = [""], 0, ""
+    for character in text:
+        if quote:
+            quote = "" if character == quote else quote
+        elif character in "\"'":
+            quote = character
+        elif character in "[{":
+            depth += 1
+        elif character in "]}":
+            depth -= 1
+        if character == "," and not depth and not quote:
+            values.append("")
+        else:
+            values[-1] += character
+    return [value.strip() for value in values]
+
+
+def list_runs(points: Sequence[Mapping[str, Any]], repeats: int) -> list[SweepRun]:
+    """Return all runs in their order."""
+    return [
+        SweepRun(point, repeat, number)
+        for repeat in range(repeats)
+        for number, point in enumerate(points)
+    ]
+
+
+def require_end(settings: RunSettings) -> None:
+    """Raise SweepError where a run would have no end."""
+    if settings.duration_s is None and math.isinf(plan_experiment(settings.experiment).duration_s):
+        raise SweepError("this experiment has no end; give each run a length with --duration")
+
+
+def _read_setting(settings: Any, key: str) -> Any:
+    for part in key.split("."):
+        settings = settings.get(part) if isinstance(settings, Mapping) else None
+    return settings
+
+
+def _leave_out(settings: Mapping[str, Any], keys: set[str], above: str = "") -> dict[str, Any]:
+    return {
+        name: _leave_out(value, keys, f"{above}{name}.") if isinstance(value, Mapping) else value
+        for name, value in sorted(settings.items())
+        if f"{above}{name}" not in keys
+    }
+
+
+# --- making the runs that are not there yet ---------------------------------------------------
 
 _INTERRUPTED = (ExitCode.SIGINT, ExitCode.SIGTERM, ExitCode.SIGHUP)
 
@@ -57,7 +196,7 @@ class SweepEnd(NamedTuple):
     """Number of runs that are still to be made."""
 
 
-def run_sweep(sweep: SweepPlan, runner: OwnRunner | DaemonRunner, tell: Tell) -> SweepEnd:
+def run_sweep(sweep: SweepPlan, runner: OwnRunner, tell: Tell) -> SweepEnd:
     """Make the runs that are missing; return all that there are.
 
     The next run follows one that failed only where the runner `goes_on`: not where a real muscle
@@ -163,95 +302,3 @@ class OwnRunner:
                 records={SWEEP: record},
             )
         return Ending(ExitCode(done.code), done.reason or done.note)
-
-
-_LOOK_EVERY_S = 0.1
-
-
-class DaemonRunner:
-    """Asks a daemon for each run; a context manager that puts the gains back at its end."""
-
-    goes_on = False
-    """A fault of the daemon waits for a person, who acknowledges it."""
-
-    def __init__(self, client: Client, settings: RunSettings, name: str) -> None:
-        """Of `settings` only experiment and duration count; `name` is that of the experiment.
-
-        Raise SweepError where the daemon is not free.
-        """
-        self._client, self._settings, self._name = client, settings, name
-        self._experiment = settings_to_data(settings.experiment)
-        status = client.call("status")
-        if status["state"] not in ("idle", "ready") or status["run"] is not None:
-            raise SweepError(f"the daemon is not free: its state is {status['state']}")
-        self._gains: dict[str, Any] = status["controller"]
-        self._folder = Path(status["logs"])
-        self._device = status["device"]
-        self._names = status["names"]
-
-    def plan_sweep(
-        self, request: SweepRequest, repeats: int, name: str, said: Annotation
-    ) -> SweepPlan:
-        """Return what is to be run; raise SweepError where the daemon could not run it."""
-        others = [key for key in request.swept if not key.startswith("controller.")]
-        if wrong := [*others, *request.fixed]:
-            why = "on the daemon only keys of the controller are swept, and nothing else is set"
-            raise SweepError(f"--set {wrong[0]}: {why}")
-        known = {
-            "controller": self._gains,
-            "experiment": self._experiment,
-            "duration_s": self._settings.duration_s,
-            "device": self._device,
-        }
-        try:
-            now = load_controller(self._settings, self._gains, "the gains of the daemon")
-            changed = [change_gains(now, point) for point in request.list_points()]
-        except RequestRefusedError as error:
-            raise SweepError(str(error)) from error
-        points = [request.read_point(settings_to_data(settings)) for settings in changed]
-        mark = request.mark_base(known)
-        return SweepPlan(name, mark, list_runs(points, repeats), self._folder, said)
-
-    def __enter__(self) -> DaemonRunner:
-        """Return itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Put the gains back."""
-        with suppress(DaemonDeclinedError):
-            params = {"controller": self._gains, "name": self._names["controller"], "ramp_s": 0.0}
-            self._client.call("load", params)
-
-    def __call__(self, run: SweepRun, said: Annotation, record: Mapping[str, str]) -> Ending:
-        """Set the gains, start, and wait for the log; an interrupt stops the run smoothly."""
-        changes = [f"{key}={value}" for key, value in run.point.items()]
-        self._client.call("set", {"changes": changes, "ramp_s": 0.0})
-        log = Path(
-            self._client.call(
-                "start",
-                {
-                    "experiment": self._experiment,
-                    "name": self._name,
-                    "duration_s": self._settings.duration_s,
-                    **asdict(said),
-                    "sweep": record,
-                },
-            )["log"]
-        )
-        try:
-            status = self._await_end(log)
-        except KeyboardInterrupt:
-            with suppress(DaemonDeclinedError):
-                self._client.call("stop")
-            self._await_end(log)
-            raise
-        row = read_row(log)
-        code = ExitCode.UNEXPECTED if row.exit_code is None else ExitCode(row.exit_code)
-        return Ending(code, status["fault"] or row.reason)
-
-    def _await_end(self, log: Path) -> dict[str, Any]:
-        while True:
-            status: dict[str, Any] = self._client.call("status")
-            if status["log"] != str(log):
-                return status
-            time.sleep(_LOOK_EVERY_S)

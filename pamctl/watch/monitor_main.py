@@ -14,9 +14,10 @@ import signal
 import sys
 import time
 from collections.abc import Mapping
-from concurrent.futures import Future
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import asdict
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +27,7 @@ from pamctl.log.framing import LogError
 from pamctl.plant.model import PlantSettings
 from pamctl.recording.ring import RingError
 from pamctl.watch.watch_run import BlockReport, RingFollower, RunWatch
-from pamctl.worker_processes import start_workers
+from pamctl.worker_processes import start_worker
 
 if TYPE_CHECKING:  # the diagnosis is imported by the process that needs it
     from pamctl.diagnose import Diagnosis
@@ -46,8 +47,7 @@ class Monitor:
         self._plant = plant
         self._watch = RunWatch(plant)
         self._follower: RingFollower | None = None
-        self._workers = ExitStack()
-        self._explanation: Future[dict[str, Any]] | None = None
+        self._explaining: tuple[SpawnProcess, Connection] | None = None
         self._alarms: dict[str, float] = {}
         self._unexplained_s: float | None = None
         self._wall_s = time.time() - time.monotonic()
@@ -101,24 +101,24 @@ class Monitor:
                 say("alarm over", block=block, since_s=self._alarms.pop(block))
 
     def _explain(self, least_s: float) -> None:
-        if self._unexplained_s is None or self._explanation is not None:
+        if self._unexplained_s is None or self._explaining is not None:
             return
         record = self._watch.recall(self._unexplained_s)
         if record is not None and record.duration_s >= least_s:
             self._unexplained_s = None
-            worker = self._workers.enter_context(start_workers(1))
-            self._explanation = worker.submit(explain_gently, record, self._plant)
+            self._explaining = start_worker(explain_gently, record, self._plant)
 
     def _say_explanation(self) -> None:
-        found = self._explanation
-        if found is None or not found.done():
+        if self._explaining is None or not self._explaining[1].poll():
             return
-        self._explanation = None
-        self._workers.close()
-        error = found.exception()
-        failed = f"the diagnosis of the last minute failed: {error}"
-        nothing = {"sentence": failed, "verdict": "", "effects": []}
-        say("explained", **(nothing if error else found.result()))
+        (worker, answer), self._explaining = self._explaining, None
+        try:
+            say("explained", **answer.recv())
+        except EOFError:
+            failed = "the diagnosis of the last minute failed"
+            say("explained", sentence=failed, verdict="", effects=[])
+        worker.join()
+        answer.close()
 
     def _as_dict(self, report: BlockReport) -> dict[str, Any]:
         told = asdict(report)
@@ -127,7 +127,9 @@ class Monitor:
         return told
 
     def close(self) -> None:
-        """Leave the run."""
+        """End a diagnosis that is on its way, and leave the run."""
+        if self._explaining is not None:
+            self._explaining[0].kill()
         if self._follower is not None:
             self._follower.close()
 
@@ -232,6 +234,4 @@ def _obey(monitor: Monitor, order: Mapping[str, Any]) -> None:
 
 
 if __name__ == "__main__":
-    code = main()
-    sys.stdout.flush()
-    os._exit(code)  # a diagnosis that is on its way ends with this process
+    sys.exit(main())

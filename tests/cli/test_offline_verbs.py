@@ -19,8 +19,7 @@ import pamctl.log
 from pamctl.cli.app import app
 from pamctl.exit_codes import ExitCode
 from pamctl.processes.interrupts import restore_signals
-from pamctl.processes.run_here import run_here
-from pamctl.processes.run_once import make_run_meta
+from pamctl.processes.run_once import make_run_meta, run_here
 from pamctl.settings.config_files import DEFAULT_NAMES
 from pamctl.settings.resolve import resolve
 

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.processes.daemons import SQUARE, TRACKING, daemon
 from typer.testing import CliRunner
 
 from pamctl.cli.app import app
@@ -20,10 +19,17 @@ from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log.annotation import SWEEP, Annotation, make_annotation
 from pamctl.log.edit import append_metadata, read_annotation, write_annotation
 from pamctl.report.report import Figure
-from pamctl.runs.run_index import RunIndex
 from pamctl.runs.run_row import RunRow, read_row
-from pamctl.session.run_sweep import SweepPlan, find_runs, run_sweep
-from pamctl.session.sweep_plan import SweepError, SweepRun, list_runs, parse_sweep, require_end
+from pamctl.session.run_sweep import (
+    SweepError,
+    SweepPlan,
+    SweepRun,
+    find_runs,
+    list_runs,
+    parse_sweep,
+    require_end,
+    run_sweep,
+)
 from pamctl.session.sweep_result import (
     format_points_csv,
     summarise_points,
@@ -215,31 +221,3 @@ def test_a_sweep_without_a_clock_from_the_command_line(tmp_path: Path) -> None:
     assert "--name" in document["reason"]
     assert sweep_fast(folder, "--set", "controller.eta=-1")[0] == 78
     assert sorted(folder.glob("*.mcap")) == again
-
-
-@pytest.mark.long
-def test_a_sweep_on_the_daemon_puts_the_gains_back_and_its_logs_stay(tmp_path: Path) -> None:
-    experiment = tmp_path / "short.yaml"
-    experiment.write_text(json.dumps(TRACKING))
-    with daemon(tmp_path, "sweep", options=["--keep", "1"]) as made:
-        before = made.ask("status")["controller"]
-        words = ["--daemon", "--socket", str(made.socket), "--experiment", str(experiment)]
-        words += ["--set", f"{KEY}=20,30", "--name", "trial", "--operator", "Ann"]
-        done = CliRunner().invoke(app, ["sweep", *words, "--json"])
-        assert done.exit_code == 0, done.output
-        made.wait_for("ready")
-        assert made.ask("status")["controller"] == before
-        path = made.ask("start", experiment=SQUARE, name="square", tags=["kept"])["log"]
-        made.wait_until(lambda status: status["log"] is None)
-        made.ask("start", experiment=SQUARE, name="square", note="a\x1b[1mb")
-        made.wait_until(lambda status: status["log"] is None)
-        refused = CliRunner().invoke(app, ["sweep", *words[:-2], "--set", "plant.x=1,2"])
-        assert refused.exit_code == 2
-    index = RunIndex(made.logs)
-    index.refresh()
-    rows = index.select()
-    assert [row.gains.get(KEY) for row in rows][:2] == [20.0, 30.0]
-    assert [row.sweep.get("name") for row in rows] == ["trial", "trial", None, None]
-    assert rows[0].max_um is not None
-    assert rows[2].path == Path(path).name
-    assert rows[3].note == "ab"

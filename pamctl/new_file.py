@@ -11,12 +11,11 @@ import errno
 import os
 import secrets
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from io import BufferedWriter
 from itertools import count
 from pathlib import Path
 from stat import S_IFIFO, S_IFMT, S_IFSOCK, S_ISDIR, S_ISREG
-from typing import NamedTuple
 
 from pamctl.exit_codes import ExitCode
 
@@ -54,13 +53,6 @@ class NewFileError(Exception):
         self.exit_code = code
 
 
-class _Draft(NamedTuple):
-    stream: BufferedWriter
-    name: Path
-    """Where the content is until it is complete."""
-    target: Path
-
-
 @contextmanager
 def create_new_file(path: Path, *, replaces: str | None = None) -> Iterator[BufferedWriter]:
     """Open a file for writing; it appears at `path` when the block ends well, and is on the disk.
@@ -75,36 +67,32 @@ def create_new_file(path: Path, *, replaces: str | None = None) -> Iterator[Buff
             with path.open("wb") as device:
                 yield device
             return
-        draft = _begin_draft(path)
+        target = Path(os.path.realpath(path)) if path.is_symlink() else path
+        draft = target.with_name(f".{target.name[:100]}.{secrets.token_hex(4)}.part")
         try:
-            yield draft.stream
-            _complete(draft)
-            _put_in_place(draft, replace=replaces is not None)
+            with draft.open("xb") as stream:
+                yield stream
+                stream.flush()
+                os.fsync(stream.fileno())
+            _put_in_place(draft, target, replace=replaces is not None)
         finally:
-            _remove(draft)
+            with suppress(OSError):
+                draft.unlink(missing_ok=True)
 
 
 def write_files(texts: Mapping[Path, str], *, replaces: str | None = None) -> None:
     """Write texts as UTF-8 files, all or none; make their folders. Raises NewFileError."""
-    drafts: list[_Draft] = []
     made: list[Path] = []
     try:
-        for path, text in texts.items():
-            with _translate_errors(path):
-                made += _make_folder(path.parent)
-                _require_place(path, replaces)
-                if _is_device(path):
-                    path.write_text(text, encoding="utf-8")
-                    continue
-                drafts.append(_begin_draft(path))
-                drafts[-1].stream.write(text.encode())
-                _complete(drafts[-1])
-        for draft in drafts:
-            with _translate_errors(draft.target):
-                _put_in_place(draft, replace=replaces is not None)
+        with ExitStack() as drafts:  # none is put in place before all are written
+            for path, text in texts.items():
+                with _translate_errors(path):
+                    made += _make_folder(path.parent)
+                stream = drafts.enter_context(create_new_file(path, replaces=replaces))
+                with _translate_errors(path):
+                    stream.write(text.encode())
+                    stream.flush()
     except BaseException:
-        for draft in drafts:
-            _remove(draft)
         for folder in reversed(made):
             with suppress(OSError):
                 folder.rmdir()
@@ -120,7 +108,7 @@ def require_place(path: Path, *, replaces: str | None = None) -> None:
     with _translate_errors(path):
         _require_place(path, replaces)
         if not _is_device(path):
-            _try_to_write(path)
+            _try_to_write(path.parent)
 
 
 def require_empty_folder(path: Path) -> None:
@@ -141,7 +129,7 @@ def require_folder(path: Path) -> None:
             raise NewFileError(path, "it exists and is not a folder", "give another name")
         made = _make_folder(path)
         try:
-            _try_to_write(path / "trial")
+            _try_to_write(path)
         finally:
             for folder in reversed(made):
                 with suppress(OSError):  # another run writes there by now
@@ -196,32 +184,19 @@ def _is_device(path: Path) -> bool:
     return False
 
 
-def _begin_draft(path: Path) -> _Draft:
-    target = Path(os.path.realpath(path)) if path.is_symlink() else path
-    name = target.with_name(f".{target.name[:100]}.{secrets.token_hex(4)}.part")
-    return _Draft(name.open("xb"), name, target)
-
-
-def _complete(draft: _Draft) -> None:
-    draft.stream.flush()
-    os.fsync(draft.stream.fileno())
-    draft.stream.close()
-
-
-def _put_in_place(draft: _Draft, *, replace: bool) -> None:
+def _put_in_place(draft: Path, target: Path, *, replace: bool) -> None:
     if replace:
-        draft.name.replace(draft.target)
+        draft.replace(target)
     else:
         try:
-            os.link(draft.name, draft.target)  # unlike a rename, this overwrites nothing
-            draft.name.unlink()
+            os.link(draft, target)  # unlike a rename, this overwrites nothing
         except FileExistsError:
             reason = "it exists by now and is never overwritten"
-            raise NewFileError(draft.target, reason, "give another name") from None
+            raise NewFileError(target, reason, "give another name") from None
         except OSError:  # the file system has no links
-            _require_place(draft.target, None)
-            draft.name.rename(draft.target)
-    _sync_folder(draft.target.parent)
+            _require_place(target, None)
+            draft.rename(target)
+    _sync_folder(target.parent)
 
 
 def _sync_folder(folder: Path) -> None:
@@ -232,13 +207,6 @@ def _sync_folder(folder: Path) -> None:
             os.fsync(opened)
         finally:
             os.close(opened)
-
-
-def _remove(draft: _Draft) -> None:
-    with suppress(OSError):  # what is still unwritten would be written
-        draft.stream.close()
-    with suppress(OSError):
-        draft.name.unlink(missing_ok=True)
 
 
 def _make_folder(folder: Path) -> list[Path]:
@@ -258,10 +226,10 @@ def _make_folder(folder: Path) -> list[Path]:
     return made
 
 
-def _try_to_write(path: Path) -> None:
-    draft = _begin_draft(path)
-    try:
-        draft.stream.write(bytes(_TRIAL_BYTES))
-        _complete(draft)
-    finally:
-        _remove(draft)
+def _try_to_write(folder: Path) -> None:
+    from tempfile import NamedTemporaryFile  # few verbs write
+
+    with NamedTemporaryFile(dir=folder, prefix=".", suffix=".part") as file:
+        file.write(bytes(_TRIAL_BYTES))
+        file.flush()
+        os.fsync(file.fileno())

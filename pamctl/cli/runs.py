@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -51,6 +51,7 @@ def list_runs(asked: RunsOptions) -> None:
         return
     if asked.as_json + asked.as_csv + asked.paths_only > 1:
         raise typer.BadParameter("only one of --json, --csv and --paths")
+    from pamctl.report.progress_line import WorkProgress
     from pamctl.runs.run_index import (
         RunFilter,
         RunIndex,
@@ -63,7 +64,9 @@ def list_runs(asked: RunsOptions) -> None:
     since_s = None if asked.since is None else read_date(asked.since)
     wanted = RunFilter(asked.tags, since_s, asked.where, asked.last)
     index = RunIndex(asked.logs)
-    index.refresh(_show_progress, rebuild=asked.rebuild)
+    with WorkProgress("runs") as progress:
+        show = partial(progress, saying="reading logs")
+        index.refresh(show, rebuild=asked.rebuild)
     rows, total = select_runs(index, wanted), index.count()
     rows = [replace(row, path=escape_name(row.path)) for row in rows]
     if asked.paths_only:
@@ -72,13 +75,6 @@ def list_runs(asked: RunsOptions) -> None:
         typer.echo(format_csv(rows))
     else:
         print_report(report_runs(rows, total, asked.logs), as_json=asked.as_json)
-
-
-def _show_progress(done: int, of: int) -> None:
-    """Show on a terminal that logs are read, where that takes long."""
-    if of > 20 and sys.stderr.isatty():
-        end = "\n" if done == of else ""
-        print(f"\rreading logs: {done} of {of}", end=end, file=sys.stderr, flush=True)
 
 
 # --- annotations ------------------------------------------------------------------------------

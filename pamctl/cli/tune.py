@@ -34,7 +34,6 @@ from pamctl.new_file import require_folder, write_files
 
 if TYPE_CHECKING:
     from pamctl.session.run_sweep import SweepEnd, SweepPlan
-    from pamctl.tune.gains_search import BestGains
 
 
 class TuneOptions(Options):
@@ -130,14 +129,7 @@ def tune(asked: TuneOptions) -> None:
         print_report(said, as_json=asked.as_json)
         return
     command = f"pamctl {shlex.join(sys.argv[1:])}"
-
-    def show_progress(best: BestGains, took_s: float) -> None:
-        if not sys.stderr.isatty():  # there the line that is rewritten says it
-            of = f"{best.generation} of {asked.generations}"
-            line = f"generation {of}: {best.cost:.3f}, {took_s:.0f} s"
-            tell(line)
-
-    found = search_gains(task, asked.jobs, asked.generations, command, show_progress, asked.cluster)
+    found = search_gains(task, asked.jobs, asked.generations, command, asked.cluster)
     failure = found.failure
     document = {
         "gains": found.best.gains,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
@@ -364,15 +364,13 @@ def search_gains(
     jobs: int | None,
     generations: int,
     command: str,
-    progress: Callable[[BestGains, float], None],
     cluster: str | None = None,
 ) -> FoundGains:
     """Search, score the best gains on plants the search has not seen, and write them.
 
-    `command` goes into the file as its origin; `progress` is called after each generation with
-    the seconds so far. The plants run in `jobs` processes of this machine, or on the Dask cluster
-    at the address `cluster`. Raises `ClusterError`, and `SystemExit` where a signal comes before
-    the end of the first generation.
+    `command` goes into the file as its origin. The plants run in `jobs` processes of this machine,
+    or on the Dask cluster at the address `cluster`. Raises `ClusterError`, and `SystemExit` where a
+    signal comes before the end of the first generation.
     """
     assert task.out is not None
     began_s, ending = time.monotonic(), ExitCode.OK
@@ -397,7 +395,7 @@ def search_gains(
         watch(0.0)
         try:
             while search.generation < generations:
-                progress(search.advance(executor), time.monotonic() - began_s)
+                search.advance(executor)
         except KeyboardInterrupt as stop:
             ending = name_interrupt(stop)
             if not search.generation:

@@ -80,58 +80,41 @@ def walk_verbs() -> Iterator[tuple[str, Any]]:
     yield from walk(typer.main.get_command(app), "pamctl")
 
 
-def _explain_option(option: Any) -> str:
-    """Return what an option means, with its default and its range."""
-    low, high = getattr(option, "min", None), getattr(option, "max", None)
-    limits = [f"at least {low}"] * (low is not None) + [f"at most {high}"] * (high is not None)
-    shown = option.show_default if isinstance(option.show_default, str) else ""
-    if option.required:
-        shown = "required"
-    elif option.show_default is True and option.default not in (None, False, ()):
-        shown = str(option.default)
-    notes = [f"default: {shown}" if shown not in ("", "required") else shown, " and ".join(limits)]
-    noted = "; ".join(filter(None, notes))
-    return _plain(f"{option.help or ''}{f' ({noted})' if noted else ''}")
-
-
 def write_verbs() -> str:
-    """Return the page of every verb with its arguments and options."""
+    """Return the page of every verb: its help, as the terminal shows it."""
+    verbs = dict(walk_verbs())
+    does = {
+        words: _plain((command.help or "").split("\n\n")[0]) for words, command in verbs.items()
+    }
     parts = [
         "# Verbs and options\n",
         _HEAD,
-        "\n`pamctl VERB --help` says the same at the terminal, with examples. `--set` takes any "
-        "key of [Settings](settings.md). [Exit codes](#exit-codes) are the same for every "
-        "verb.\n",
+        "\n`pamctl VERB --help` says the same at the terminal. `--set` takes any key of "
+        "[Settings](settings.md). [Exit codes](#exit-codes) are the same for every verb.\n",
         format_table(
             ["verb", "does"],
-            [
-                [f"[`{words}`](#{_anchor(words)})", _plain((command.help or "").split("\n\n")[0])]
-                for words, command in walk_verbs()
-            ],
+            [[f"[`{words}`](#{_anchor(words)})", told] for words, told in does.items()],
         ),
         "",
     ]
-    for words, command in walk_verbs():
-        arguments = [p for p in command.params if p.param_type_name == "argument"]
-        options = [p for p in command.params if p.param_type_name == "option" and p.name != "help"]
-        shown = [str(a.metavar or a.name.upper()) for a in arguments]
-        needed = [f"{o.opts[0]} {o.metavar or ''}".strip() for o in options if o.required]
-        usage = " ".join([words, *shown, *needed, "[OPTIONS]"])
-        parts += [f"## `{words}`\n", f"{_plain(command.help or '')}\n", f"```\n{usage}\n```\n"]
-        explained = [(m, a) for m, a in zip(shown, arguments, strict=True) if a.help]
-        if explained:
-            parts += [f"- `{m}`: {_plain(a.help)}" for m, a in explained] + [""]
-        rows = [
-            [
-                f"`{' '.join([', '.join(o.opts), '' if o.is_flag else o.metavar or '']).strip()}`",
-                _explain_option(o),
-            ]
-            for o in options
-        ]
-        if rows:
-            parts += [format_table(["option", "meaning"], rows), ""]
+    for words, command in verbs.items():
+        parts += [f"## `{words}`\n", f"```\n{_print_help(words, command)}\n```\n"]
     parts.append(write_exit_codes())
     return "\n".join(parts)
+
+
+def _print_help(words: str, command: Any) -> str:
+    """Return the help of a verb as plain text."""
+    command.rich_markup_mode = None
+    context = command.context_class(
+        command, info_name=words, terminal_width=_WIDTH, max_content_width=_WIDTH
+    )
+    return "\n".join(line.rstrip() for line in command.get_help(context).splitlines()).replace(
+        "\\[", "["
+    )
+
+
+_WIDTH = 100
 
 
 # --- settings ---------------------------------------------------------------------------

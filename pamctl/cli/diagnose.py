@@ -5,7 +5,9 @@ On the rig `diagnose` asks before the first motion, runs the rounds, and keeps w
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -38,6 +40,10 @@ if TYPE_CHECKING:
     from pamctl.diagnose.audit import Audit
     from pamctl.plant.model import PlantSettings
     from pamctl.report.report import Report
+
+
+REFUSED_FILES = {"diagnosis.json", "report.html"}
+"""What a diagnosis writes of data that it refuses."""
 
 
 class DiagnoseOptions(DataOptions):
@@ -90,6 +96,7 @@ def diagnose(asked: DiagnoseOptions) -> None:
     out = asked.out
     _require_one_kind(asked)
     if out is not None:
+        _clear_refused(out)
         require_empty_folder(out)
     elif not asked.dry_run:
         raise typer.BadParameter("name a folder for the results", param_hint="--out")
@@ -140,6 +147,17 @@ def diagnose(asked: DiagnoseOptions) -> None:
     said = report_diagnosis(diagnosis)
     print_report(said, as_json=asked.as_json, failure=saving.failure, end=end)
     raise typer.Exit(ExitCode.BAD_DATA if diagnosis.reason else code)
+
+
+def _clear_refused(out: Path) -> None:
+    """Remove what a run left that refused its data: the same command may be typed again."""
+    document = out / "diagnosis.json"
+    if not document.is_file() or {path.name for path in out.iterdir()} - REFUSED_FILES:
+        return
+    with suppress(OSError, ValueError, AttributeError):
+        if json.loads(document.read_text()).get("verdict") == "bad_data":
+            for path in list(out.iterdir()):
+                path.unlink()
 
 
 _FOR_RIG = ("experiment", "runs", "minutes", "dry_run", "yes", "socket")

@@ -182,7 +182,7 @@ def _tell_unfit(records: list[Record], plant: PlantSettings) -> None:
     """Say at once why `diagnose` would refuse these records with this plant file."""
     if records:
         from pamctl.diagnose.guess_plant import doubt_numbers
-        from pamctl.diagnose.refuse import doubt_actuator
+        from pamctl.diagnose.record_doubts import doubt_actuator
 
         problems = (p for record in records for p in doubt_actuator(record, plant))
         for doubt in (*(p.sentence for p in problems), *doubt_numbers(records, plant)):

@@ -40,6 +40,7 @@ UNLIKE_SHARE = 0.5
 """Of the braid's friction: by so much a muscle differs from Eq. 5 before a guess says so."""
 MOST_SAMPLES = 20_000
 LOAD = "external_load.force_n"
+HARDLY_SEEN = f"hardly seen: {100 * LEAST_SHARE:g} % of the force"
 BY_FORCES = "from the balance of forces over the motion"
 
 
@@ -193,13 +194,16 @@ def _guess_mechanics(
         if amount < least:
             if actuator == "muscle":
                 continue
-            how = f"hardly seen: {100 * LEAST_SHARE:g} % of the force"
+            how = HARDLY_SEEN
         if name == "stiffness_n_per_m" and actuator != "muscle":
             how += "; write 0 if there is no spring"
         found[name] = Guess(max(amount, least) / scale[name], how, amount < least)
     sizes = {name: amount / scale[name] for name, amount in amounts.items()}
     if amounts.get("kinetic_friction_per_m", 0.0) > least:
         found |= _guess_braid(sizes)
+    elif "kinetic_friction_per_m" in amounts:
+        small = least / scale["kinetic_friction_per_m"]
+        found["kinetic_friction_per_m"] = Guess(small, HARDLY_SEEN, is_bound=True)
     if actuator == "muscle" and amounts[LOAD] > least:
         found[LOAD] = Guess(float(sizes[LOAD]), BY_FORCES)
     return found

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from support.cylinder import LiftingMuscle, excite
 
 from pamctl.diagnose.guess_plant import doubt_numbers, guess_numbers
 from pamctl.diagnose.record import Record
-from pamctl.plant.model import PlantSettings
+from pamctl.plant.model import PlantSettings, values_of
 from pamctl.plant.parameters import PAPER
 
 PERIOD_S = 2e-3
@@ -79,6 +80,15 @@ def test_a_muscle_s_friction_is_guessed_and_said_only_where_it_differs_from_the_
         assert shares == [None, None]
     else:
         assert [share.value for share in shares if share] == pytest.approx([back, drag], abs=0.33)
+
+
+def test_a_braid_that_does_not_rub_gets_no_other_muscle_s_friction() -> None:
+    muscle, t_s = LiftingMuscle(), np.arange(0.0, 12.0, 1e-3)
+    position_m, pressure_pa = muscle.simulate(t_s, excite(t_s) - 1.0)
+    lifted = Record("lifted", t_s, position_m=position_m, pressure_pa=pressure_pa)
+    found = guess_numbers([lifted], "muscle", values_of(muscle.plant()))
+    assert found["kinetic_friction_per_m"].value < 0.3 * PAPER["kinetic_friction_per_m"]
+    assert found["external_load.force_n"].value == pytest.approx(muscle.preload_n, rel=0.1)
 
 
 def fill_vessel(gain_m2_per_v: float, volume_m3: float, tank_pa: float) -> Record:

@@ -24,29 +24,36 @@ SPEED_S = 0.3
 """Over which the speed of an imposed motion is measured."""
 SPRING_SHARE = 0.2
 """Of the force's span that a spring takes which makes a mechanism forget."""
-INERTIA_SHOWS = 2.0
-"""The mean square of the force without the acceleration, over that with it, if a mass shows."""
+INERTIA_SHOWS = 1.02
+"""The mean square of the force without the acceleration, over that with it, if a mass shows. A
+piston that a crank moves has 1.002; a slow carriage with cogging, which its motor moves, 1.07."""
 
 
 def judge_motion(records: Sequence[Any], actuator: str, period_s: float) -> tuple[bool, bool]:
     """Tell whether a mechanism's motion is imposed, and whether it needs windows, by its force.
 
     A spring that takes part of the force makes it forget. Without one, a force in which the
-    acceleration does not show has not moved the mass: something else did.
+    acceleration does not show has not moved the mass: something else did. All columns are smoothed
+    alike: what of the force is quicker than the acceleration can show says nothing.
     """
     if actuator != "direct" or any(r.position_m is None for r in records):
         return False, False
     tables, forces = [], []
     for record in records:
         samples_s = accumulate_times(np.diff(record.t_s))
-        rates = find_rates(np.asarray(record.position_m, float), period_s, SMOOTH_S, samples_s)
+
+        def smooth(column: Any, samples_s: Array = samples_s) -> dict[str, Array]:
+            return find_rates(np.asarray(column, float), period_s, SMOOTH_S, samples_s)
+
+        rates = smooth(record.position_m)
         speed = rates["speed"]
         columns = [rates["push"], speed, rates["smooth"], np.sign(speed), np.ones(len(speed))]
-        pressure = record.pressure_pa
-        if record.force_n is not None and pressure is not None:
-            columns += [np.asarray(pressure), pressure * np.sign(speed)]
+        if record.force_n is not None and record.pressure_pa is not None:
+            pressure = smooth(record.pressure_pa)["smooth"]
+            columns += [pressure, pressure * np.sign(speed)]
         tables.append(np.column_stack(columns))
-        forces.append(record.force_n if record.force_n is not None else pressure)
+        drive = record.force_n if record.force_n is not None else record.pressure_pa
+        forces.append(smooth(drive)["smooth"])
     table, force = np.concatenate(tables), np.concatenate(forces)
     table = table / np.maximum(np.abs(table).max(axis=0), 1e-30)
     amounts, _, _, _ = np.linalg.lstsq(table, force, rcond=None)
@@ -58,7 +65,8 @@ def judge_motion(records: Sequence[Any], actuator: str, period_s: float) -> tupl
     if spring >= SPRING_SHARE:
         return False, False
     has_force = all(r.force_n is not None for r in records)
-    return has_force and left2[1] < INERTIA_SHOWS * left2[0], True
+    shows = amounts[0] > 0.0 and left2[1] > INERTIA_SHOWS * left2[0]
+    return has_force and not shows, True
 
 
 def find_rates(

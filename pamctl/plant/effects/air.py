@@ -26,7 +26,7 @@ CHAMBER_LEAK = EffectDescription(
     kind=ChamberLeak, block="pressure",
     equation="m -= A_c Psi(P, P_atm)",
     parameters=(
-        size("area_m2", "m2", 3e-7, smallest=1e-9, start=1e-8, meaning="A_c, area of the leak"),
+        size("area_m2", "m2", 3e-6, smallest=1e-9, start=1e-8, meaning="A_c, area of the leak"),
     ),
     signature="with the valve closed the pressure falls towards atmospheric pressure, faster at "
     "higher pressure",
@@ -60,7 +60,7 @@ DEAD_VOLUME = EffectDescription(
     kind=DeadVolume, block="pressure",
     equation="V = V(x) + V_d",
     parameters=(
-        size("volume_m3", "m3", 6e-5, smallest=1e-6, start=4e-6, meaning="V_d, added volume"),
+        size("volume_m3", "m3", 6e-4, smallest=1e-6, start=4e-6, meaning="V_d, added volume"),
     ),
     signature="the simulated pressure changes too fast, most where the volume is smallest",
     best_experiment="slow-ramps",
@@ -156,11 +156,11 @@ LINE_RESTRICTION = EffectDescription(
     equation="V_l P_1' = R T (m - g),  (P V)' = R T g,  the sensor sees P_1;  g = (P_1 - P) / "
     "R_l, or P_1 - P = R_l g + R_t g|g| P_atm / P_m",
     parameters=(
-        size("resistance_pa_s_per_kg", "Pa s/kg", 5e7, smallest=1e6, start=5e6,
+        size("resistance_pa_s_per_kg", "Pa s/kg", 5e8, smallest=1e6, start=5e6,
              meaning="R_l, resistance of the tube"),
         shape("volume_m3", "m3", 0.0, 2e-5, usual=0.0, smallest=1e-6,
               meaning="V_l, volume at the valve's end; it is filled through R_l alone"),
-        size("turbulent_pa_s2_per_kg2", "Pa s2/kg2", 2e11, smallest=3e9, start=1.5e10,
+        size("turbulent_pa_s2_per_kg2", "Pa s2/kg2", 2e12, smallest=3e9, start=1.5e10,
              meaning="R_t, turbulent resistance at atmospheric pressure; P_m is the mean pressure"),
     ),
     signature="the measured pressure jumps with the flow, and the motion follows later; both "
@@ -300,7 +300,7 @@ SUPPLY_DROOP = EffectDescription(
     equation="tau P_s' = P_tank - R_s m - P_s,  m = flow out of the supply; static for tau = 0; "
     "two tanks: a share of R_s with tau / 10",
     parameters=(
-        size("resistance_pa_s_per_kg", "Pa s/kg", 5e7, smallest=1e6, start=5e6,
+        size("resistance_pa_s_per_kg", "Pa s/kg", 5e8, smallest=1e6, start=5e6,
              meaning="R_s, resistance of the regulator and its tube"),
         shape("refill_time_s", "s", 0.0, 5.0, usual=0.0, smallest=5e-3,
               meaning="tau = V_t R_s / (R T) of a tank of volume V_t between regulator and valve"),

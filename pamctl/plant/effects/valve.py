@@ -281,7 +281,7 @@ VALVE_LEAK = EffectDescription(
     kind=ValveLeak, block="pressure",
     equation="m += A (Psi(P_tank, P) - Psi(P, P_atm)),  A = A_l / (1 + k |u|)",
     parameters=(
-        size("area_m2", "m2", 3e-7, smallest=1e-9, start=1e-8, meaning="A_l, area of each leak"),
+        size("area_m2", "m2", 3e-6, smallest=1e-9, start=1e-8, meaning="A_l, area of each leak"),
         shape("fade_per_v", "1/V", 0.0, 5.0, usual=0.0, smallest=0.2,
               meaning="k, fading of the leak as the spool leaves null"),
     ),

@@ -7,23 +7,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.cylinder import LiftingMuscle
 from support.made_records import PERIOD_S, measured, pair
 
 import pamctl
 from pamctl.diagnose import Record, Verdict, diagnose
 from pamctl.diagnose.read_record import record_of
+from pamctl.diagnose.record_doubts import doubt_actuator, doubt_excitation, doubt_record
 from pamctl.diagnose.refuse import (
     RULES,
     BadData,
     UnknownRule,
     check_measured_runs,
-    check_time_shifts,
-    doubt_actuator,
-    doubt_excitation,
-    doubt_record,
     read_acceptances,
 )
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
+from pamctl.diagnose.time_shifts import check_time_shifts
 from pamctl.log import LogError
 from pamctl.log.importing.column_map import ImportMap, PositionMap, PressureMap, TimeMap
 from pamctl.log.importing.pipeline import import_log
@@ -294,3 +293,18 @@ def test_an_atmosphere_of_the_import_map_that_is_not_the_plants_is_said(
     lines: list[str] = []
     diagnose([record_of(tmp_path / "a.mcap")], [], PAPER, progress=lines.append)
     assert any("counts from 95000 Pa" in line for line in lines) == is_told
+
+
+def test_a_load_that_waits_on_its_floor_is_no_late_column_where_the_plant_file_has_the_stop() -> (
+    None
+):
+    """The muscle carries it from 1.2 bar on, which takes the valve longer than a sensor may."""
+    muscle, t_s = LiftingMuscle(gain_m2_per_v=1e-7), np.arange(0.0, 6.0, 1e-3)
+    commands = np.where(t_s % 3.0 < 1.0, -2.0, np.where(t_s % 3.0 < 2.0, 3.0, -3.0))
+    position_m, pressure_pa = muscle.simulate(t_s, commands)
+    lifted = Record("lifted", t_s, commands, pressure_pa, np.round(position_m / 1e-6) * 1e-6)
+    plant = muscle.plant()
+    assert check_measured_runs([lifted], plant) == ()
+    without = plant.model_copy(update={"stroke_m": None})
+    with pytest.raises(BadData, match="where a stop held it, give the plant file stroke_m"):
+        check_measured_runs([lifted], without)

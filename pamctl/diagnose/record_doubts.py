@@ -1,0 +1,348 @@
+"""What is doubtful about a record: its times, its units, its sensors, and whose record it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from pamctl.diagnose.record import CHANNELS, Array, Record, estimate_white_noise
+from pamctl.diagnose.time_shifts import check_time_shifts, find_usual_ends
+from pamctl.errors import Problem
+from pamctl.log.importing.plausibility import is_switched
+from pamctl.log.record_problems import find_sensor_step
+from pamctl.plant.effects.description import USED_SIGNALS
+from pamctl.plant.model import PlantSettings
+
+Flags = NDArray[np.bool_]
+
+SHORTEST_S = 2.0
+QUICK_SAMPLES = 2000
+"""A direct mechanism may be quick: so many samples are enough, in whatever time."""
+FEWEST_SAMPLES = 100
+SHORTEST_STRETCH = 20
+"""A stretch between gaps with fewer samples shows nothing."""
+HALF_SPAN = 0.5
+"""A signal that moves by this share of its span between two samples is not resolved."""
+LEAST_COMMAND_V = 0.1
+"""A command that varies by less opens no valve."""
+STILL_TIMES_NOISE = 10.0
+"""A signal that varies by less than this multiple of its noise tells nothing."""
+
+
+def list_used_channels(record: Record, plant: PlantSettings) -> tuple[str, ...]:
+    """Return the measured channels that this plant's model reads."""
+    used = USED_SIGNALS[plant.actuator]
+    return tuple(channel for channel in record.channels if channel in used)
+
+
+DRIVERS: Mapping[str, tuple[str, ...]] = {
+    "muscle": ("valve_v", "pressure_pa"),
+    "cylinder": ("valve_v", "pressure_pa"),
+    "chamber": ("valve_v",),
+    "direct": ("force_n",),
+}
+"""One of these drives an actuator's model; an axis with a piston is driven by the pressure too."""
+
+
+def doubt_actuator(record: Record, plant: PlantSettings) -> Iterator[Problem]:
+    """Yield why a record, with all its channels, is not one of what the plant file describes."""
+    kind = f"`actuator: {plant.actuator}`"
+    drivers = DRIVERS[plant.actuator]
+    if plant.actuator == "direct" and "piston" in plant.acting:
+        drivers = (*drivers, "pressure_pa")
+    if not set(drivers) & set(record.channels):
+        needed = " or ".join(drivers)
+        piston = ", or pressure_pa with `effects: {piston: {area_m2: ...}}` in the plant file"
+        yield Problem(
+            record.name,
+            "actuator",
+            f"the plant file has {kind}, which {needed} must drive; "
+            f"the record holds {', '.join(record.channels)}",
+            fix=f"give {needed}{piston if needed == 'force_n' else ''}, by a map where no header "
+            f"names it, or {_ANOTHER_PLANT}",
+        )
+    if plant.actuator == "chamber" and (span_m := _find_motion_m(record)):
+        yield Problem(
+            record.name,
+            "actuator",
+            f"position_m moves by {1e3 * span_m:.3g} mm, and the plant file has {kind}, which does "
+            "not move",
+            fix=f"{_ANOTHER_PLANT}, as a muscle or a cylinder",
+        )
+    if plant.stroke_m and (span_m := _find_motion_m(record)) > BEYOND_STROKE * plant.stroke_m:
+        yield Problem(
+            record.name,
+            "actuator",
+            f"position_m moves by {1e3 * span_m:.3g} mm, and the plant file's stroke_m is "
+            f"{1e3 * plant.stroke_m:.3g} mm between two stops",
+            fix="give the column's unit, or the stroke, as it is",
+        )
+
+
+BEYOND_STROKE = 1.05
+"""Stops give way, and a position sensor's scale is off, by less."""
+_ANOTHER_PLANT = "make the plant file of what was measured (`pamctl plant new`)"
+
+
+def _find_motion_m(record: Record) -> float:
+    """Return how far the position moves; 0 where it is not there, or shows no more than noise."""
+    if record.position_m is None or not np.isfinite(record.position_m).all():
+        return 0.0
+    low, high = find_usual_ends(record.position_m)
+    return high - low if high - low > _span_of_noise(record.position_m) else 0.0
+
+
+def doubt_record(record: Record, plant: PlantSettings) -> Iterator[Problem]:
+    """Yield what is doubtful about the times and units of a record."""
+    yield from _doubt_length(record, plant)
+    yield from _doubt_rate(record, plant)
+    if "valve_v" in list_used_channels(record, plant):
+        yield from _doubt_command_unit(record)
+    if record.pressure_pa is not None:
+        yield from _doubt_pressure_unit(record, plant)
+    if record.position_m is not None and plant.actuator == "muscle":
+        yield from _doubt_position(record, plant)
+
+
+def _doubt_length(record: Record, plant: PlantSettings) -> Iterator[Problem]:
+    stretches = [s for s in record.segments if s.stop - s.start >= SHORTEST_STRETCH]
+    if sum(s.stop - s.start for s in stretches) < FEWEST_SAMPLES:
+        longest = int(np.argmax(record.step_s))
+        yield Problem(
+            record.name,
+            "gap",
+            f"{len(record.segments) - 1} gaps, the longest of "
+            f"{record.step_s[longest]:.3g} s after row {longest}, leave no stretch of "
+            f"{SHORTEST_STRETCH} samples, or fewer than {FEWEST_SAMPLES} samples in such "
+            "stretches",
+            fix="record without pauses of the logger",
+        )
+    is_quick = plant.actuator == "direct" and len(record) >= QUICK_SAMPLES
+    if record.duration_s < SHORTEST_S and not is_quick:
+        yield Problem(
+            record.name,
+            "short",
+            f"{record.duration_s:.3g} s long, shorter than {SHORTEST_S:g} s",
+            fix="record a whole excitation",
+        )
+
+
+def _doubt_rate(record: Record, plant: PlantSettings) -> Iterator[Problem]:
+    """Doubt a rate at which a state of the plant jumps: how it came there was not seen.
+
+    Single outliers do not count. A measured input, such as a force, may jump. Where nothing moves,
+    what jumps is noise.
+    """
+    if _is_at_rest(record, plant):
+        return
+    states = {"position_m"} if plant.actuator == "direct" else {"position_m", "pressure_pa"}
+    inside = record.step_s <= record.longest_step_s
+    for channel in record.channels:
+        span = float(np.ptp(record[channel]))
+        if channel not in states or span == 0.0:
+            continue
+        smooth = median_filter(record[channel], 3, mode="nearest")
+        jumps = np.where(inside, np.abs(np.diff(smooth)), 0.0)
+        largest = int(np.argmax(jumps))
+        if jumps[largest] > HALF_SPAN * span:
+            yield Problem(
+                record.name,
+                "coarse",
+                f"{channel} passes {100.0 * jumps[largest] / span:.0f} % of its "
+                f"span between two samples (row {largest}), "
+                f"{1e3 * record.step_s[largest]:.3g} ms apart: how it came there was not "
+                "seen",
+                fix="sample at least ten times faster",
+            )
+
+
+def _doubt_command_unit(record: Record) -> Iterator[Problem]:
+    values = record["valve_v"]
+    low, high = float(values.min()), float(values.max())
+    runs = f"valve_v runs from {low:.3g} to {high:.3g}"
+    if is_switched(values):
+        middle = 0.5 * (low + high)
+        falls = [level for level, there in ((low, values < middle), (high, values > middle))
+                 if _falls_while(record, there)]  # fmt: skip
+        if falls or high > 5.5:
+            shown = "".join(f" the muscle loses its air while it is {x:.3g};" for x in falls)
+            yield Problem(
+                record.name,
+                "command_unit",
+                f"{runs}: a valve that switches;{shown} the model reads 5 V as filling, -5 V as "
+                "exhausting, 0 V as closed",
+                fix="map each level to what it does on your rig (gain and "
+                "offset of the valve in the import map)",
+            )
+    elif high > 10.5 or low < -10.5:
+        yield Problem(
+            record.name,
+            "command_unit",
+            f"{runs}: not volts of command (-5 to 5)",
+            fix="is it in mV or per cent?",
+        )
+    elif low > -0.2 and high > 5.5:
+        yield Problem(
+            record.name,
+            "command_unit",
+            f"{runs}: the output voltage, not the command? The command is 0 V where the valve "
+            "closes, and rises as it fills",
+            fix="subtract the driver's offset (5 V where 0 to 10 V "
+            "drive the valve), and turn the sign if more volts exhaust",
+        )
+
+
+def _falls_while(record: Record, there: Flags) -> bool:
+    """Tell whether half of the pressure's span, or of the position's, is lost in these samples."""
+    column = record.pressure_pa if record.pressure_pa is not None else record.position_m
+    if column is None:
+        return False
+    lost = -np.minimum(np.diff(median_filter(column, 5, mode="nearest")), 0.0)
+    inside, outside = lost[there[:-1]], lost[~there[:-1]]
+    return float(inside.sum()) > 0.5 * float(np.ptp(column)) and bool(
+        inside.mean() > 2.0 * outside.mean()
+    )
+
+
+def _doubt_pressure_unit(record: Record, plant: PlantSettings) -> Iterator[Problem]:
+    low, high = find_usual_ends(record["pressure_pa"])
+    atmosphere, tank = plant.parameters.atmospheric_pressure_pa, plant.parameters.tank_pressure_pa
+    if high < 5e3:
+        yield Problem(
+            record.name,
+            "pressure_unit",
+            f"pressure_pa runs from {low:.3g} to {high:.3g}: not absolute pascals",
+            fix="is it in kPa or bar?",
+        )
+    elif low < 0.5 * atmosphere:
+        yield Problem(
+            record.name,
+            "pressure_unit",
+            f"pressure_pa falls to {low:.4g} Pa, below the atmosphere",
+            fix="is it gauge pressure? It must be absolute",
+        )
+    elif high > 2.0 * tank and plant.actuator != "direct":
+        yield Problem(
+            record.name,
+            "pressure_unit",
+            f"pressure_pa rises to {high:.4g} Pa, the tank has {tank:.4g} Pa",
+            fix="wrong unit, or the wrong tank_pressure_pa in the plant file?",
+        )
+
+
+def _doubt_position(record: Record, plant: PlantSettings) -> Iterator[Problem]:
+    low, high = float(record["position_m"].min()), float(record["position_m"].max())
+    length_m = plant.parameters.rest_length_m
+    if max(abs(low), abs(high)) > 0.45 * length_m:
+        yield Problem(
+            record.name,
+            "position_unit",
+            f"position_m runs from {low:.3g} to {high:.3g}, and the plant file's "
+            f"muscle is {length_m:.3g} m long (rest_length_m)",
+            fix="is the column in mm or counts, or the plant file that of another actuator?",
+        )
+    elif record.pressure_pa is not None and low < -0.02 * length_m:
+        yield Problem(
+            record.name,
+            "position_sign",
+            f"position_m falls to {low:.3g} m",
+            fix="contraction must count positive, from zero at the vented muscle",
+        )
+
+
+def doubt_sensors(record: Record, plant: PlantSettings) -> Iterator[Problem]:
+    """Yield doubts about clipped channels, which their noise reveals, and shifted ones."""
+    for channel in list_used_channels(record, plant):
+        if channel != "valve_v":  # the command has no sensor
+            yield from _doubt_extremes(record, plant, channel)
+    yield from check_time_shifts(record, rests_on_stop=plant.stroke_m is not None)
+
+
+def _doubt_extremes(record: Record, plant: PlantSettings, channel: str) -> Iterator[Problem]:
+    """Find a channel that stands still at its extreme value, where its noise should show."""
+    values = record[channel]
+    noisy = estimate_white_noise(values) > max(2.0 * find_sensor_step(values), 1e-12)
+    for end, extreme in (("highest", values.max()), ("lowest", values.min())):
+        at_end = values == extreme
+        share = float(at_end.mean())
+        if share < 0.02 or _longest_run(at_end) < 20:
+            continue
+        # A muscle that its pressure pushes cannot rest, unless its load, or a piston, is at a stop.
+        muscle = plant.actuator == "muscle" and plant.stroke_m is None and channel == "position_m"
+        if noisy or (muscle and _is_still_pushed(record, at_end)):
+            yield Problem(
+                record.name,
+                "clipped",
+                f"{channel} stays at its {end} value {extreme:.6g} for "
+                f"{100.0 * share:.0f} % of the time: the sensor is clipped"
+                + (", or a stop holds what moves" if muscle else ""),
+                fix="widen its range, or drive less far"
+                + ("; or give the plant file stroke_m, the way between the stops" * muscle),
+            )
+
+
+def _is_still_pushed(record: Record, at_end: Flags) -> bool:
+    """Tell whether the pressure changes by more than friction holds while the position rests."""
+    if record.pressure_pa is None:
+        return False
+    span = float(np.ptp(record.pressure_pa))
+    inside = record.pressure_pa[at_end]
+    return bool(np.quantile(inside, 0.98) - np.quantile(inside, 0.02) > 0.35 * span)
+
+
+def _longest_run(flags: Flags) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
+    return int((edges[1::2] - edges[::2]).max()) if len(edges) else 0
+
+
+def _is_at_rest(record: Record, plant: PlantSettings) -> bool:
+    """Tell whether the command holds one value, or else, without it, nothing varies."""
+    used = list_used_channels(record, plant)
+    asked = ("valve_v",) if "valve_v" in used else used
+    return all(_find_span(record, c) < _least_span(record, plant, c) for c in asked)
+
+
+def _find_span(record: Record, channel: str) -> float:
+    low, high = find_usual_ends(record[channel])
+    return high - low
+
+
+def doubt_excitation(records: Sequence[Record], plant: PlantSettings) -> Iterator[Problem]:
+    """Find a channel that hardly varies in any record: it tells nothing."""
+    for channel in CHANNELS:
+        # A regulator may hold the pressure on a piston: then the motion is the excitation.
+        if plant.actuator == "direct" and channel == "pressure_pa":
+            continue
+        asked = [r for r in records if channel in list_used_channels(r, plant)]
+        spans = [(_find_span(r, channel), r) for r in asked]
+        if spans and all(span < _least_span(r, plant, channel) for span, r in spans):
+            yield Problem(
+                "",
+                "still",
+                f"{channel} varies by only {max(span for span, _ in spans):.3g} "
+                f"{CHANNELS[channel]} over all records: it is not excited",
+                fix="record a motion that drives it, or give the unit of the column",
+            )
+
+
+def _least_span(record: Record, plant: PlantSettings, channel: str) -> float:
+    """Return the variation that a channel needs: more than its noise; of a muscle, a part of it."""
+    if channel == "valve_v":  # no sensor: the step of a square command is no resolution
+        return LEAST_COMMAND_V
+    least = _span_of_noise(record[channel])
+    if plant.actuator == "direct":
+        return least
+    shares = {
+        "pressure_pa": 0.02 * plant.parameters.tank_pressure_pa,
+        "position_m": 2e-3 * plant.parameters.rest_length_m,
+    }
+    return max(least, shares.get(channel, 0.0))
+
+
+def _span_of_noise(values: Array) -> float:
+    """Return the variation that noise and rounding may make."""
+    noise = max(estimate_white_noise(values), find_sensor_step(values))
+    return max(STILL_TIMES_NOISE * noise, 1e-12)

@@ -100,9 +100,9 @@ class SessionLife(OrderTaker):
         acknowledged first. A monitor follows every run against the plant `watched`; its alarm is
         an emergency stop where `monitor_trips`.
         """
+        from pamctl.daemon.monitor_handle import MonitorHandle
         from pamctl.daemon.requested_settings import GainHistory
         from pamctl.settings.resolve import settings_to_data
-        from pamctl.watch.monitor_handle import MonitorHandle
 
         self._settings = settings
         self._names = dict(names)

@@ -56,7 +56,7 @@ class RunMeta:
         return to_json({**known, "tick_fields": columns})
 
     @classmethod
-    def from_text(cls, text: bytes) -> RunMeta:
+    def from_text(cls, text: str | bytes) -> RunMeta:
         """Read what `to_text` wrote."""
         known = from_json(text)
         columns = (Field(name, _KINDS[kind], stage) for name, kind, stage in known["tick_fields"])

@@ -22,11 +22,11 @@ from pamctl.control.course import Course, Segment
 from pamctl.control.experiment import plan_experiment
 from pamctl.kernel.calls import recall
 from pamctl.kernel.layout import Rows
-from pamctl.offline.many_ticks import draw_deviates
 from pamctl.offline.merit import Merit, compute_merit
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.parameters import PlantParameters, vented_state
 from pamctl.plant.simulated import LONGEST_STEP_S, OnTheWay, make_line
+from pamctl.realtime.many_ticks import draw_deviates
 from pamctl.realtime.run_ticks import (
     NOWHERE,
     Guide,

@@ -20,10 +20,10 @@ from typing import NoReturn
 
 from hal.rig import RigError
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.offline.many_ticks import find_many_ticks
 from pamctl.processes.backends import build_clock, build_rig, make_plant, require_backend
 from pamctl.processes.loop_supervisor import LoopSupervisor
 from pamctl.realtime.loop import ControlLoop, Supervisor
+from pamctl.realtime.many_ticks import find_many_ticks
 from pamctl.realtime.orders import Orders
 from pamctl.realtime.program import CuedHelm, OrderSlot, Program
 from pamctl.realtime.scheduling import Preparation, SchedulingError, keep_single_threaded, prepare

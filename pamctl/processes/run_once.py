@@ -19,7 +19,6 @@ from pamctl.exit_codes import Ending, ExitCode
 from pamctl.kernel import build
 from pamctl.log.annotation import NOTHING_SAID, Annotation, annotate_meta
 from pamctl.log.run_meta import RunMeta, bare_name, make_dated_path
-from pamctl.offline.many_ticks import find_many_ticks
 from pamctl.plain_text import escape_name
 from pamctl.processes.backends import (
     SHARED_MEMORY,
@@ -36,6 +35,7 @@ from pamctl.processes.keep_awake import keep_awake
 from pamctl.processes.loop_main import compose_loop, run_to_ending
 from pamctl.processes.loop_supervisor import LoopSupervisor
 from pamctl.realtime.clock import LoopSettings
+from pamctl.realtime.many_ticks import find_many_ticks
 from pamctl.realtime.orders import MARK_SLOT_BYTES
 from pamctl.realtime.tick import first_state, keyframe_fields
 from pamctl.realtime.tick_runner import TickRunner

@@ -9,7 +9,7 @@ ring in shared memory, and another process writes them to the log.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
@@ -24,21 +24,12 @@ from pamctl.safety import OVERRUNS, explain_verdicts
 from pamctl.signals import Decision, Reference, TickOutcome, Timing, Truth
 
 if TYPE_CHECKING:
+    from pamctl.realtime.many_ticks import SimulatedTicks
     from pamctl.realtime.program import CuedHelm, Program
     from pamctl.realtime.steering import SteeredProgram
     from pamctl.recording.journal import RingJournal
 
 KEYFRAME_TICKS = 1000
-
-
-class ManyTicks(Protocol):
-    """Runs many ticks of a simulated rig at once, for a loop without a clock."""
-
-    def run(self, tick: TickRunner, first_tick: int, ticks: int, journal: RingJournal) -> int:
-        """Run at most so many ticks and put their rows; return how many there were."""
-
-    def samples(self, ticks: int) -> Iterator[RawSample]:
-        """Yield the samples of the ticks that were run last."""
 
 
 class Supervisor(Protocol):
@@ -75,7 +66,7 @@ class ControlLoop:
     """Called once, right after the rig is open; returns events for the log."""
     tick: TickRunner = None  # type: ignore[assignment]
     """Runs the ticks; by default one for the set-up."""
-    many: ManyTicks | None = None
+    many: SimulatedTicks | None = None
     """Runs those that nothing interrupts."""
     ended: Callable[[Ending], None] = lambda ending: None
     """Told the ending as soon as the valve is safe: to release a device may take seconds."""

@@ -16,7 +16,6 @@ from hal.rig import RawSample
 from pamctl.control.course import make_valve_reference, take_up_course
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.json_text import to_json
-from pamctl.log.run_meta import RunMeta
 from pamctl.realtime.program import CuedHelm, OrderSlot, Program
 from pamctl.realtime.tick import TickSetup, freeze_state
 from pamctl.realtime.tick_runner import RunningCourse, TickRunner
@@ -171,8 +170,7 @@ class SteeredProgram(CuedHelm):
         All at once would take longer than a tick: a ring has megabytes.
         """
         with self._defer_page_faults():
-            meta = RunMeta.from_text(order["meta"]) if "meta" in order else None
-            ring = Ring.attach(order["ring"], populate=False, meta=meta)
+            ring = Ring.attach(order["ring"], populate=False, meta=order.get("meta"))
         return _ComingRun(order, ring, ring.populate_in_steps())
 
     def _begin_run(self, order: Mapping[str, Any], ring: Ring | None, done: TickRunner) -> None:

@@ -205,9 +205,7 @@ class Ring:
     guardian_lost = _Word(49)
     """Not zero once the guardian is dead or frozen. Written by the front."""
 
-    def __init__(
-        self, path: Path, fd: int, mapped: mmap.mmap, *, meta: RunMeta | None = None
-    ) -> None:
+    def __init__(self, path: Path, fd: int, mapped: mmap.mmap, *, meta: str | None = None) -> None:
         """Use the ring in `mapped`, whose file `fd` this object owns from now on; -1 for none.
 
         With `meta` that of the ring, which may be long, is not read.
@@ -221,8 +219,8 @@ class Ring:
             raise RingError(f"{self.path} is not a ring of pamctl")
         self._words = self._buffer[:HEADER_BYTES].cast("Q")
         self._check_layout()
-        text = self._buffer[HEADER_BYTES:][: self._meta_bytes]
-        self.meta = meta or RunMeta.from_text(text.tobytes())
+        text = meta or self._buffer[HEADER_BYTES:][: self._meta_bytes].tobytes()
+        self.meta = RunMeta.from_text(text)
         self.rows = self._row_count
         self._rows_at = self._rows_start
         self._head = self.head
@@ -272,9 +270,7 @@ class Ring:
         return cls(Path(), -1, mapped)
 
     @classmethod
-    def attach(
-        cls, path: str | Path, *, populate: bool = True, meta: RunMeta | None = None
-    ) -> Ring:
+    def attach(cls, path: str | Path, *, populate: bool = True, meta: str | None = None) -> Ring:
         """Map an existing ring; raise RingError if it is not a ring of this version.
 
         Without `populate` the caller goes through `populate_in_steps` before it puts rows. With

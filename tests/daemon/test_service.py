@@ -24,6 +24,7 @@ from support.patience import BUSY_PC, PATIENCE_S, await_true
 from support.processes.daemons import NOT_HOMED, QUICK, Daemon, daemon, parked
 
 from pamctl.daemon.client import Client
+from pamctl.daemon.monitor_handle import MonitorHandle
 from pamctl.daemon.shelf import Latch, Shelf
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log import read
@@ -33,7 +34,6 @@ from pamctl.processes.run_once import make_run_meta
 from pamctl.recording import recorded_run
 from pamctl.recording.ring import Ring
 from pamctl.settings.resolve import resolve
-from pamctl.watch.monitor_handle import MonitorHandle
 
 UNIT = Path(__file__).parents[2] / "scripts" / "pamctl.service"
 INSTALLED = "/opt/pamctl/.venv/bin/pamctl"

@@ -36,11 +36,11 @@ from pamctl.offline.closed_loop import (
     simulate,
     tabulate_references,
 )
-from pamctl.offline.many_ticks import draw_deviates, find_many_ticks
 from pamctl.plant.model import plant_parameters
 from pamctl.processes.backends import build_clock, build_rig
 from pamctl.realtime.gain_ramp import fit_law
 from pamctl.realtime.loop import ControlLoop
+from pamctl.realtime.many_ticks import draw_deviates, find_many_ticks
 from pamctl.realtime.program import CuedHelm
 from pamctl.realtime.tick_runner import TickRunner
 from pamctl.recording.rows import ROW_BYTES

@@ -11,6 +11,7 @@ from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pamctl.log.importing.column_map import (
     KEYS,
@@ -193,6 +194,9 @@ _MOVES = 0.1
 """A column whose span is a smaller share of its largest value is no part of what moves."""
 _TOGETHER = 0.99
 """Columns of a higher correlation are two sensors of one part."""
+_ALIKE = 0.1
+"""By a larger share the spans of two sensors of one pressure do not differ. The pressures of a
+cylinder's two sides rise together, and stand in the ratio of its areas."""
 _SEVERAL = {
     "valve_v": "the commands of several valves",
     "pressure_pa": "the pressures of several chambers",
@@ -244,8 +248,19 @@ def _are_of_two_parts(one: TableColumn, other: TableColumn) -> bool:
     if apart & (_OF_ONE_PART | OTHER | OF_A_COMMAND) or len(one.values) != len(other.values):
         return False
     both = np.isfinite(one.values) & np.isfinite(other.values)
-    together = np.corrcoef(one.values[both], other.values[both])[0, 1] if both.sum() > 1 else 1.0
-    return bool(together < _TOGETHER)
+    if both.sum() < 2:
+        return False
+    together = np.corrcoef(one.values[both], other.values[both])[0, 1]
+    return bool(together < _TOGETHER) or _differ_in_span(one, other, both)
+
+
+def _differ_in_span(one: TableColumn, other: TableColumn, both: NDArray[np.bool_]) -> bool:
+    """Tell whether two pressures of stated units move by different amounts over the same rows."""
+    of_pa, headers = UNITS["pressure_pa"], (one.header, other.header)
+    if any(header.measures != "pressure_pa" for header in headers):
+        return False
+    spans = [of_pa[c.header.unit] * np.std(c.values[both]) for c in (one, other)]
+    return bool(min(spans) < (1.0 - _ALIKE) * max(spans))
 
 
 def _does_move(values: Floats) -> bool:

@@ -133,7 +133,7 @@ NAMES: Mapping[str, frozenset[str]] = {
     }),
     "valve_v": frozenset({
         "valve", "command", "cmd", "control", "u", "ao", "ventil", "stell", "stellgroesse",
-        "valvula", "valvola", "vanne", "mando", "comando", "commande",
+        "valvula", "valvola", "vanne", "distributeur", "mando", "comando", "commande",
     }),
     "pressure_pa": frozenset({
         "pressure", "p", "pm", "druck", "ueberdruck", "pression", "presion", "pressione", "pressao",
@@ -142,6 +142,7 @@ NAMES: Mapping[str, frozenset[str]] = {
         "position", "pos", "displacement", "disp", "contraction", "stroke", "x", "weg", "hub",
         "lage", "encoder", "enc", "kontraktion", "auslenkung", "deplacement", "angle", "winkel",
         "posicion", "posizione", "posicao", "desplazamiento", "spostamento", "deslocamento",
+        "course", "corsa", "carrera",
     }),
     "force_n": frozenset({"force", "f", "fm", "kraft", "thrust", "fuerza", "forza", "forca"}),
 }  # fmt: skip
@@ -164,7 +165,7 @@ _BESIDE = _SENSES[True] | _SENSES[False] | frozenset({
     "elapsed", "of", "day", "clock", "internal", "inner",
     "voltage", "spannung", "since", "start", "cell", "load", "axial", "linear", "number", "no",
     "chamber", "vessel", "cylinder", "piston", "rod", "carriage", "slide", "axis", "drive", "motor",
-    "joint", "gelenk",
+    "joint", "gelenk", "servo", "tension", "cote", "fond", "tige",
     "bogen", "chambre", "camara", "camera", "muscolo", "musculo", "cilindro", "verin", "pistone",
     "asse", "axe", "eje", "del", "della",
     "kammer", "behaelter", "zylinder", "kolben", "stange", "schlitten", "achse", "antrieb", "mess",

@@ -41,6 +41,7 @@ UNLIKE_SHARE = 0.5
 MOST_SAMPLES = 20_000
 LOAD = "external_load.force_n"
 HARDLY_SEEN = f"hardly seen: {100 * LEAST_SHARE:g} % of the force"
+DRY = "coulomb_friction.force_n"
 BY_FORCES = "from the balance of forces over the motion"
 
 
@@ -179,7 +180,7 @@ def _guess_mechanics(
     x, v, a, drive, grip, friction = (row[moves] for row in motion)
     up, ones = v > 0.0, np.ones(len(x))
     forces = {
-        "mass_kg": a, "damping_n_s_per_m": v, "stiffness_n_per_m": x, "dry": np.sign(v),
+        "mass_kg": a, "damping_n_s_per_m": v, "stiffness_n_per_m": x, DRY: np.sign(v),
         LOAD: ones, "lift": -ones, "kinetic_friction_per_m": np.where(up, friction, 0.0),
         "return": np.where(up, 0.0, -friction), "drag": np.where(up, grip * v, 0.0),
     }  # fmt: skip
@@ -204,8 +205,9 @@ def _guess_mechanics(
     elif "kinetic_friction_per_m" in amounts:
         small = least / scale["kinetic_friction_per_m"]
         found["kinetic_friction_per_m"] = Guess(small, HARDLY_SEEN, is_bound=True)
-    if actuator == "muscle" and amounts[LOAD] > least:
-        found[LOAD] = Guess(float(sizes[LOAD]), BY_FORCES)
+    for name in (LOAD, DRY) if actuator == "muscle" else ():
+        if amounts[name] > least:
+            found[name] = Guess(float(sizes[name]), BY_FORCES)
     return found
 
 

@@ -186,7 +186,7 @@ _OPTIONAL = {"direct": {"drive_n_per_v"}, "muscle": {"stroke_m"}}
 _DEFAULTS = {"temperature_k": ROOM_K}
 """Where the paper's number is no guess for a rig of one's own."""
 _LOAD = ("external_load",)
-_FRICTION = ("return_friction", "braid_drag")
+_FRICTION = ("coulomb_friction", "return_friction", "braid_drag")
 _EFFECTS = {"muscle": (*_LOAD, *_FRICTION), "cylinder": _LOAD, "direct": ("piston",)}
 """Effects that are part of an actuator, where the catalogue has them."""
 _FIRST = ("atmospheric_pressure_pa",)

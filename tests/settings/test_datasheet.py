@@ -92,7 +92,8 @@ def test_a_nominal_flow_is_that_of_an_isentropic_orifice() -> None:
 
 def test_every_number_of_the_settings_is_in_the_list_of_a_muscle_with_its_description() -> None:
     asked = {question.name: question.meaning for question in list_questions("muscle")}
-    effects = {"external_load.force_n", "return_friction.share", "braid_drag.share"}
+    shares = {"return_friction.share", "braid_drag.share"}
+    effects = {"external_load.force_n", "coulomb_friction.force_n", *shares}
     assert {*asked} == {*MuscleParameters.model_fields, *effects, "stroke_m"}
     assert all(asked.values())
     of_axis = {question.name for question in list_questions("direct")}

@@ -362,7 +362,7 @@ def write_compared_runs(page: Report, diagnosis: Diagnosis, records: Sequence[Re
 
 def _describe_simulation(runs: Runs) -> str:
     if runs.imposed:
-        return "Something else moves this axis: its equation gives the force for this motion."
+        return "The force is found from the measured motion."
     if runs.actuator == "direct":
         how = "in short windows, each from the measured state" if runs.windowed else "freely"
         return f"The motion is simulated from the measured force, {how}."

@@ -20,6 +20,10 @@ from pamctl.diagnose.report.finding_words import (
 )
 from pamctl.report.report import SIGNAL_DISPLAYS, spell_figure
 
+IMPOSED = (
+    "force_n does not show the acceleration of position_m: something else moves this axis, and the "
+    "model gives the force for the measured motion; if the force moves it, record quicker motions"
+)
 _DOUBTS: dict[Doubt, str] = {
     "": "nothing speaks against its name",
     "law": "a law without a name fits best",
@@ -217,5 +221,7 @@ def list_shifts(diagnosis: Diagnosis) -> str:
 
 
 def describe_noise(diagnosis: Diagnosis) -> list[str]:
-    """Say which channels have faults, a line each."""
-    return [fault.says for about in diagnosis.noise.values() for fault in about.faults]
+    """Say which channels have faults, a line each, and whether the force moves the axis at all."""
+    faults = [fault.says for about in diagnosis.noise.values() for fault in about.faults]
+    evidence = diagnosis.evidence
+    return [*faults, *[IMPOSED] * bool(evidence and evidence.weigher.train.imposed)]

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from support.made_records import ask_only, axis_plant, list_asked, names_of, numbers_of
 
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, report_diagnosis, sentence
-from pamctl.diagnose.evidence.measured_motion import find_starts
+from pamctl.diagnose.evidence.measured_motion import find_starts, judge_motion
 from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.weigh import list_pool, prepare_weigher
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
@@ -263,3 +263,23 @@ def test_of_an_exact_axis_nothing_is_missing_and_its_numbers_lie_in_their_interv
     for name, true in (("mass_kg", 6.5), ("damping_n_s_per_m", 45.0)):
         low, high = numbers[name]["ci90"]
         assert low - 1e-3 * true < true < high + 1e-3 * true, name
+
+
+def slow_axis(mass_kg):
+    """Return a slow motion, and the force that it takes: of an axis with cogging mostly friction.
+
+    A loop that chatters adds 6 N. Without a mass the force is what a crank feels.
+    """
+    t_s, x, v, a = np.arange(0.0, 20.0, 1e-3), 0.0, 0.0, 0.0
+    for hz, amplitude_m in ((0.11, 0.04), (0.43, 0.012), (0.9, 0.005), (1.7, 0.002)):
+        w = 2.0 * np.pi * hz
+        x, v = x + amplitude_m * np.sin(w * t_s), v + amplitude_m * w * np.cos(w * t_s)
+        a -= amplitude_m * w**2 * np.sin(w * t_s)
+    force_n = mass_kg * a + 18.0 * v + 9.0 * np.sign(v) + 4.5 * np.sin(2.0 * np.pi * x / 0.024)
+    force_n += np.random.default_rng(2).normal(0.0, 6.0, len(t_s))
+    return Record("slow", t_s, position_m=x, force_n=force_n)
+
+
+def test_a_slow_axis_of_which_friction_takes_most_is_moved_by_its_force_all_the_same():
+    assert judge_motion([slow_axis(6.2)], "direct", 1e-3) == (False, True)
+    assert judge_motion([slow_axis(0.0)], "direct", 1e-3) == (True, True)

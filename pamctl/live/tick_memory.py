@@ -66,16 +66,10 @@ class TickShelf:
         numbers = range(self._oldest, self._put)
         first = self._oldest + bisect_left(numbers, first_tick, key=self._number)
         end = self._oldest + bisect_right(numbers, last_tick, key=self._number)
-        room = len(self._rows)
-        at, count = first % room, max(0, end - first)
-        until_end = min(count, room - at)
-        parts = (
-            self._rows[at : at + until_end : every],
-            self._rows[-until_end % every : count - until_end : every],
-        )
         if not self._put:
             return {name: np.empty(0) for name in names}
-        return {name: np.concatenate([part[name] for part in parts], dtype=float) for name in names}
+        at = np.arange(first, end, every) % len(self._rows)
+        return {name: self._rows[name][at].astype(float) for name in names}
 
     @property
     def _oldest(self) -> int:

@@ -34,6 +34,7 @@ from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import EVENT_TOPIC, GAINS_TOPIC, KEYFRAME_TOPIC, TICK_TOPIC
 from pamctl.log.wire import TickLayout, make_message_record, make_message_records
 from pamctl.log.writer import LogWriter, begin_log
+from pamctl.recording.journal import StandStill
 from pamctl.recording.ring import LOOP_DEAD_NS, RecorderFlag, Ring
 from pamctl.recording.rows import ROW_BYTES, Entry, RowBatch, RowKind, row_dtype
 
@@ -84,8 +85,12 @@ def _record_to_end(ring: Ring, owner: Owner) -> bool:
         ring.log_inode = os.fstat(file.fileno()).st_ino
         recording = _Recording(ring, file, reserve, _begin(ring, path, file, is_new=is_new))
         ring.raise_flag(RecorderFlag.READY)
-        loop = _SignsOfLife(ring)
-        while not (ring.loop_done or (owner.gone and loop.has_ceased())):
+        # A loop that was silent for long before this process began is dead.
+        is_silent = monotonic_ns() - ring.loop_beat_ns > LOOP_DEAD_NS
+        loop = StandStill(
+            lambda: (ring.head, ring.loop_beat_ns), 2.0 * ROUND_S, 2.0 * STALLED_S * is_silent
+        )
+        while not (ring.loop_done or (owner.gone and loop.lasts_s() > STALLED_S)):
             recording.round()
             if not recording.is_behind:
                 owner.wait(ROUND_S)
@@ -171,29 +176,6 @@ def _reserve_space(ring: Ring, file: BufferedRandom, path: Path, *, is_new: bool
     if not reserve.supported:
         print(f"recorder: note: the file system of {path} cannot reserve space", file=sys.stderr)
     return reserve
-
-
-class _SignsOfLife:
-    """Watches the loop through the ring, without a common clock.
-
-    If the whole machine stood still, the loop is not dead: at most two rounds are counted between
-    two looks. A loop that was silent for long before the recorder began is dead.
-    """
-
-    def __init__(self, ring: Ring) -> None:
-        self._ring = ring
-        self._last = (ring.head, ring.loop_beat_ns)
-        self._looked_s = monotonic()
-        is_silent = monotonic_ns() - ring.loop_beat_ns > LOOP_DEAD_NS
-        self._silent_s = 2.0 * STALLED_S if is_silent else 0.0
-
-    def has_ceased(self) -> bool:
-        now_s, sign = monotonic(), (self._ring.head, self._ring.loop_beat_ns)
-        self._silent_s += min(now_s - self._looked_s, 2.0 * ROUND_S)
-        self._looked_s = now_s
-        if sign != self._last:
-            self._last, self._silent_s = sign, 0.0
-        return self._silent_s > STALLED_S
 
 
 class _Recording:

@@ -7,6 +7,7 @@ session's ring, which the guardian watches while the loop lives.
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -22,20 +23,26 @@ _ROOM_PATIENCE_S = 1.0
 
 
 class StandStill:
-    """Tells for how long a number has stood still, such as the beats of a process."""
+    """Tells for how long something has stood still, such as the beats of a process."""
 
-    def __init__(self, look: Callable[[], int]) -> None:
-        """Begin now; whatever `look` returns first is new."""
-        self._look = look
-        self._seen: int | None = None
-        self._since_s = time.monotonic()
+    def __init__(
+        self, look: Callable[[], object], most_s: float = math.inf, lasted_s: float = 0.0
+    ) -> None:
+        """Begin now, after a stand-still of `lasted_s`.
+
+        At most `most_s` count between two looks: a machine that stood still says nothing.
+        """
+        self._look, self._seen = look, look()
+        self._most_s, self._lasted_s = most_s, lasted_s
+        self._looked_s = time.monotonic()
 
     def lasts_s(self) -> float:
-        """Look once more; return how long ago something new was seen (s)."""
+        """Look once more; return for how long nothing new was seen (s)."""
         now_s, seen = time.monotonic(), self._look()
-        if seen != self._seen:
-            self._seen, self._since_s = seen, now_s
-        return now_s - self._since_s
+        passed_s = min(now_s - self._looked_s, self._most_s)
+        self._lasted_s = 0.0 if seen != self._seen else self._lasted_s + passed_s
+        self._seen, self._looked_s = seen, now_s
+        return self._lasted_s
 
 
 class RingJournal:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 from typer.testing import CliRunner
 
@@ -20,9 +18,7 @@ from pamctl.exit_codes import ExitCode
         (["--on-rig", "--socket", "none.sock"], "no daemon listens", ExitCode.UNAVAILABLE),
     ],
 )
-def test_one_clear_error_and_nothing_is_written(
-    words: list[str], said: str, code: ExitCode, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_clear_error_and_nothing_is_written(words, said, code, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     result = CliRunner().invoke(app, ["diagnose", "--out", "out", *words])
     assert result.exit_code == code

@@ -26,17 +26,17 @@ from pamctl.report.report import format_terminal
         ("position_late", ["position_late"]),
     ],
 )
-def test_a_word_of_a_verdict_can_be_left_out(word: str, left_out: list[str]) -> None:
+def test_a_word_of_a_verdict_can_be_left_out(word, left_out):
     assert _find_left_out(word, PlantSettings()) == left_out
 
 
-def test_the_place_of_laws_without_a_name_leaves_all_of_them_out() -> None:
+def test_the_place_of_laws_without_a_name_leaves_all_of_them_out():
     left_out = _find_left_out("braid_friction", PlantSettings())
     assert {"braid_friction~curve(velocity)", "braid_friction~onset(time)"} <= {*left_out}
     assert all(name.startswith("braid_friction~") for name in left_out)
 
 
-def test_an_unknown_word_is_told_what_can_be_left_out() -> None:
+def test_an_unknown_word_is_told_what_can_be_left_out():
     done = run_pamctl("diagnose", "x.mcap", "--without", "braid_frictoin", "--out", "never")
     assert done.returncode == 2
     said = " ".join(done.stderr.replace("\u2502", " ").split())
@@ -54,7 +54,7 @@ SPOTS = tuple(
 
 
 @pytest.mark.parametrize("verbose", [False, True])
-def test_an_audit_fits_into_100_columns(verbose: bool) -> None:
+def test_an_audit_fits_into_100_columns(verbose):
     pairs = tuple(
         Inseparable(pair, ("chirp", "")[number % 2], "w")
         for number, pair in enumerate(combinations(NAMES, 2))
@@ -70,7 +70,7 @@ def test_an_audit_fits_into_100_columns(verbose: bool) -> None:
     assert "pamctl run --experiment slow-ramps" in " ".join(map(str.strip, lines))
 
 
-def test_an_audit_names_the_experiment_that_tells_a_pair_apart() -> None:
+def test_an_audit_names_the_experiment_that_tells_a_pair_apart():
     pairs = (
         Inseparable(("creep", "drift"), "chirp", ""),
         Inseparable(("creep", "valve_leak"), "", ""),

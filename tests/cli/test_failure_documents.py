@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -43,7 +42,7 @@ class Ended:
         assert self.code == self.document["exit_code"], arguments
 
 
-def test_an_unknown_option_is_one_document(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_option_is_one_document(capsys):
     assert len(VERBS) > 25
     for verb in VERBS:
         ended = Ended(capsys, *verb, "--json", "--no-such-option")
@@ -59,9 +58,7 @@ def test_an_unknown_option_is_one_document(capsys: pytest.CaptureFixture[str]) -
      ("watch", "--web", "--port", "1", "--every", "nan"), ("replay", "a.mcap", "--from", "-1")],
     ids=" ".join,
 )  # fmt: skip
-def test_wrong_arguments_are_one_line_like_every_other_error(
-    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]
-) -> None:
+def test_wrong_arguments_are_one_line_like_every_other_error(capsys, arguments):
     with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as left:
         patch.setattr(sys, "argv", ["pamctl", *arguments])
         main()
@@ -71,9 +68,7 @@ def test_wrong_arguments_are_one_line_like_every_other_error(
     assert err.count("\n") == 1
 
 
-def test_a_missing_daemon_is_one_document(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_missing_daemon_is_one_document(capsys, tmp_path):
     assert {verb.split()[0] for verb in STEERED} <= {verb[0] for verb in VERBS}
     for verb in STEERED:
         ended = Ended(capsys, *verb.split(), "--json", "--socket", str(tmp_path / "none.sock"))
@@ -126,9 +121,7 @@ FAILURES = """
 """Code, verb, and what is said, after two spaces."""
 
 
-def test_an_error_of_any_module_is_one_document_with_its_reason(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_an_error_of_any_module_is_one_document_with_its_reason(capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     for line in FAILURES.strip().splitlines():
         code, _, rest = line.partition(" ")
@@ -146,9 +139,7 @@ def test_an_error_of_any_module_is_one_document_with_its_reason(
         assert told in Ended(capsys, "mark", text, "--json").document["reason"]
 
 
-def test_ctrl_c_is_a_document(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_is_a_document(capsys, monkeypatch):
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
@@ -174,15 +165,13 @@ main()
 """
 
 
-def test_ctrl_c_during_the_start_is_an_exit_code_and_no_traceback() -> None:
+def test_ctrl_c_during_the_start_is_an_exit_code_and_no_traceback():
     command = [sys.executable, "-c", IMPATIENT, "status"]
     done = run_process(command)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
 
-def test_an_unexpected_error_is_a_document_and_a_traceback(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_unexpected_error_is_a_document_and_a_traceback(capsys, monkeypatch):
     def broken(*_: object) -> None:
         raise RuntimeError("ours")
 

@@ -51,7 +51,7 @@ PARAMETERS = {
 }
 
 
-def test_every_parameter_says_what_it_is_in_a_phrase() -> None:
+def test_every_parameter_says_what_it_is_in_a_phrase():
     for name, parameter in PARAMETERS.items():
         told = parameter.help or ""
         # An argument may be one noun beside its name: "New log".
@@ -62,7 +62,7 @@ def test_every_parameter_says_what_it_is_in_a_phrase() -> None:
         assert not FRAGMENT.search(told), name
 
 
-def test_every_optional_parameter_shows_its_default() -> None:
+def test_every_optional_parameter_shows_its_default():
     for name, parameter in PARAMETERS.items():
         if parameter.required or getattr(parameter, "is_flag", False):
             continue
@@ -73,7 +73,7 @@ def test_every_optional_parameter_shows_its_default() -> None:
             assert parameter.show_default is True, name
 
 
-def test_every_time_shows_its_range() -> None:
+def test_every_time_shows_its_range():
     for name, parameter in PARAMETERS.items():
         if parameter.metavar != "SECONDS" or parameter.opts[0] in ("--from", "--to"):
             continue
@@ -82,7 +82,7 @@ def test_every_time_shows_its_range() -> None:
 
 
 @pytest.mark.parametrize("words", COMMANDS)
-def test_every_verb_says_what_it_does_in_a_sentence(words: str) -> None:
+def test_every_verb_says_what_it_does_in_a_sentence(words):
     told = COMMANDS[words].help
     assert len(told.split()) >= 4, told
     assert told[0].isupper()
@@ -96,7 +96,7 @@ def test_every_verb_says_what_it_does_in_a_sentence(words: str) -> None:
         assert "Exit codes: 0 ok" in done.output
 
 
-def test_the_verbs_are_grouped_and_the_end_says_what_is_shipped() -> None:
+def test_the_verbs_are_grouped_and_the_end_says_what_is_shipped():
     assert {command.rich_help_panel for command in COMMANDS[""].commands.values()} == set(PANELS)
     told = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "100"}).output
     places = [told.index(f"\u2500 {panel} ") for panel in PANELS]
@@ -107,7 +107,7 @@ def test_the_verbs_are_grouped_and_the_end_says_what_is_shipped() -> None:
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_a_shell_can_complete_verbs(shell: str) -> None:
+def test_a_shell_can_complete_verbs(shell):
     environment = {
         "_PAMCTL_COMPLETE": f"complete_{shell}", "COMP_WORDS": "pamctl wat", "COMP_CWORD": "1",
         "_TYPER_COMPLETE_ARGS": "pamctl wat", "_TYPER_COMPLETE_FISH_ACTION": "get-args",
@@ -127,12 +127,12 @@ def test_a_shell_can_complete_verbs(shell: str) -> None:
         ("tune", "2<=x<=1000"),
     ],
 )
-def test_the_whole_help_text_reaches_the_terminal(verb: str, shown: str) -> None:
+def test_the_whole_help_text_reaches_the_terminal(verb, shown):
     done = CliRunner().invoke(app, [verb, "--help"], terminal_width=200, env={"COLUMNS": "200"})
     assert shown in " ".join(done.output.replace("│", " ").split())
 
 
-def test_the_last_word_of_a_verb_of_two_words_is_answered_with_the_whole_verb() -> None:
+def test_the_last_word_of_a_verb_of_two_words_is_answered_with_the_whole_verb():
     done = CliRunner().invoke(app, ["import", "data.csv"])
     assert done.exit_code == ExitCode.USAGE
     assert "did you mean `pamctl log import`?" in done.output
@@ -160,21 +160,21 @@ def list_heavy_imports(*arguments: str) -> set[str]:
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["nosuch"], ["diagnose", "--help"]])
-def test_help_and_advice_import_no_verb(arguments: list[str]) -> None:
+def test_help_and_advice_import_no_verb(arguments):
     assert list_heavy_imports(*arguments) <= {"rich"}
 
 
 @pytest.mark.parametrize("verb", ["status", "estop"])
-def test_a_verb_of_the_daemon_imports_no_model_and_no_algebra(verb: str, tmp_path: Path) -> None:
+def test_a_verb_of_the_daemon_imports_no_model_and_no_algebra(verb, tmp_path):
     assert list_heavy_imports(verb, "--socket", str(tmp_path / "none.sock")) == set()
 
 
-def test_a_look_into_a_log_imports_no_settings(tmp_path: Path) -> None:
+def test_a_look_into_a_log_imports_no_settings(tmp_path):
     log = write_small(tmp_path / "small.mcap")
     assert list_heavy_imports("log", "info", str(log)) == {"google", "mcap", "numpy"}
 
 
-def test_the_help_of_the_whole_says_what_each_verb_says_of_itself() -> None:
+def test_the_help_of_the_whole_says_what_each_verb_says_of_itself():
     wide = {"COLUMNS": "200"}
     by_name = CliRunner().invoke(build_asked(["--help"]), ["--help"], env=wide)
     in_full = CliRunner().invoke(build_app(), ["--help"], env=wide)
@@ -182,7 +182,7 @@ def test_the_help_of_the_whole_says_what_each_verb_says_of_itself() -> None:
     assert "Move the muscle" in by_name.output
 
 
-def test_a_verb_after_the_end_of_options_is_carried_out() -> None:
+def test_a_verb_after_the_end_of_options_is_carried_out():
     done = run_process([sys.executable, "-m", "pamctl", "--", "manual"])
     assert done.returncode == 0
     assert "first-run" in done.stdout
@@ -250,7 +250,7 @@ def check_shipped(words: list[str]) -> None:
             assert find_config_file(SHIPPED[option], value).is_file()
 
 
-def test_an_example_in_the_help_can_be_typed() -> None:
+def test_an_example_in_the_help_can_be_typed():
     for verb, examples in EXAMPLES.items():
         for words in map(shlex.split, examples):
             assert words[0] == "pamctl"
@@ -260,7 +260,7 @@ def test_an_example_in_the_help_can_be_typed() -> None:
             check_shipped(words)
 
 
-def test_a_printed_command_can_be_typed() -> None:
+def test_a_printed_command_can_be_typed():
     commands = sorted(set(printed_commands()))
     verbs = {command.split()[0] for _, command in commands}
     assert verbs >= {"run", "tune", "diagnose", "log", "doctor", "calibrate", "safe", "ack"}
@@ -278,7 +278,7 @@ def test_a_printed_command_can_be_typed() -> None:
     assert not wrong
 
 
-def test_what_to_install_is_a_package_of_the_index_and_never_ours() -> None:
+def test_what_to_install_is_a_package_of_the_index_and_never_ours():
     """The name pamctl on the public index is not ours, and `.` is a checkout only by chance."""
     for package in (pamctl, hal):
         for path in sorted(Path(str(package.__file__)).parent.rglob("*")):
@@ -287,6 +287,6 @@ def test_what_to_install_is_a_package_of_the_index_and_never_ours() -> None:
 
 
 @pytest.mark.parametrize("verb", ["diagnose", "health"])
-def test_a_verb_that_judges_data_takes_what_its_refusals_advise(verb: str) -> None:
+def test_a_verb_that_judges_data_takes_what_its_refusals_advise(verb):
     options = {name for parameter in find_verb([verb])[0].params for name in parameter.opts}
     assert {"--accept", "--noise"} <= options

@@ -46,7 +46,7 @@ def write_table(folder: Path, text: str, **keys: Any) -> str:
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", SHORT)
-def test_a_form_runs_and_replays_to_the_bit(name: str, tmp_path: Path) -> None:
+def test_a_form_runs_and_replays_to_the_bit(name, tmp_path):
     changes = [part for key in SHORT[name] for part in ("--set", f"experiment.{key}")]
     log = run_whole(tmp_path / "run.mcap", "--experiment", name, *changes)
     replay = replay_log(log)
@@ -61,7 +61,7 @@ def test_a_form_runs_and_replays_to_the_bit(name: str, tmp_path: Path) -> None:
         assert error_m.max() < 0.5e-3
 
 
-def test_a_sequence_puts_its_marks_and_gains_into_the_log(tmp_path: Path) -> None:
+def test_a_sequence_puts_its_marks_and_gains_into_the_log(tmp_path):
     path = tmp_path / "mine.yaml"
     parts = [
         {"kind": "mark", "text": "begin"},
@@ -84,7 +84,7 @@ def test_a_sequence_puts_its_marks_and_gains_into_the_log(tmp_path: Path) -> Non
     assert replay_log(log).is_equal
 
 
-def test_a_table_runs_without_its_file_from_the_log_alone(tmp_path: Path) -> None:
+def test_a_table_runs_without_its_file_from_the_log_alone(tmp_path):
     text = "time_ms,displacement_um\n0,9000\n500,9500\n1000,11000\n2000,10000\n"
     experiment = write_table(tmp_path, text)
     log = run_whole(tmp_path / "run.mcap", "--experiment", experiment)
@@ -94,7 +94,7 @@ def test_a_table_runs_without_its_file_from_the_log_alone(tmp_path: Path) -> Non
     assert course[[0, 500, 1000]] == pytest.approx([0.009, 0.0095, 0.011], abs=1e-9)
 
 
-def test_a_mat_file_is_a_table_too(tmp_path: Path) -> None:
+def test_a_mat_file_is_a_table_too(tmp_path):
     t_s = np.linspace(0, 2, 41)
     ramp = 0.5 - 0.5 * np.cos(np.pi * t_s / 2)
     savemat(tmp_path / "points.mat", {"tout": t_s, "yout": np.column_stack([ramp, 9 + ramp])})
@@ -131,16 +131,14 @@ def test_a_mat_file_is_a_table_too(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_bad_table_is_refused_in_one_line(
-    text: str, keys: dict[str, Any], said: str, tmp_path: Path
-) -> None:
+def test_a_bad_table_is_refused_in_one_line(text, keys, said, tmp_path):
     done = dry_run("--experiment", write_table(tmp_path, text, **keys))
     assert done.exit_code == 78
     assert said in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
 
 
-def test_a_huge_or_irregular_file_is_not_read(tmp_path: Path) -> None:
+def test_a_huge_or_irregular_file_is_not_read(tmp_path):
     experiment = write_table(tmp_path, "")
     with (tmp_path / "points.csv").open("wb") as file:
         file.truncate(60_000_000)
@@ -165,9 +163,7 @@ def test_a_huge_or_irregular_file_is_not_read(tmp_path: Path) -> None:
         (["amplitude_mm=3", "frequency_hz=6"], "a valve command of"),
     ],
 )
-def test_a_sine_beyond_the_envelope_is_refused_with_the_figure(
-    changes: list[str], said: str
-) -> None:
+def test_a_sine_beyond_the_envelope_is_refused_with_the_figure(changes, said):
     sets = [part for change in changes for part in ("--set", f"experiment.{change}")]
     done = dry_run("--experiment", "sine", *sets)
     assert done.exit_code == 78
@@ -175,7 +171,7 @@ def test_a_sine_beyond_the_envelope_is_refused_with_the_figure(
     assert "the limits are" in done.stderr
 
 
-def test_the_limits_of_the_envelope_are_keys_of_the_rig() -> None:
+def test_the_limits_of_the_envelope_are_keys_of_the_rig():
     slow = ("--set", "rig.envelope.speed_mm_per_s=5")
     done = dry_run("--experiment", "sine", *slow)
     # 2 mm at 0.5 Hz: 6.28 mm/s, and a little more while it grows.
@@ -184,7 +180,7 @@ def test_the_limits_of_the_envelope_are_keys_of_the_rig() -> None:
     assert dry_run("--experiment", "sine").exit_code == 0
 
 
-def test_the_model_needs_the_valve_command_that_the_simulated_muscle_gets(tmp_path: Path) -> None:
+def test_the_model_needs_the_valve_command_that_the_simulated_muscle_gets(tmp_path):
     """The demand that refuses is right where it does not: within a tenth of what the law uses."""
     from pamctl.control.experiment import plan_experiment
     from pamctl.plant.model import plant_parameters
@@ -216,9 +212,7 @@ def test_the_model_needs_the_valve_command_that_the_simulated_muscle_gets(tmp_pa
         ({"typo": 3}, "typo: Extra inputs are not permitted"),
     ],
 )
-def test_a_gain_that_cannot_change_while_it_runs_is_refused(
-    change: dict[str, Any], said: str, tmp_path: Path
-) -> None:
+def test_a_gain_that_cannot_change_while_it_runs_is_refused(change, said, tmp_path):
     path = tmp_path / "mine.yaml"
     parts = [{"kind": "move", "to_mm": 5, "duration_s": 2}, {"kind": "gains", "set": change}]
     path.write_text(json.dumps({"kind": "sequence", "parts": parts}))

@@ -40,7 +40,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_runs_lists_logs_whose_names_are_no_text(folder: Path) -> None:
+def test_runs_lists_logs_whose_names_are_no_text(folder):
     for _ in range(2):  # from the logs, and from the index
         done = run_pamctl("runs", "--logs", folder, "--json")
         assert done.returncode == 0, done.stderr
@@ -56,7 +56,7 @@ def test_runs_lists_logs_whose_names_are_no_text(folder: Path) -> None:
     assert done.stdout.count("\n") == len(SHOWN) - 1
 
 
-def test_verbs_that_write_a_name_into_a_file_escape_it(folder: Path) -> None:
+def test_verbs_that_write_a_name_into_a_file_escape_it(folder):
     measured = folder / os.fsdecode(b"m\xe9s.csv")
     rows = (f"{0.01 * n:.2f},{n % 2},{200 + n % 7},{n % 11}" for n in range(120))
     measured.write_text("\n".join(["t_s,valve_v,pressure_kpa,position_mm", *rows]))
@@ -89,7 +89,7 @@ def test_verbs_that_write_a_name_into_a_file_escape_it(folder: Path) -> None:
         ("\ud800", "\\ud800"),
     ],
 )
-def test_a_name_is_escaped_only_where_it_cannot_be_shown(name: str, shown: str) -> None:
+def test_a_name_is_escaped_only_where_it_cannot_be_shown(name, shown):
     assert escape_name(name) == shown
     assert escape_name(name).encode()
 
@@ -118,7 +118,7 @@ for words in walk(get_command(app), []):
 
 
 @pytest.mark.long
-def test_the_help_of_every_verb_is_shown_where_the_terminal_lacks_characters() -> None:
+def test_the_help_of_every_verb_is_shown_where_the_terminal_lacks_characters():
     environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
     done = subprocess.run(
         [sys.executable, "-c", _HELP_OF_ALL], env=environment, capture_output=True, check=False
@@ -129,7 +129,7 @@ def test_the_help_of_every_verb_is_shown_where_the_terminal_lacks_characters() -
     assert "?" in text
 
 
-def test_a_result_is_printed_where_the_terminal_lacks_characters(tmp_path: Path) -> None:
+def test_a_result_is_printed_where_the_terminal_lacks_characters(tmp_path):
     log = shutil.copy(GOLDEN / "qsmc.mcap", tmp_path / "\u4e2d.mcap")
     done = subprocess.run(
         [sys.executable, "-m", "pamctl", "log", "check", str(log)],
@@ -140,7 +140,7 @@ def test_a_result_is_printed_where_the_terminal_lacks_characters(tmp_path: Path)
     assert done.returncode == 0, done.stderr.decode()
 
 
-def test_help_is_shown_where_there_is_no_locale_and_keeps_its_brackets() -> None:
+def test_help_is_shown_where_there_is_no_locale_and_keeps_its_brackets():
     plain = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "COLUMNS": "120"}
     done = subprocess.run(
         [sys.executable, "-m", "pamctl", "log", "import", "--help"],
@@ -169,7 +169,7 @@ def is_harmless(text: str) -> bool:
 @given(st.text() | st.text(alphabet="\x1b\x9b\x9d[]0;m\x07\\P\n\r\u202eab", max_size=20))
 @example(HOSTILE)
 @example("\x1b\x1b[[2J")
-def test_a_cleaned_text_steers_nothing_and_stays_as_it_is(text: str) -> None:
+def test_a_cleaned_text_steers_nothing_and_stays_as_it_is(text):
     assert is_harmless(clean_lines(text))
     assert is_harmless(clean_text(text))
     assert not set(clean_text(text)) & set("\t\n")
@@ -192,19 +192,19 @@ LETTERS = "Ä µm 15 °C, 東 e\u0301, نص عربي, שלום, 👩\u200d🔬"
         ("half \udc80 \x00\x7f\x85end", "half   end"),
     ],
 )  # fmt: skip
-def test_letters_of_any_script_stay_and_sequences_vanish_as_a_whole(dirty: str, clean: str) -> None:
+def test_letters_of_any_script_stay_and_sequences_vanish_as_a_whole(dirty, clean):
     assert clean_text(dirty) == clean
     assert clean_lines(f"{LETTERS}\t{clean}\n") == f"{LETTERS}\t{clean}\n"
 
 
-def test_a_progress_line_may_begin_anew_but_not_in_its_middle() -> None:
+def test_a_progress_line_may_begin_anew_but_not_in_its_middle():
     paper = io.StringIO()
     stream = PlainStream(paper)
     stream.write("\rabc\rd\x1b[2K")
     assert paper.getvalue() == "\rabcd"
 
 
-def test_a_mark_blanks_no_terminal_and_is_logged_without_its_controls(tmp_path: Path) -> None:
+def test_a_mark_blanks_no_terminal_and_is_logged_without_its_controls(tmp_path):
     with simulate(logs=tmp_path, overrides=["rig.homing.enabled=false"]) as rig:
         rig.goto(8e-3, within_s=0.5)
         rig.mark(HOSTILE)
@@ -214,7 +214,7 @@ def test_a_mark_blanks_no_terminal_and_is_logged_without_its_controls(tmp_path: 
     assert shown == logged == ["agnol b c"]
 
 
-def test_an_old_log_that_holds_them_shows_none(tmp_path: Path) -> None:
+def test_an_old_log_that_holds_them_shows_none(tmp_path):
     log = write_small(tmp_path / "old.mcap", remark=HOSTILE.rstrip("\ud800"))
     assert b"\\u001b[2J" in log.read_bytes() or b"\x1b[2J" in log.read_bytes()
     page = tmp_path / "page.html"
@@ -242,7 +242,7 @@ failure.print_plainly(doze, "doze")()
 """
 
 
-def test_a_silent_verb_says_what_it_does_until_it_prints() -> None:
+def test_a_silent_verb_says_what_it_does_until_it_prints():
     ours, its = pty.openpty()
     done = subprocess.run([sys.executable, "-c", SLOW], stdout=its, stderr=its, timeout=60)
     assert done.returncode == 0
@@ -252,6 +252,6 @@ def test_a_silent_verb_says_what_it_does_until_it_prints() -> None:
     assert re.fullmatch(r"(\r\x1b\[Kdoze: dozing, \d+ s)+\r\x1b\[Kdone\r\n", seen)
 
 
-def test_without_a_terminal_nothing_is_shown() -> None:
+def test_without_a_terminal_nothing_is_shown():
     done = subprocess.run([sys.executable, "-c", SLOW], capture_output=True, text=True, timeout=60)
     assert (done.stdout, done.stderr) == ("done\n", "")

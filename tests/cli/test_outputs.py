@@ -106,9 +106,7 @@ def disk(
 
 
 @pytest.mark.parametrize("verb", VERBS)
-def test_a_disk_that_takes_nothing_is_noticed_before_the_work(
-    verb: str, disk: tuple[Path, int, str], place: Path
-) -> None:
+def test_a_disk_that_takes_nothing_is_noticed_before_the_work(verb, disk, place):
     folder, code, reason = disk
     before = sorted(folder.iterdir())
     done = run_pamctl(*(word.format(folder) for word in VERBS[verb]), cwd=place)
@@ -132,9 +130,7 @@ def test_a_disk_that_takes_nothing_is_noticed_before_the_work(
         ("calibrate valve --yes --out loop.yaml", 2), ("run --fast --log loop.mcap", 2),
     ],
 )  # fmt: skip
-def test_a_link_to_itself_is_an_error_and_no_traceback(
-    words: str, code: int, tmp_path: Path
-) -> None:
+def test_a_link_to_itself_is_an_error_and_no_traceback(words, code, tmp_path):
     names = ["loop", "loop.csv", "loop.mcap", "loop.yaml"]
     for name in names:
         (tmp_path / name).symlink_to(name)
@@ -185,7 +181,7 @@ def test_a_comparison_whose_page_finds_no_room_is_printed(place: Path, tmp_path:
     assert document["plants"]
 
 
-def test_only_a_failure_to_write_is_kept_until_the_result_is_printed(tmp_path: Path) -> None:
+def test_only_a_failure_to_write_is_kept_until_the_result_is_printed(tmp_path):
     with Saving() as saving:
         write_files({tmp_path: "a folder is there"})
     assert isinstance(saving.failure, NewFileError)
@@ -194,9 +190,7 @@ def test_only_a_failure_to_write_is_kept_until_the_result_is_printed(tmp_path: P
 
 
 @pytest.mark.parametrize("words", ["log info {}", "run --fast --duration 0.3 --log new.mcap"])
-def test_standard_output_on_a_full_disk_is_an_error_after_the_work(
-    words: str, tmp_path: Path
-) -> None:
+def test_standard_output_on_a_full_disk_is_an_error_after_the_work(words, tmp_path):
     full = os.open("/dev/full", os.O_WRONLY)
     done = pamctl(*words.format(LOG).split(), cwd=tmp_path, stdout=full)
     os.close(full)
@@ -206,7 +200,7 @@ def test_standard_output_on_a_full_disk_is_an_error_after_the_work(
         assert whole.returncode == 0, whole.stdout
 
 
-def test_a_verb_keeps_its_own_exit_code_where_its_output_is_lost(tmp_path: Path) -> None:
+def test_a_verb_keeps_its_own_exit_code_where_its_output_is_lost(tmp_path):
     shutil.copy(LOG, tmp_path / "cut.mcap")
     os.truncate(tmp_path / "cut.mcap", 30_000)
     full = os.open("/dev/full", os.O_WRONLY)
@@ -217,7 +211,7 @@ def test_a_verb_keeps_its_own_exit_code_where_its_output_is_lost(tmp_path: Path)
 
 
 @pytest.mark.parametrize("same", ["a link", "a copy"])
-def test_a_log_that_is_fitted_cannot_be_the_held_out_one(same: str, tmp_path: Path) -> None:
+def test_a_log_that_is_fitted_cannot_be_the_held_out_one(same, tmp_path):
     other = tmp_path / "other.mcap"
     match same:
         case "a link":
@@ -231,7 +225,7 @@ def test_a_log_that_is_fitted_cannot_be_the_held_out_one(same: str, tmp_path: Pa
     assert not out.exists()
 
 
-def test_a_run_that_is_given_twice_does_not_count_twice(tmp_path: Path) -> None:
+def test_a_run_that_is_given_twice_does_not_count_twice(tmp_path):
     other = shutil.copy(LOG, tmp_path / "other.mcap")
     for logs in ([LOG, LOG], [LOG, str(other)]):
         done = run_pamctl("diagnose", *logs, "--out", str(tmp_path / "out"), cwd=tmp_path)

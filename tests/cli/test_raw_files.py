@@ -55,16 +55,14 @@ def write_muscle(table: Path) -> Path:
     return table
 
 
-def test_a_plant_file_says_at_once_that_it_is_not_one_of_the_log_it_is_made_from(
-    tmp_path: Path,
-) -> None:
+def test_a_plant_file_says_at_once_that_it_is_not_one_of_the_log_it_is_made_from(tmp_path):
     made = ["plant", "new", "--from", write_muscle(tmp_path / "rig.csv"), "--actuator", "chamber"]
     said = run_pamctl(*made, "--value", "chamber_volume_m3=1 l", "--out", tmp_path / "rig.yaml")
     assert said.returncode == 0, said.stderr
     assert "warning: rig: position_m moves by 18 mm" in said.stderr
 
 
-def test_what_is_the_same_of_several_files_is_said_once_with_their_names(tmp_path: Path) -> None:
+def test_what_is_the_same_of_several_files_is_said_once_with_their_names(tmp_path):
     files = [write_muscle(tmp_path / f"{name}.csv") for name in "abc"]
     made = ["plant", "new", "--actuator", "muscle", "--from", files[0]]
     made += [word for file in files[1:] for word in ("--from", file)]
@@ -73,7 +71,7 @@ def test_what_is_the_same_of_several_files_is_said_once_with_their_names(tmp_pat
     assert "a, b, c: imported: t_s as t_s" in said
 
 
-def test_a_muscle_and_a_cylinder_have_the_same_columns_so_one_is_asked_for(tmp_path: Path) -> None:
+def test_a_muscle_and_a_cylinder_have_the_same_columns_so_one_is_asked_for(tmp_path):
     table, out = write_muscle(tmp_path / "rig.csv"), tmp_path / "rig.yaml"
     asked = run_pamctl("plant", "new", "--from", table, "--out", out)
     assert asked.returncode == 2
@@ -91,7 +89,7 @@ def test_a_muscle_and_a_cylinder_have_the_same_columns_so_one_is_asked_for(tmp_p
     assert f"{papers}braid_length_m, braid_turns;" in given.stdout
 
 
-def test_with_a_map_they_make_a_plant_file_and_a_diagnosis(table: Path) -> None:
+def test_with_a_map_they_make_a_plant_file_and_a_diagnosis(table):
     column_map, plant = table.with_name("map.yaml"), table.with_name("rig.yaml")
     made = run_pamctl("plant", "new", "--from", table, "--map", column_map, "--out", plant)
     assert made.returncode == 0, made.stderr
@@ -108,9 +106,7 @@ def test_with_a_map_they_make_a_plant_file_and_a_diagnosis(table: Path) -> None:
     assert mass["value"] == pytest.approx(MASS_KG, rel=0.005)
 
 
-def test_compare_takes_a_measured_file_and_its_map_as_diagnose_does(
-    table: Path, tmp_path: Path
-) -> None:
+def test_compare_takes_a_measured_file_and_its_map_as_diagnose_does(table, tmp_path):
     plant, page = tmp_path / "axis.yaml", tmp_path / "page.html"
     column_map = table.with_name("map.yaml")
     made = ["plant", "new", "--from", table, "--map", column_map, "--out", plant]
@@ -131,7 +127,7 @@ def test_compare_takes_a_measured_file_and_its_map_as_diagnose_does(
     assert [line for line in same if "mechanics" in line] == gaps != []
 
 
-def test_what_an_import_warned_of_goes_on_to_the_diagnosis(tmp_path: Path) -> None:
+def test_what_an_import_warned_of_goes_on_to_the_diagnosis(tmp_path):
     table, log = write_muscle(tmp_path / "rig.csv"), tmp_path / "rig.mcap"
     (tmp_path / "map.yaml").write_text(
         "time: {column: t_s}\nvalve: {column: valve_V}\n"
@@ -148,9 +144,7 @@ def test_what_an_import_warned_of_goes_on_to_the_diagnosis(tmp_path: Path) -> No
     assert "says mm, and the map cm" in write_html(build_diagnosis_page(found, [record]))
 
 
-def test_a_map_that_fits_one_file_of_a_call_names_the_way_for_the_others(
-    table: Path, tmp_path: Path
-) -> None:
+def test_a_map_that_fits_one_file_of_a_call_names_the_way_for_the_others(table, tmp_path):
     other = tmp_path / "other.csv"
     other.write_text(table.read_text().replace("Zeit_ms", "Time"))
     map_path = table.with_name("map.yaml")

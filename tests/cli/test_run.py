@@ -110,7 +110,7 @@ def of_every_phase(brisk: tuple[dict[str, object], Log]) -> Log:
 
 
 @pytest.mark.long
-def test_a_fast_run_compares_its_tracking_with_table_iv(tmp_path: Path) -> None:
+def test_a_fast_run_compares_its_tracking_with_table_iv(tmp_path):
     report, log = fast_run(tmp_path)
     assert report["exit_code"] == 0
     tracked = np.isin(log["phase"], (Phase.TRACK, Phase.REST))
@@ -124,7 +124,7 @@ def test_a_fast_run_compares_its_tracking_with_table_iv(tmp_path: Path) -> None:
     assert outcome(log)["code"] == 0
 
 
-def test_a_run_homes_approaches_tracks_and_stops_in_this_order(of_every_phase: Log) -> None:
+def test_a_run_homes_approaches_tracks_and_stops_in_this_order(of_every_phase):
     log = of_every_phase
     phases = log["phase"][np.flatnonzero(np.diff(log["phase"], prepend=-1))]
     assert phases.tolist() == [Phase.HOMING, Phase.APPROACH, Phase.TRACK, Phase.STOPPING]
@@ -133,11 +133,11 @@ def test_a_run_homes_approaches_tracks_and_stops_in_this_order(of_every_phase: L
     assert zeroed[-1]["encoder_zero_counts"] == 1000.0
 
 
-def test_duration_counts_from_the_end_of_homing(short: Log) -> None:
+def test_duration_counts_from_the_end_of_homing(short):
     assert np.count_nonzero(short["phase"] == Phase.APPROACH) == 500
 
 
-def test_the_log_carries_the_resolved_configuration(short: Log) -> None:
+def test_the_log_carries_the_resolved_configuration(short):
     embedded = from_resolved(json.dumps(short.config))
     asked = resolve(duration_s=0.5, seed=7, fast=True, overrides=["rig.loop.stop_ramp_s=0.25"])
     assert embedded == asked
@@ -145,7 +145,7 @@ def test_the_log_carries_the_resolved_configuration(short: Log) -> None:
     assert short.metadata["run"]["controller"] == "qsmc"
 
 
-def test_a_dry_run_prints_a_configuration_that_resolves_to_itself(tmp_path: Path) -> None:
+def test_a_dry_run_prints_a_configuration_that_resolves_to_itself(tmp_path):
     done = pamctl("run", "--dry-run", "--set", "controller.lambda_per_s=12", cwd=tmp_path)
     assert done.returncode == 0
     assert from_resolved(done.stdout) == resolve(overrides=["controller.lambda_per_s=12"])
@@ -155,9 +155,7 @@ def test_a_dry_run_prints_a_configuration_that_resolves_to_itself(tmp_path: Path
 # --- a run in real time ------------------------------------------------------------------
 
 
-def test_in_real_time_ticks_lie_on_the_grid_until_sigterm_stops_the_run_smoothly_with_143(
-    tmp_path: Path,
-) -> None:
+def test_in_real_time_ticks_lie_on_the_grid_until_sigterm_stops_the_run_smoothly_with_143(tmp_path):
     with running(tmp_path, "--json") as front:
         await_ticks(front, 800)
         front.terminate()
@@ -177,7 +175,7 @@ def test_in_real_time_ticks_lie_on_the_grid_until_sigterm_stops_the_run_smoothly
 
 
 @pytest.mark.long
-def test_a_recorder_frozen_for_good_ends_the_run_and_loses_nothing(tmp_path: Path) -> None:
+def test_a_recorder_frozen_for_good_ends_the_run_and_loses_nothing(tmp_path):
     with running(tmp_path) as front:
         await_ticks(front, 300)
         os.kill(await_children(front.pid, "recorder")["recorder"], signal.SIGSTOP)
@@ -193,7 +191,7 @@ def test_a_recorder_frozen_for_good_ends_the_run_and_loses_nothing(tmp_path: Pat
 
 
 @pytest.mark.long
-def test_a_rehearsed_fault_ends_the_run_with_its_exit_code_and_reason(tmp_path: Path) -> None:
+def test_a_rehearsed_fault_ends_the_run_with_its_exit_code_and_reason(tmp_path):
     fault = "rig.faults=[{kind: pressure_nan, from_tick: 2500}]"
     report, log = fast_run(tmp_path, "--set", fault, "--set", "rig.homing.enabled=false")
     assert report["exit_code"] == 4
@@ -229,8 +227,8 @@ def test_a_rehearsed_fault_ends_the_run_with_its_exit_code_and_reason(tmp_path: 
     ],
 )
 def test_bad_input_gets_one_clear_error_and_changes_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], code: int, complaint: str
-) -> None:
+    tmp_path, monkeypatch, arguments, code, complaint
+):
     (tmp_path / "there-already.mcap").write_bytes(b"precious")
     monkeypatch.chdir(tmp_path)
     done = CliRunner().invoke(app, ["run", *arguments])
@@ -254,15 +252,13 @@ def test_without_a_run_json_still_prints_one_document(tmp_path: Path) -> None:
     assert json.loads(bad.stdout)["exit_code"] == bad.returncode == 78
 
 
-def test_a_changed_experiment_is_not_compared_with_table_iv(
-    brisk: tuple[dict[str, Any], Log],
-) -> None:
+def test_a_changed_experiment_is_not_compared_with_table_iv(brisk):
     changed, _ = brisk
     assert changed["tracking"]["measured"]["max_m"] < 292e-6
     assert changed["paper"] == []
 
 
-def test_a_bad_line_of_a_file_is_named_with_its_place(tmp_path: Path) -> None:
+def test_a_bad_line_of_a_file_is_named_with_its_place(tmp_path):
     (tmp_path / "mine.yaml").write_text(
         "law: pid\nlength_unit: mm\nlpf2_hz: 1e2\n"
         "kp_v_per_length: 1e-1\nki_v_per_length_s: -2\nkd_v_s_per_length: 0\n"
@@ -274,7 +270,7 @@ def test_a_bad_line_of_a_file_is_named_with_its_place(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_a_log_on_a_full_disk_ends_the_run_and_is_complete_to_its_last_tick(tmp_path: Path) -> None:
+def test_a_log_on_a_full_disk_ends_the_run_and_is_complete_to_its_last_tick(tmp_path):
     if os.geteuid():
         pytest.skip("mounting a small file system needs root")
     small = tmp_path / "small"
@@ -294,7 +290,7 @@ def test_a_log_on_a_full_disk_ends_the_run_and_is_complete_to_its_last_tick(tmp_
         subprocess.run(["umount", small], check=True)
 
 
-def test_the_mode_require_fails_if_real_time_scheduling_is_refused(tmp_path: Path) -> None:
+def test_the_mode_require_fails_if_real_time_scheduling_is_refused(tmp_path):
     if os.geteuid():
         pytest.skip("giving up privileges needs root")
     # Without CAP_SYS_NICE and CAP_IPC_LOCK root is refused like anyone else.
@@ -306,7 +302,7 @@ def test_the_mode_require_fails_if_real_time_scheduling_is_refused(tmp_path: Pat
     assert "fifo: " in done.stderr
 
 
-def test_a_closed_terminal_stops_a_run_smoothly_with_129(tmp_path: Path) -> None:
+def test_a_closed_terminal_stops_a_run_smoothly_with_129(tmp_path):
     ours, its = os.openpty()
     front = subprocess.Popen(
         [PAMCTL, "run", "--log", "run.mcap", *ON_OUR_DEVICE],
@@ -331,9 +327,7 @@ def test_a_closed_terminal_stops_a_run_smoothly_with_129(tmp_path: Path) -> None
     assert outcome(log)["code"] == 129
 
 
-def test_the_second_of_fifty_ctrl_c_stops_at_once_and_leaves_the_summary_whole(
-    tmp_path: Path,
-) -> None:
+def test_the_second_of_fifty_ctrl_c_stops_at_once_and_leaves_the_summary_whole(tmp_path):
     with running(tmp_path, "--set", "rig.loop.stop_ramp_s=5") as front:
         await_ticks(front, 200)
         front.send_signal(signal.SIGINT)
@@ -350,7 +344,7 @@ def test_the_second_of_fifty_ctrl_c_stops_at_once_and_leaves_the_summary_whole(
     assert 0 < np.count_nonzero(log["phase"] == Phase.STOPPING) < 4900
 
 
-def test_a_limit_of_open_files_that_is_too_low_is_one_line(tmp_path: Path) -> None:
+def test_a_limit_of_open_files_that_is_too_low_is_one_line(tmp_path):
     most = 16
     command = f"ulimit -n {most} && exec {sys.executable} -m pamctl run --log {tmp_path}/run.mcap"
     done = run_process(["sh", "-c", command], cwd=tmp_path)

@@ -43,13 +43,13 @@ APPROACH = [(Phase.APPROACH, 5.0, 0.0, 6.4), (Phase.APPROACH, 2.0, 6.4, 6.4)]
 UP, DOWN = (Phase.TRACK, 5.0, 6.4, 17.2), (Phase.TRACK, 5.0, 17.2, 6.4)
 
 
-def test_experiment_1_rests_ten_seconds_at_6_4_and_at_17_2_mm() -> None:
+def test_experiment_1_rests_ten_seconds_at_6_4_and_at_17_2_mm():
     low, high = (Phase.REST, 10.0, 6.4, 6.4), (Phase.REST, 10.0, 17.2, 17.2)
     assert outline(shipped("tracking-1")) == APPROACH + [low, UP, high, DOWN] * 2
 
 
 @pytest.mark.parametrize(("name", "half_s"), [("0.25", 2.0), ("2", 0.25)])
-def test_a_square_wave_fills_first_then_exhausts_for_equally_long(name, half_s) -> None:
+def test_a_square_wave_fills_first_then_exhausts_for_equally_long(name, half_s):
     wave = shipped(f"square-{name}")
     assert len(wave) % 2 == 0
     assert {s.phase for s in wave} == {Phase.OPEN_LOOP}
@@ -57,13 +57,13 @@ def test_a_square_wave_fills_first_then_exhausts_for_equally_long(name, half_s) 
     assert [s.valve_v for s in wave] == [5.0, -5.0] * (len(wave) // 2)
 
 
-def test_steps_are_held_in_order_and_repeated() -> None:
+def test_steps_are_held_in_order_and_repeated():
     steps = (Step(valve_v=1.0, hold_s=0.5), Step(valve_v=-2.0, hold_s=0.25))
     course = plan_experiment(StepsSettings(kind="steps", steps=steps, repeat=2)).segments
     assert [(s.valve_v, s.duration_s) for s in course] == [(1.0, 0.5), (-2.0, 0.25)] * 2
 
 
-def test_a_set_point_below_the_vented_muscle_is_refused() -> None:
+def test_a_set_point_below_the_vented_muscle_is_refused():
     with pytest.raises(ValidationError, match=r"amplitude_mm 6 exceeds offset_mm 5"):
         TrackingSettings(kind="tracking", offset_mm=5.0, amplitude_mm=6.0)
     lowest = plan_experiment(
@@ -82,7 +82,7 @@ def walked(course: Course, period_s: float = 1e-3, last_tick: int = 10**6) -> li
     return asked
 
 
-def test_a_shortened_course_ends_at_its_new_end() -> None:
+def test_a_shortened_course_ends_at_its_new_end():
     course = Course(shipped("tracking-2"), duration_s=1.5)
     assert course.duration_s == 1.5
     assert len(walked(course)) == 1500
@@ -92,7 +92,7 @@ def test_a_shortened_course_ends_at_its_new_end() -> None:
     assert Course(shipped("tracking-2"), 1e4).end_reason == "the experiment is complete"
 
 
-def test_after_the_end_there_is_no_reference() -> None:
+def test_after_the_end_there_is_no_reference():
     course = Course(shipped("square-2"))
     assert course.at(course.duration_s) is None
     assert course.at(course.duration_s + 1.0) is None
@@ -103,7 +103,7 @@ def test_after_the_end_there_is_no_reference() -> None:
     st.sampled_from([1e-3, 5e-4, 1 / 300.0, 0.1, 1e-2]),
     st.integers(0, 10**6),
 )
-def test_segments_of_whole_ticks_last_so_many_ticks_each(lengths, period_s, first) -> None:
+def test_segments_of_whole_ticks_last_so_many_ticks_each(lengths, period_s, first):
     """Ends are sums of floats and ticks are products: the sums must not win or lose a tick."""
     course = Course([Segment(Phase.OPEN_LOOP, n * period_s, 0, 0, float(i)) for i, n in
                      enumerate(lengths)])  # fmt: skip
@@ -116,7 +116,7 @@ def test_segments_of_whole_ticks_last_so_many_ticks_each(lengths, period_s, firs
 
 
 @given(st.integers(1, 60), st.sampled_from([1e-3, 5e-4, 1 / 300.0]), st.integers(0, 10**6))
-def test_a_course_cut_to_whole_ticks_lasts_so_many_ticks(ticks, period_s, first) -> None:
+def test_a_course_cut_to_whole_ticks_lasts_so_many_ticks(ticks, period_s, first):
     course = Course([Segment(Phase.OPEN_LOOP, 1.0, 0, 0, 1.0)], duration_s=ticks * period_s)
     begin_s = first * period_s
     lasted = 0
@@ -126,7 +126,7 @@ def test_a_course_cut_to_whole_ticks_lasts_so_many_ticks(ticks, period_s, first)
 
 
 @pytest.mark.parametrize("frequency_hz", [0.3, 7.0])
-def test_a_long_square_wave_keeps_its_frequency(frequency_hz: float) -> None:
+def test_a_long_square_wave_keeps_its_frequency(frequency_hz):
     wave = plan_experiment(
         SquareSettings(kind="square", frequency_hz=frequency_hz, cycles=20)
     ).segments
@@ -138,7 +138,7 @@ def test_a_long_square_wave_keeps_its_frequency(frequency_hz: float) -> None:
     assert len(asked) == math.ceil(20 / frequency_hz * 1e3 - 1e-6)
 
 
-def test_missed_ticks_may_skip_whole_segments_without_losing_the_time() -> None:
+def test_missed_ticks_may_skip_whole_segments_without_losing_the_time():
     course = Course([Segment(Phase.OPEN_LOOP, 0.01, 0, 0, float(i)) for i in range(10)])
     times_s = [0.0, 0.005, 0.0501, 0.0999]
     assert [course.at(t).reference_valve_v for t in times_s] == [0.0, 0.0, 5.0, 9.0]
@@ -166,7 +166,7 @@ SHAPE = Polynomial(np.round(np.linalg.solve(CONDITIONS, [0, 0, 0, 0, 1, 0, 0, 0]
 @given(positions, positions, durations, shares)
 def test_motion_and_derivatives_are_those_of_the_polynomial_that_rests_at_both_ends(
     start, end, duration, share
-) -> None:
+):
     found = rest_to_rest(start, end, duration, share * duration)
     span = end - start
     for order, value in enumerate(found):
@@ -176,7 +176,7 @@ def test_motion_and_derivatives_are_those_of_the_polynomial_that_rests_at_both_e
 
 
 @given(positions, positions, durations, st.floats(0.0, 10.0))
-def test_the_position_is_constant_before_and_after_the_motion(start, end, duration, beyond) -> None:
+def test_the_position_is_constant_before_and_after_the_motion(start, end, duration, beyond):
     assert rest_to_rest(start, end, duration, -beyond) == Motion(start, 0.0, 0.0, 0.0)
     assert rest_to_rest(start, end, duration, duration + beyond) == Motion(end, 0.0, 0.0, 0.0)
 
@@ -191,14 +191,14 @@ def shipped_command(*overrides: str) -> np.ndarray:
     return table[:, Reference._fields.index("reference_valve_v")]
 
 
-def test_the_shipped_program_starts_vented_and_stays_within_the_valves_range() -> None:
+def test_the_shipped_program_starts_vented_and_stays_within_the_valves_range():
     command = shipped_command()
     assert (command[:1000] == -5.0).all()
     assert np.abs(command).max() == 5.0
     assert 55_000 < len(command) < 65_000
 
 
-def test_the_shipped_file_says_how_long_it_takes() -> None:
+def test_the_shipped_file_says_how_long_it_takes():
     lasts_s = sum(
         one.duration_s
         for one in plan_experiment(run_settings(experiment="diagnosis").experiment).segments
@@ -207,7 +207,7 @@ def test_the_shipped_file_says_how_long_it_takes() -> None:
     assert f"`pamctl diagnose`: {lasts_s:.0f} s," in said
 
 
-def test_a_falling_chirp_is_refused() -> None:
+def test_a_falling_chirp_is_refused():
     part = {"wave": "chirp", "low_hz": 50, "high_hz": 2, "amplitude_v": 3, "duration_s": 1}
     with pytest.raises(ValidationError, match="must lie below"):
         ProgramSettings(kind="program", parts=[part])

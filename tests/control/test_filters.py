@@ -38,7 +38,7 @@ def filtered(
 
 
 @pytest.mark.parametrize("cutoff_hz", [0.5, 10.0, 185.0, 300.0, 440.0])
-def test_the_filter_is_scipys_third_order_butterworth(cutoff_hz: float) -> None:
+def test_the_filter_is_scipys_third_order_butterworth(cutoff_hz):
     values = np.random.default_rng(1).normal(size=5000)
     expected = signal.sosfilt(signal.butter(3, cutoff_hz, fs=1 / DT_S, output="sos"), values)
     # SciPy's own coefficients are good to no more at 0.5 Hz, where its poles lie next to 1.
@@ -46,7 +46,7 @@ def test_the_filter_is_scipys_third_order_butterworth(cutoff_hz: float) -> None:
 
 
 @pytest.mark.parametrize("dt_s", [2e-3, 5e-3, 20e-3, 50e-3])
-def test_the_300_hz_filter_lets_the_sample_through_after_missed_ticks(dt_s: float) -> None:
+def test_the_300_hz_filter_lets_the_sample_through_after_missed_ticks(dt_s):
     """The cut-off is above half the rate there: SciPy has no such filter; pamctl needs none."""
     values = np.random.default_rng(3).normal(size=500)
     expected = signal.sosfilt(signal.butter(3, 0.45, fs=1.0, output="sos"), values)
@@ -62,13 +62,13 @@ tick_lengths = st.lists(st.floats(1e-4, 50e-3), min_size=1, max_size=60)
 
 
 @given(cutoffs, tick_lengths, st.floats(-100, 100))
-def test_no_change_of_dt_disturbs_a_constant(cutoff_hz, dts, level) -> None:
+def test_no_change_of_dt_disturbs_a_constant(cutoff_hz, dts, level):
     levels = filtered(cutoff_hz, [level] * len(dts), dts, start=level)
     np.testing.assert_allclose(levels, level, rtol=0, atol=1e-12 * max(1.0, abs(level)))
 
 
 @given(cutoffs.filter(lambda hz: hz > 1), tick_lengths, st.integers(0, 2**32 - 1))
-def test_the_filter_stays_stable_for_any_dt_and_recovers(cutoff_hz, dts, seed) -> None:
+def test_the_filter_stays_stable_for_any_dt_and_recovers(cutoff_hz, dts, seed):
     """A fast filter may overshoot after a gap; the overshoot is bounded and decays fast."""
     values = np.random.default_rng(seed).uniform(-1, 1, len(dts)).tolist()
     levels = filtered(cutoff_hz, values + [0.5] * 600, [*dts, *[DT_S] * 600])
@@ -100,7 +100,7 @@ def estimates(
 
 
 @pytest.mark.parametrize(("lpf2_hz", "seconds"), [(0.5, 20.0), (20.0, 2.0), (185.0, 1.0)])
-def test_the_derivatives_of_a_parabola_are_correct_and_delayed(lpf2_hz, seconds) -> None:
+def test_the_derivatives_of_a_parabola_are_correct_and_delayed(lpf2_hz, seconds):
     """A trapezoidal Butterworth of third order delays a ramp by dt / tan(pi f dt)."""
     times_s = np.arange(0, seconds, DT_S)
     last = estimates(FilterGains(300.0, lpf2_hz), 0.5 * 0.3 * times_s**2)[-1]
@@ -109,7 +109,7 @@ def test_the_derivatives_of_a_parabola_are_correct_and_delayed(lpf2_hz, seconds)
     assert last.error_rate_m_per_s == pytest.approx(0.3 * (times_s[-1] - delay_s), rel=1e-6)
 
 
-def test_the_error_is_the_filtered_position_minus_the_reference() -> None:
+def test_the_error_is_the_filtered_position_minus_the_reference():
     times_s = np.arange(0, 0.2, DT_S)
     positions = np.random.default_rng(4).normal(0, 1e-3, len(times_s))
     asked = [reference(0.01 + 0.05 * t) for t in times_s]
@@ -121,7 +121,7 @@ def test_the_error_is_the_filtered_position_minus_the_reference() -> None:
     np.testing.assert_allclose([e.error_m for e in found], errors, atol=1e-15)
 
 
-def test_the_derivatives_are_differences_through_lpf_2() -> None:
+def test_the_derivatives_are_differences_through_lpf_2():
     positions = np.cumsum(np.random.default_rng(5).normal(0, 1e-5, 3000))
     found = estimates(FilterGains(300.0, 185.0), positions)
     sos = signal.butter(3, 185.0, fs=1 / DT_S, output="sos")
@@ -134,7 +134,7 @@ def test_the_derivatives_are_differences_through_lpf_2() -> None:
     )
 
 
-def test_the_derivatives_use_the_measured_dt() -> None:
+def test_the_derivatives_use_the_measured_dt():
     dts = [1e-3, 2e-3] * 2000
     times_s = np.cumsum(dts)
     found = estimates(FilterGains(20.0, 5.0), 0.02 * times_s, dts)
@@ -142,7 +142,7 @@ def test_the_derivatives_use_the_measured_dt() -> None:
     assert found[-2].error_rate_m_per_s == pytest.approx(0.02, rel=5e-3)
 
 
-def test_open_loop_has_no_error_and_the_law_takes_over_without_a_jump() -> None:
+def test_open_loop_has_no_error_and_the_law_takes_over_without_a_jump():
     ticks = 100
     positions = 0.01 * np.sin(np.linspace(0, 3, 2 * ticks))
     asked = [OPEN_LOOP] * ticks + [reference(0.5)] * ticks
@@ -158,7 +158,7 @@ def test_open_loop_has_no_error_and_the_law_takes_over_without_a_jump() -> None:
     assert max(abs(e.error_rate_m_per_s) for e in found[ticks:]) < 1.2 * speed
 
 
-def test_the_filters_are_primed_again_every_time_the_law_takes_over() -> None:
+def test_the_filters_are_primed_again_every_time_the_law_takes_over():
     asked = ([OPEN_LOOP] * 5 + [reference(0.0)] * 5) * 2
     found = estimates(FilterGains(300.0, 185.0), 0.1 * DT_S * np.arange(20), DT_S, asked)
     assert [e.error_rate_m_per_s == 0.0 for e in found].count(True) == 2
@@ -166,7 +166,7 @@ def test_the_filters_are_primed_again_every_time_the_law_takes_over() -> None:
 
 
 @pytest.mark.parametrize("dt_s", [0.0, -1e-3, NAN])
-def test_a_sample_with_an_invalid_dt_gives_finite_estimates(dt_s) -> None:
+def test_a_sample_with_an_invalid_dt_gives_finite_estimates(dt_s):
     for asked in (reference(0.0), OPEN_LOOP):
         last = estimates(FilterGains(300.0, 0.5), [0.0, 1e-3], [DT_S, dt_s], [asked] * 2)[-1]
         assert math.isfinite(last.position_filtered_m)

@@ -43,14 +43,14 @@ def homed(
 
 
 @pytest.mark.parametrize(("zero_v", "start"), [(0.19, 1000.4), (0.4, -35_000.9)])
-def test_homing_finds_both_zeros_however_far_the_nominal_ones_are_off(zero_v, start) -> None:
+def test_homing_finds_both_zeros_however_far_the_nominal_ones_are_off(zero_v, start):
     zero, _, _ = homed(f"rig.sim.sensor_zero_v={zero_v}", f"rig.sim.encoder_start_counts={start}")
     # 250 samples of 2 mV noise: a standard error of 0.13 mV.
     assert zero.sensor_zero_v == pytest.approx(zero_v, abs=0.7e-3)
     assert zero.encoder_zero_counts == math.floor(start)
 
 
-def test_homing_of_a_filled_muscle_waits_until_it_is_empty() -> None:
+def test_homing_of_a_filled_muscle_waits_until_it_is_empty():
     filled = PlantState(0.0236, 0.0, 441.3e3)
     zero, _, end_m = homed(start=filled)
     assert zero.sensor_zero_v == pytest.approx(0.215, abs=0.7e-3)
@@ -58,7 +58,7 @@ def test_homing_of_a_filled_muscle_waits_until_it_is_empty() -> None:
     assert abs(end_m) < 3.175e-6
 
 
-def test_a_slow_valve_is_waited_for() -> None:
+def test_a_slow_valve_is_waited_for():
     """With the zero taken too early, 1 kPa left in the muscle would be 6 mV and 0.07 mm."""
     filled = PlantState(0.0236, 0.0, 441.3e3)
     zero, _, _ = homed(
@@ -71,7 +71,7 @@ def test_a_slow_valve_is_waited_for() -> None:
 
 
 @pytest.mark.parametrize("fills", [0, 3])
-def test_homing_vents_fills_so_many_times_and_vents_last(fills: int) -> None:
+def test_homing_vents_fills_so_many_times_and_vents_last(fills):
     settings = SETTINGS.model_copy(update={"fills": fills, "fill_v": 1.5, "vent_v": -4.0})
     _, asked, _ = homed(settings=settings)
     assert {reference.phase for reference in asked} == {Phase.HOMING}
@@ -101,13 +101,13 @@ def fed(sample_at, settings=SETTINGS, calibration=NOMINAL) -> tuple[Zero, float]
 
 
 @pytest.mark.parametrize("zero_v", [0.0, 0.183, 0.41, 4.7])
-def test_a_zero_outside_the_sensors_electrical_range_is_refused(zero_v: float) -> None:
+def test_a_zero_outside_the_sensors_electrical_range_is_refused(zero_v):
     said = rf"vented pressure sensor gives {zero_v:.3f} V, outside 0\.184 to 0\.409 V; check"
     with pytest.raises(HomingError, match=said):
         fed(lambda t: (zero_v, 5))
 
 
-def test_the_electrical_range_is_a_setting() -> None:
+def test_the_electrical_range_is_a_setting():
     wide = CalibrationSettings(sensor_zero_lowest_v=0.0, sensor_zero_highest_v=1.0)
     assert fed(lambda t: (0.9, 0), calibration=wide)[0].sensor_zero_v == pytest.approx(0.9)
 
@@ -122,7 +122,7 @@ LEAKS = {
 
 
 @pytest.mark.parametrize("what", LEAKS)
-def test_homing_fails_if_the_sensors_do_not_settle(what: str) -> None:
+def test_homing_fails_if_the_sensors_do_not_settle(what):
     homing = Homing(SETTINGS, NOMINAL)
     said = r"still moving 10 s after venting.*counts.*mV.*check the exhaust and the encoder"
     samples = synthetic(LEAKS[what])
@@ -134,7 +134,7 @@ def test_homing_fails_if_the_sensors_do_not_settle(what: str) -> None:
         deque((homing.next_reference(t_s, sample) for t_s, sample in islice(samples, 3)), maxlen=0)
 
 
-def test_every_vent_must_be_steady_for_the_whole_steady_time() -> None:
+def test_every_vent_must_be_steady_for_the_whole_steady_time():
     homing, watched = Homing(SETTINGS, NOMINAL), []
     for t_s, sample in synthetic(lambda t: (0.2, 0)):
         reference = homing.next_reference(t_s, sample)
@@ -146,7 +146,7 @@ def test_every_vent_must_be_steady_for_the_whole_steady_time() -> None:
     assert lengths == [vent, fill, vent, fill, vent]
 
 
-def test_homing_depends_on_time_and_not_on_ticks() -> None:
+def test_homing_depends_on_time_and_not_on_ticks():
     """At a quarter of the ticks it takes as long and finds the same."""
     sparse = Homing(SETTINGS, NOMINAL)
     for t_s, sample in synthetic(lambda t: (0.25, 12)):
@@ -157,17 +157,17 @@ def test_homing_depends_on_time_and_not_on_ticks() -> None:
     assert t_s == pytest.approx(every_tick_s, abs=0.03)
 
 
-def test_an_encoder_that_stands_still_while_filling_is_refused() -> None:
+def test_an_encoder_that_stands_still_while_filling_is_refused():
     with pytest.raises(HomingError, match="moved the encoder by 0 counts"):
         homed("rig.faults=[{kind: stuck_encoder, from_tick: 0}]")
 
 
-def test_an_encoder_that_counts_backwards_is_refused() -> None:
+def test_an_encoder_that_counts_backwards_is_refused():
     with pytest.raises(HomingError, match="check its wiring, its supply and `encoder_sign`"):
         homed("rig.faults=[{kind: reversed_encoder, from_tick: 0}]")
 
 
-def test_a_fill_that_raises_no_pressure_is_refused() -> None:
+def test_a_fill_that_raises_no_pressure_is_refused():
     sample = RawSample(0.215, 1000, 0, 0)
     homing = Homing(HomingSettings(), CalibrationSettings())
     with pytest.raises(HomingError, match="changed the pressure sensor by 0 mV only"):

@@ -139,7 +139,7 @@ def test_qsmc_is_eq_17_in_the_unit_of_its_gains(e, rate, acc, jerk, absement, un
     assert not command.saturated
 
 
-def test_the_surface_on_record_is_eq_11_in_si() -> None:
+def test_the_surface_on_record_is_eq_11_in_si():
     pole = 10.0**1.75
     command, _ = respond(gains(QSMC), Absement(2e-6), REST, errors(1e-5, 2e-4, 3e-3), DT_S)
     absement = 2e-6 + 1e-5 * DT_S
@@ -166,7 +166,7 @@ def test_gains_converted_with_their_units_are_the_same_law(e, rate, acc, jerk, a
 
 
 @given(small, rates, accelerations, absements, readings)
-def test_smc_gains_convert_with_their_units_too(e, rate, acc, absement, reading) -> None:
+def test_smc_gains_convert_with_their_units_too(e, rate, acc, absement, reading):
     """Its K_p has no unit."""
     in_inch = {
         "length_unit": "inch",
@@ -181,7 +181,7 @@ def test_smc_gains_convert_with_their_units_too(e, rate, acc, absement, reading)
 
 
 @pytest.mark.parametrize("share", [-3.0, 0.25, 1.0])
-def test_both_readings_of_eq_15(share: float) -> None:
+def test_both_readings_of_eq_15(share):
     """At rest with only an integral of the error, s = lambda^(3 q) int e."""
     eta, phi = 0.4016, 0.02008  # inch/s^2
     s = share * phi
@@ -198,7 +198,7 @@ def test_both_readings_of_eq_15(share: float) -> None:
 
 
 @given(small, rates, accelerations, absements, st.floats(1.0, 20.0), st.floats(0.5, 3.0))
-def test_q_enters_as_lambda_to_its_power(e, rate, acc, absement, lam, q) -> None:
+def test_q_enters_as_lambda_to_its_power(e, rate, acc, absement, lam, q):
     asked = (Absement(absement), REST, errors(e, rate, acc), DT_S)
     for law in (QSMC, SMC):
         raised, _ = respond(gains(law, lambda_per_s=lam, q=q), *asked)
@@ -235,7 +235,7 @@ commands = st.floats(0.01, 5) | st.floats(-5, -0.01)
 
 
 @given(states, commands)
-def test_the_model_of_smc_is_the_third_derivative_along_the_flow(state, u) -> None:
+def test_the_model_of_smc_is_the_third_derivative_along_the_flow(state, u):
     x, v, p = state
     a = acceleration_of(x, v, p)
     model = linearise_model(MODEL, x, v, a, p)
@@ -271,7 +271,7 @@ def test_smc_cancels_a_muscle_that_equals_its_model(state, e, rate, error_acc, j
     assert jerk_along_flow(x, v, p, command.command_v) == pytest.approx(wanted, abs=2e-6 * size)
 
 
-def test_a_balanced_pressure_gives_a_finite_command() -> None:
+def test_a_balanced_pressure_gives_a_finite_command():
     """At tank or atmospheric pressure no air flows at any opening: g-hat has a lower limit."""
     for p in (P_ATM, P_TANK):
         for jerk in (1e3, -1e3):
@@ -281,7 +281,7 @@ def test_a_balanced_pressure_gives_a_finite_command() -> None:
             assert abs(command.command_v) < 1e3 / 1e3
 
 
-def test_pid_is_the_sum_of_its_three_terms() -> None:
+def test_pid_is_the_sum_of_its_three_terms():
     command, state = respond(gains(PID), Absement(1e-5), REST, errors(0.2e-3, -1e-3, 7.0), DT_S)
     absement_mm = 1e-2 + 0.2 * DT_S
     assert state.absement_m_s == pytest.approx(absement_mm * 1e-3)
@@ -291,7 +291,7 @@ def test_pid_is_the_sum_of_its_three_terms() -> None:
     assert math.isnan(command.surface_m_per_s2)
 
 
-def test_pid_gains_in_inches_are_per_inch() -> None:
+def test_pid_gains_in_inches_are_per_inch():
     e = errors(1e-4, 2e-3, 0.0)
     scaled = {
         key: PID[key] * 25.4
@@ -308,7 +308,7 @@ every_law = pytest.mark.parametrize("law", [QSMC, SMC, PID], ids=lambda law: law
 
 @every_law
 @pytest.mark.parametrize("limit_v", [1.0, 5.0])
-def test_the_command_stops_at_the_limit_of_the_law_and_is_marked_as_saturated(law, limit_v) -> None:
+def test_the_command_stops_at_the_limit_of_the_law_and_is_marked_as_saturated(law, limit_v):
     made = gains(law, command_limit_v=limit_v)
     for e, expected in ((0.5, -limit_v), (-0.5, limit_v)):
         command, _ = respond(made, ARMED, REST, errors(e, 0, 0), DT_S)
@@ -329,7 +329,7 @@ def answers(made: Gains, errors_m: Sequence[float], state: Absement = ARMED) -> 
 
 @every_law
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_saturated_second_does_not_wind_up_the_integral(law, sign) -> None:
+def test_a_saturated_second_does_not_wind_up_the_integral(law, sign):
     made = gains(law)
     found = answers(made, [sign * 0.05] * 1000)
     first_cut = next(n for n, (command, _) in enumerate(found) if command.saturated)
@@ -340,7 +340,7 @@ def test_a_saturated_second_does_not_wind_up_the_integral(law, sign) -> None:
 
 
 @every_law
-def test_an_integral_that_is_too_large_is_unwound_even_at_the_limit(law) -> None:
+def test_an_integral_that_is_too_large_is_unwound_even_at_the_limit(law):
     made = gains(law)
     wound = Absement(1e-2)  # holds the command at the lower limit by itself
     found = answers(made, [-1e-4] * 50, wound)
@@ -352,9 +352,7 @@ def test_an_integral_that_is_too_large_is_unwound_even_at_the_limit(law) -> None
 
 @every_law
 @given(valve_v=st.floats(-5, 5), absement=absements)
-def test_an_open_loop_command_passes_unchanged_and_clears_the_integral(
-    law, valve_v, absement
-) -> None:
+def test_an_open_loop_command_passes_unchanged_and_clears_the_integral(law, valve_v, absement):
     asked = Reference(Phase.OPEN_LOOP, NAN, NAN, NAN, NAN, valve_v)
     nothing = Estimate(0.01, 2e5, NAN, NAN, NAN)
     command, state = respond(gains(law), Absement(absement), asked, nothing, DT_S)
@@ -366,7 +364,7 @@ def test_an_open_loop_command_passes_unchanged_and_clears_the_integral(
 
 @every_law
 @given(inputs=st.lists(st.tuples(small, rates, accelerations, jerks), min_size=2, max_size=20))
-def test_a_law_is_pure_and_continues_from_a_restored_state(law, inputs) -> None:
+def test_a_law_is_pure_and_continues_from_a_restored_state(law, inputs):
     made = gains(law)
 
     def replayed(thaw: Callable[[Absement], Absement]) -> list[tuple[Command, Absement]]:
@@ -382,7 +380,7 @@ def test_a_law_is_pure_and_continues_from_a_restored_state(law, inputs) -> None:
     assert replayed(lambda state: Absement(*freeze_state(state))) == straight
 
 
-def test_the_shipped_laws_are_those_that_the_package_declares() -> None:
+def test_the_shipped_laws_are_those_that_the_package_declares():
     pyproject = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
     declared = pyproject["project"]["entry-points"][GROUP]
     assert declared == {point.name: point.value for point in _SHIPPED}

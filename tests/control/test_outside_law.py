@@ -10,7 +10,6 @@ import json
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from support import super_twisting
@@ -53,7 +52,7 @@ def log(site: Elsewhere, gains: Path, tmp_path_factory: pytest.TempPathFactory) 
     return path
 
 
-def test_the_log_of_an_outside_law_names_package_and_version_and_source(log: Path) -> None:
+def test_the_log_of_an_outside_law_names_package_and_version_and_source(log):
     ran = read(log)
     record = ran.metadata["law"]
     assert record["package"] == "super-twisting-law"
@@ -63,9 +62,7 @@ def test_the_log_of_an_outside_law_names_package_and_version_and_source(log: Pat
     assert {"law.twist_v", "law.surface"} <= ran.keyframes[0]["state"].keys()
 
 
-def test_gains_of_an_outside_law_change_during_a_run_and_its_unit_does_not(
-    log: Path, site: Elsewhere, gains: Path
-) -> None:
+def test_gains_of_an_outside_law_change_during_a_run_and_its_unit_does_not(log, site, gains):
     assert [said["k1"] for said in read(log).gains] == [0.3, 0.4]
     motion, unit = log.with_name("motion.yaml"), "experiment.parts.1.set={length_unit: inch}"
     done = site("run", "--dry-run", "--controller", gains, "--experiment", motion, "--set", unit)
@@ -74,9 +71,7 @@ def test_gains_of_an_outside_law_change_during_a_run_and_its_unit_does_not(
 
 
 @pytest.mark.long
-def test_the_log_of_an_outside_law_replays_to_the_bit_from_any_keyframe(
-    log: Path, site: Elsewhere
-) -> None:
+def test_the_log_of_an_outside_law_replays_to_the_bit_from_any_keyframe(log, site):
     for begin in ([], ["--from", "2.5"]):
         done = site("replay", log, "--json", *begin)
         assert done.returncode == 0, done.stderr
@@ -86,13 +81,13 @@ def test_the_log_of_an_outside_law_replays_to_the_bit_from_any_keyframe(
         assert found["law_change"] is None
 
 
-def test_a_replay_without_the_package_names_it(log: Path) -> None:
+def test_a_replay_without_the_package_names_it(log):
     done = run_pamctl("replay", log)
     assert done.returncode == 65
     assert "install the package super-twisting-law 1.2" in done.stderr
 
 
-def test_a_replay_warns_where_the_source_has_changed(log: Path, tmp_path: Path) -> None:
+def test_a_replay_warns_where_the_source_has_changed(log, tmp_path):
     install_law(tmp_path)
     with (tmp_path / SOURCE.name).open("a") as file:
         file.write("# another version\n")
@@ -102,9 +97,7 @@ def test_a_replay_warns_where_the_source_has_changed(log: Path, tmp_path: Path) 
     assert "warning: the source of the law 'super_twisting' is not the one" in done.stdout
 
 
-def test_the_report_names_its_terms_with_and_without_the_package(
-    log: Path, site: Elsewhere, tmp_path: Path
-) -> None:
+def test_the_report_names_its_terms_with_and_without_the_package(log, site, tmp_path):
     for page, pamctl in ((tmp_path / "with.html", site), (tmp_path / "without.html", run_pamctl)):
         done = pamctl("report", log, "--out", page)
         assert done.returncode == 0, done.stderr
@@ -115,9 +108,7 @@ def test_the_report_names_its_terms_with_and_without_the_package(
 
 
 @pytest.mark.long
-def test_tune_finds_gains_of_an_outside_law_and_writes_its_equation(
-    site: Elsewhere, tmp_path: Path
-) -> None:
+def test_tune_finds_gains_of_an_outside_law_and_writes_its_equation(site, tmp_path):
     out = tmp_path / "sought.yaml"
     motion = tmp_path / "motion.yaml"
     motion.write_text("kind: hold\nposition_mm: 3\ntransition_s: 1\nhold_s: 1\n")
@@ -128,9 +119,7 @@ def test_tune_finds_gains_of_an_outside_law_and_writes_its_equation(
     assert site("config", "check", out).returncode == 0
 
 
-def test_keys_of_an_outside_law_are_checked_like_those_of_a_shipped_law(
-    site: Elsewhere, tmp_path: Path
-) -> None:
+def test_keys_of_an_outside_law_are_checked_like_those_of_a_shipped_law(site, tmp_path):
     file = tmp_path / "wrong.yaml"
     file.write_text("law: super_twisting\nk_1: 0.3\nk2_v_per_s: -1\n")
     done = site("run", "--controller", file)
@@ -139,13 +128,13 @@ def test_keys_of_an_outside_law_are_checked_like_those_of_a_shipped_law(
     assert f"{file}:3:1: controller.k2_v_per_s: must be at least 0 (got -1)" in done.stderr
 
 
-def test_without_its_package_a_gains_file_is_refused_with_the_laws_there_are(gains: Path) -> None:
+def test_without_its_package_a_gains_file_is_refused_with_the_laws_there_are(gains):
     done = run_pamctl("run", "--controller", gains)
     assert done.returncode == 78
     assert "must be 'qsmc', 'smc' or 'pid' (got 'super_twisting')" in done.stderr
 
 
-def test_a_broken_package_removes_only_its_own_law(gains: Path, tmp_path: Path) -> None:
+def test_a_broken_package_removes_only_its_own_law(gains, tmp_path):
     install_law(tmp_path, "super_twisting = super_twisting:MISSING")
     with Elsewhere(tmp_path) as site:
         assert site("config", "check").returncode == 0
@@ -184,9 +173,7 @@ def file_log(other: Elsewhere, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 
 @pytest.mark.long
-def test_a_law_from_a_file_runs_with_its_defaults_and_replays(
-    other: Elsewhere, file_log: Path
-) -> None:
+def test_a_law_from_a_file_runs_with_its_defaults_and_replays(other, file_log):
     ran, file = read(file_log), file_log.with_name("my_law.py")
     assert ran.metadata["law"]["file"] == str(file)
     assert ran.metadata["law"]["sha256"] == hashlib.sha256(SOURCE.read_bytes()).hexdigest()
@@ -197,7 +184,7 @@ def test_a_law_from_a_file_runs_with_its_defaults_and_replays(
     assert ": equal," in done.stdout
 
 
-def test_a_replay_does_not_load_the_file_of_a_law_by_itself_and_names_it(file_log: Path) -> None:
+def test_a_replay_does_not_load_the_file_of_a_law_by_itself_and_names_it(file_log):
     done = run_pamctl("replay", file_log)
     assert done.returncode == 65
     assert f"it was loaded from {file_log.with_name('my_law.py')}" in done.stderr
@@ -205,9 +192,7 @@ def test_a_replay_does_not_load_the_file_of_a_law_by_itself_and_names_it(file_lo
 
 
 @pytest.mark.long
-def test_an_outside_law_can_be_compared_on_a_log_of_a_shipped_law(
-    other: Elsewhere, file_log: Path
-) -> None:
+def test_an_outside_law_can_be_compared_on_a_log_of_a_shipped_law(other, file_log):
     gains = file_log.with_name("gains.yaml")
     gains.write_text("law: super_twisting\nlpf1_hz: 200\nlpf2_hz: 200\n")
     done = other(
@@ -226,7 +211,7 @@ def test_an_outside_law_can_be_compared_on_a_log_of_a_shipped_law(
         ("from pamctl.control.pid import LAW", "must define one Law, and defines none"),
     ],
 )
-def test_a_file_without_a_law_is_refused(text: str, says: str, tmp_path: Path) -> None:
+def test_a_file_without_a_law_is_refused(text, says, tmp_path):
     file = tmp_path / "law.py"
     file.write_text(text)
     done = run_pamctl("config", "show", "--controller-from", file)
@@ -234,14 +219,14 @@ def test_a_file_without_a_law_is_refused(text: str, says: str, tmp_path: Path) -
     assert says in done.stderr
 
 
-def test_gains_of_another_law_are_refused(other: Elsewhere, file_log: Path) -> None:
+def test_gains_of_another_law_are_refused(other, file_log):
     file = file_log.with_name("my_law.py")
     done = other("config", "show", "--controller-from", file, "--controller", "pid")
     assert done.returncode == 2
     assert "defines the law 'super_twisting', but the gains file is for 'pid'" in done.stderr
 
 
-def test_a_law_without_a_search_space_is_not_tuned(other: Elsewhere, tmp_path: Path) -> None:
+def test_a_law_without_a_search_space_is_not_tuned(other, tmp_path):
     file = tmp_path / "plain.py"
     named = SOURCE.read_text().replace('"super_twisting"', '"plain_twisting"')
     file.write_text(named + "\nLAW = LAW.__class__(**{**vars(LAW), 'search': None})\n")
@@ -250,9 +235,7 @@ def test_a_law_without_a_search_space_is_not_tuned(other: Elsewhere, tmp_path: P
     assert "defines no search space" in done.stderr
 
 
-def test_a_law_without_default_gains_says_how_to_give_them(
-    other: Elsewhere, tmp_path: Path
-) -> None:
+def test_a_law_without_default_gains_says_how_to_give_them(other, tmp_path):
     file = tmp_path / "bare.py"
     bare = SOURCE.read_text().replace("Field(gt=0, le=440)] = 400.0", "Field(gt=0, le=440)]")
     file.write_text(bare.replace('"super_twisting"', '"bare_twisting"'))
@@ -273,6 +256,6 @@ def test_a_law_without_default_gains_says_how_to_give_them(
         ({"gains": tuple}, "gains"),
     ],
 )
-def test_a_record_whose_parts_do_not_fit_is_refused(parts: dict[str, Any], says: str) -> None:
+def test_a_record_whose_parts_do_not_fit_is_refused(parts, says):
     with pytest.raises(ValueError, match=says):
         Law(**{**vars(super_twisting.LAW), **parts})

@@ -84,11 +84,11 @@ def assert_derivatives(shape: Shape, t_s: float, step_s: float = 1e-4) -> None:
     ids=lambda shape: type(shape).__name__,
 )
 @pytest.mark.parametrize("t_s", [0.31, 0.87, 1.34, 1.83])
-def test_each_derivative_is_the_slope_of_the_one_before(shape: Shape, t_s: float) -> None:
+def test_each_derivative_is_the_slope_of_the_one_before(shape, t_s):
     assert_derivatives(shape, t_s)
 
 
-def test_a_sine_has_the_derivatives_of_a_sine() -> None:
+def test_a_sine_has_the_derivatives_of_a_sine():
     course = plan(state("sine"))
     full = next(s for s in course.segments if s.phase == Phase.TRACK)
     w = math.tau * 1.5
@@ -104,7 +104,7 @@ def test_a_sine_has_the_derivatives_of_a_sine() -> None:
 
 
 @pytest.mark.parametrize("spacing", ["linear", "logarithmic"])
-def test_a_chirp_begins_and_ends_at_its_frequencies(spacing: str) -> None:
+def test_a_chirp_begins_and_ends_at_its_frequencies(spacing):
     wave = Sweep(1.0, 0.5, 6.0, 8.0, spacing == "logarithmic")
     # At phase 0 the speed is amplitude x w.
     assert wave.at(0.0).velocity_m_per_s == pytest.approx(math.tau * 0.5)
@@ -118,7 +118,7 @@ def test_a_chirp_begins_and_ends_at_its_frequencies(spacing: str) -> None:
 
 
 @pytest.mark.parametrize("kind", FORMS)
-def test_a_form_joins_its_parts_without_a_jump_up_to_the_jerk(kind: str) -> None:
+def test_a_form_joins_its_parts_without_a_jump_up_to_the_jerk(kind):
     course = plan(state(kind))
     assert course.segments[0].start_m == 0.0
     for before, after in pairwise(course.segments):
@@ -132,7 +132,7 @@ def test_a_form_joins_its_parts_without_a_jump_up_to_the_jerk(kind: str) -> None
 
 
 @pytest.mark.parametrize("kind", FORMS)
-def test_a_form_of_the_valve_has_the_values_of_the_form_of_the_muscle(kind: str) -> None:
+def test_a_form_of_the_valve_has_the_values_of_the_form_of_the_muscle(kind):
     small = {
         key: [0.1 * v for v in value] if isinstance(value, list) else 0.1 * value
         for key, value in FORMS[kind].items()
@@ -153,7 +153,7 @@ def test_a_form_of_the_valve_has_the_values_of_the_form_of_the_muscle(kind: str)
         )
 
 
-def test_a_step_reaches_exactly_its_jerk() -> None:
+def test_a_step_reaches_exactly_its_jerk():
     course = plan(state("staircase", levels=[4, 7], jerk_per_s3=900, hold_s=1, cycles=1))
     step = next(s for s in course.segments if s.phase == Phase.TRACK)
     shares = np.linspace(0, 1, 2001)
@@ -161,7 +161,7 @@ def test_a_step_reaches_exactly_its_jerk() -> None:
     assert max(jerk) == pytest.approx(0.9, rel=1e-6)
 
 
-def test_ramps_keep_to_their_speed_and_jerk_and_a_short_one_never_reaches_the_speed() -> None:
+def test_ramps_keep_to_their_speed_and_jerk_and_a_short_one_never_reaches_the_speed():
     course = plan(state("ramps", levels=[4, 12, 11.99], cycles=1))
     moving = [s for s in course.segments if isinstance(s.shape, SpeedChange)]
     assert len(moving) == 5  # two corners and a line; two corners
@@ -173,7 +173,7 @@ def test_ramps_keep_to_their_speed_and_jerk_and_a_short_one_never_reaches_the_sp
     assert reference_at(moving[-1], moving[-1].duration_s).reference_m == pytest.approx(0.01199)
 
 
-def test_a_triangle_reaches_its_amplitude_and_keeps_its_period() -> None:
+def test_a_triangle_reaches_its_amplitude_and_keeps_its_period():
     course = plan(state("triangle", cycles=4, trigger="camera"))
     walked = sample(course)
     moving = [r.reference_m for r in walked if r.phase == Phase.TRACK]
@@ -186,7 +186,7 @@ def test_a_triangle_reaches_its_amplitude_and_keeps_its_period() -> None:
         assert at(course, cue.at_s).reference_velocity_m_per_s == pytest.approx(0.0, abs=1e-8)
 
 
-def test_a_multisine_repeats_itself_and_reaches_its_peak() -> None:
+def test_a_multisine_repeats_itself_and_reaches_its_peak():
     course = plan(state("multisine", amplitude=1.5))
     wave = next(s for s in course.segments if s.phase == Phase.TRACK)
     values = np.array([reference_at(wave, i * 1e-3).reference_m for i in range(8000)])
@@ -197,7 +197,7 @@ def test_a_multisine_repeats_itself_and_reaches_its_peak() -> None:
     assert within == pytest.approx(power.sum(), rel=1e-9)
 
 
-def test_random_motion_stays_in_its_band_and_follows_its_seed() -> None:
+def test_random_motion_stays_in_its_band_and_follows_its_seed():
     first, again, other = (
         np.array([r.reference_m for r in sample(plan(state("random", seed=seed, duration_s=20)))])
         for seed in (1, 1, 2)
@@ -211,9 +211,7 @@ def test_random_motion_stays_in_its_band_and_follows_its_seed() -> None:
 
 
 @given(st.lists(st.tuples(st.floats(0.01, 2.0), st.floats(0, 20)), min_size=2, max_size=12))
-def test_a_table_goes_through_its_points_with_continuous_jerk(
-    steps: list[tuple[float, float]],
-) -> None:
+def test_a_table_goes_through_its_points_with_continuous_jerk(steps):
     t_s = np.cumsum([0.0, *(s for s, _ in steps[1:])])
     values = [v for _, v in steps]
     curve = Sampled(tuple(t_s.tolist()), tuple(values))
@@ -226,7 +224,7 @@ def test_a_table_goes_through_its_points_with_continuous_jerk(
     assert curve.at(0.0)[1:] == (0.0, 0.0, 0.0)
 
 
-def test_a_table_of_a_smooth_motion_follows_it_and_its_derivatives() -> None:
+def test_a_table_of_a_smooth_motion_follows_it_and_its_derivatives():
     t_s = [0.01 * i for i in range(501)]
 
     def smooth(t: float) -> tuple[float, float, float, float]:
@@ -263,7 +261,7 @@ SEQUENCE = {
 }
 
 
-def test_a_sequence_joins_its_parts_and_repeats_them() -> None:
+def test_a_sequence_joins_its_parts_and_repeats_them():
     course = plan(SEQUENCE)
     marks = [cue.mark for cue in course.cues if cue.gains is None]
     assert marks == ["begin", "camera 1", "camera 2", "camera 3", *["up"] * 4]
@@ -294,12 +292,12 @@ def test_a_sequence_joins_its_parts_and_repeats_them() -> None:
         (state("table", t_s=[], values=[]), "two points at least"),
     ],
 )
-def test_a_form_that_cannot_be_is_refused(data: dict[str, Any], said: str) -> None:
+def test_a_form_that_cannot_be_is_refused(data, said):
     with pytest.raises(ValidationError, match=said):
         SETTINGS.validate_python(data)
 
 
-def test_repeats_of_repeats_have_an_end() -> None:
+def test_repeats_of_repeats_have_an_end():
     inner: dict[str, Any] = {"kind": "move", "to_mm": 1, "duration_s": 1}
     for _ in range(3):
         inner = {"kind": "repeat", "times": 1000, "parts": [inner]}
@@ -307,7 +305,7 @@ def test_repeats_of_repeats_have_an_end() -> None:
         plan({"kind": "sequence", "parts": [inner]})
 
 
-def test_cues_come_once_and_in_their_order() -> None:
+def test_cues_come_once_and_in_their_order():
     course = plan(SEQUENCE)
     walked = Course(course.segments, None, course.cues)
     taken = []

@@ -44,9 +44,7 @@ def assert_inside(found: Merit | None, bound: Merit, share: float = 1.0) -> None
 
 @pytest.mark.parametrize("plant", ["paper", "paper-valve109"])
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
-def test_table_iii_of_the_paper_read_in_inches_lands_inside_table_iv(
-    experiment: str, plant: str
-) -> None:
+def test_table_iii_of_the_paper_read_in_inches_lands_inside_table_iv(experiment, plant):
     found = figures("paper-table3-qsmc", experiment, plant, 0)
     assert_inside(found, table_iv(experiment, "qsmc"))
 
@@ -54,8 +52,8 @@ def test_table_iii_of_the_paper_read_in_inches_lands_inside_table_iv(
 @pytest.mark.parametrize("controller", FOR_THE_PAPERS_PLANT)
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_gains_for_the_papers_plant_reach_a_tenth_of_both_columns_of_table_iv(
-    experiment: str, controller: str
-) -> None:
+    experiment, controller
+):
     """The steady error is left out: a tenth of it is half a count of the encoder."""
     found = figures(controller, experiment, "paper", 0)
     for law in ("qsmc", "smc"):
@@ -66,17 +64,15 @@ def test_gains_for_the_papers_plant_reach_a_tenth_of_both_columns_of_table_iv(
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 @pytest.mark.parametrize("controller", DEFAULTS)
 def test_default_gains_hold_with_a_109_hz_valve_and_a_tick_of_delay(
-    controller: str, experiment: str, plant: str, delay_ticks: int
-) -> None:
+    controller, experiment, plant, delay_ticks
+):
     found = figures(controller, experiment, plant, delay_ticks)
     assert_inside(found, table_iv(experiment, "smc"))
     assert_inside(found, table_iv(experiment, "qsmc"))
 
 
 @pytest.mark.parametrize("controller", [*DEFAULTS, *FOR_THE_PAPERS_PLANT])
-def test_a_tuned_file_says_how_it_was_made_and_what_it_does_on_the_papers_plants(
-    controller: str,
-) -> None:
+def test_a_tuned_file_says_how_it_was_made_and_what_it_does_on_the_papers_plants(controller):
     lines = find_config_file("controller", controller).read_text().splitlines()
     words = " ".join(line.removeprefix("#") for line in lines if line.startswith("#")).split()
     header = " ".join(words)
@@ -91,5 +87,5 @@ def test_a_tuned_file_says_how_it_was_made_and_what_it_does_on_the_papers_plants
     assert float(said[1]) == pytest.approx(worst, abs=0.005)
 
 
-def test_the_printed_smc_gains_do_not_track_as_their_file_says() -> None:
+def test_the_printed_smc_gains_do_not_track_as_their_file_says():
     assert figures("paper-table3-smc", "tracking-1", "paper", 0) is None

@@ -59,9 +59,7 @@ def up(shared_up: Daemon) -> Daemon:
 
 
 @pytest.mark.long
-def test_each_run_has_a_whole_log_of_its_own_that_replays_to_the_bit_and_the_first_one_homes(
-    up: Daemon,
-) -> None:
+def test_each_run_has_a_whole_log_of_its_own_that_replays_to_the_bit_and_the_first_one_homes(up):
     if up.state() == "ready":
         up.ask("disarm")
     first = run_to_its_end(up, SQUARE, "first")
@@ -84,7 +82,7 @@ def test_each_run_has_a_whole_log_of_its_own_that_replays_to_the_bit_and_the_fir
     assert read(second)["tick"][0] > read(first)["tick"][-1], "the loop went on between the runs"
 
 
-def test_a_position_is_held_until_another_is_requested_or_the_run_is_stopped(up: Daemon) -> None:
+def test_a_position_is_held_until_another_is_requested_or_the_run_is_stopped(up):
     log = up.ask("goto", position_m=8e-3, within_s=0.5)["log"]
     held = up.wait_until(lambda s: s["state"] == "ready" and s["log"] is not None)
     assert held["tick"]["reference_m"] == pytest.approx(8e-3)
@@ -103,7 +101,7 @@ def test_a_position_is_held_until_another_is_requested_or_the_run_is_stopped(up:
     assert replay_log(ran).is_equal
 
 
-def test_a_run_from_a_held_position_begins_there(up: Daemon) -> None:
+def test_a_run_from_a_held_position_begins_there(up):
     up.ask("goto", position_m=9e-3, within_s=0.5)
     up.wait_until(lambda s: s["state"] == "ready" and s["log"] is not None)
     log = run_to_its_end(up, TRACKING)
@@ -123,7 +121,7 @@ def ticks_since_the_encoder_counted(log: Log) -> np.ndarray:
 
 
 @pytest.mark.long
-def test_gains_change_without_a_jump_and_replay_follows_them(up: Daemon) -> None:
+def test_gains_change_without_a_jump_and_replay_follows_them(up):
     """A busy machine gives few ticks in a row: gains change until enough of them were seen."""
     before = up.ask("status")["controller"]["lambda_per_s"]
     seen, deadline_s = 0, time.monotonic() + PATIENCE_S
@@ -150,7 +148,7 @@ def test_gains_change_without_a_jump_and_replay_follows_them(up: Daemon) -> None
         seen += np.count_nonzero(calm)
 
 
-def test_a_gain_out_of_bounds_is_refused_with_the_bound_and_changes_nothing(up: Daemon) -> None:
+def test_a_gain_out_of_bounds_is_refused_with_the_bound_and_changes_nothing(up):
     before = up.ask("status")["controller"]
     for change, said in (
         ("controller.lambda_per_s=-1", "^controller.lambda_per_s.* greater than 0"),
@@ -167,7 +165,7 @@ def test_a_gain_out_of_bounds_is_refused_with_the_bound_and_changes_nothing(up: 
 
 
 @pytest.mark.long
-def test_another_law_is_refused_during_a_run_and_accepted_between_runs(up: Daemon) -> None:
+def test_another_law_is_refused_during_a_run_and_accepted_between_runs(up):
     from pamctl.settings.resolve import settings_to_data
 
     pid, qsmc = (settings_to_data(resolve(controller=name).controller) for name in ("pid", "qsmc"))
@@ -192,7 +190,7 @@ def start(up: Daemon, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.long
-def test_a_sine_starts_with_keys_from_the_command_line_and_replays(up: Daemon) -> None:
+def test_a_sine_starts_with_keys_from_the_command_line_and_replays(up):
     """Its motion is that of the simulation: `test_daemon_session.py`, `test_motion_runs.py`."""
     keys = ("--set", "amplitude_mm=2", "--set", "frequency_hz=1", "--set", "experiment.cycles=2")
     done = start(up, "sine", *keys, "--duration", "0.5", "--json")
@@ -205,7 +203,7 @@ def test_a_sine_starts_with_keys_from_the_command_line_and_replays(up: Daemon) -
     assert replay_log(log).is_equal
 
 
-def test_a_key_that_a_form_lacks_or_a_motion_beyond_the_stroke_starts_nothing(up: Daemon) -> None:
+def test_a_key_that_a_form_lacks_or_a_motion_beyond_the_stroke_starts_nothing(up):
     typo = start(up, "sine", "--set", "amplitude_v=2")
     assert typo.returncode == 78
     assert "did you mean 'amplitude_mm'" in typo.stderr
@@ -216,7 +214,7 @@ def test_a_key_that_a_form_lacks_or_a_motion_beyond_the_stroke_starts_nothing(up
 
 
 @pytest.mark.long
-def test_gains_of_a_sequence_end_with_its_run(up: Daemon) -> None:
+def test_gains_of_a_sequence_end_with_its_run(up):
     before = up.ask("status")["controller"]["lambda_per_s"]
     parts = [
         {"kind": "move", "to_mm": 9, "duration_s": 1},
@@ -236,7 +234,7 @@ def test_gains_of_a_sequence_end_with_its_run(up: Daemon) -> None:
 HOLD = {"kind": "hold", "position_mm": 5.0, "transition_s": 1.0, "hold_s": 0.2}
 
 
-def test_the_largest_table_fits_into_a_request(up: Daemon, tmp_path: Path) -> None:
+def test_the_largest_table_fits_into_a_request(up, tmp_path):
     parked(up)
     t_s = np.arange(8000) * 1.2345e-3
     values = 9.0 + np.sin(t_s * 2 * np.pi / t_s[-1] - np.pi / 2) + 1e-7 * np.sin(997 * t_s)
@@ -251,7 +249,7 @@ def test_the_largest_table_fits_into_a_request(up: Daemon, tmp_path: Path) -> No
 # --- refusals ------------------------------------------------------------------------
 
 
-def test_a_second_daemon_on_the_device_is_refused(up: Daemon, tmp_path: Path) -> None:
+def test_a_second_daemon_on_the_device_is_refused(up, tmp_path):
     command = [sys.executable, "-m", "pamctl", "daemon", "--logs", str(tmp_path)]
     command += ["--socket", str(tmp_path / "s"), "--set", f"rig.sim.device={up.device}"]
     done = run_process(command)
@@ -260,9 +258,7 @@ def test_a_second_daemon_on_the_device_is_refused(up: Daemon, tmp_path: Path) ->
     assert up.state() in ("idle", "ready")
 
 
-def test_a_socket_that_cannot_be_had_neither_removes_nor_leaves_a_file(
-    up: Daemon, tmp_path: Path
-) -> None:
+def test_a_socket_that_cannot_be_had_neither_removes_nor_leaves_a_file(up, tmp_path):
     with pytest.raises(SocketError, match="a daemon answers there already"):
         require_no_daemon(up.socket)
     (tmp_path / "notes.txt").write_text("mine")
@@ -275,12 +271,12 @@ def test_a_socket_that_cannot_be_had_neither_removes_nor_leaves_a_file(
     assert up.state() in ("idle", "ready")
 
 
-def test_only_user_and_group_may_steer(up: Daemon) -> None:
+def test_only_user_and_group_may_steer(up):
     assert stat.S_IMODE(up.socket.stat().st_mode) == 0o660
 
 
 @as_root
-def test_a_user_without_permission_learns_who_has_it() -> None:
+def test_a_user_without_permission_learns_who_has_it():
     path = SHARED_MEMORY / "forbidden.sock"
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(path))

@@ -9,7 +9,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -42,7 +41,7 @@ anything = st.recursive(
 
 
 @given(st.binary(max_size=400))
-def test_any_bytes_get_one_line_of_json_as_answer(line: bytes) -> None:
+def test_any_bytes_get_one_line_of_json_as_answer(line):
     assert_refused_in_one_line(line)
 
 
@@ -52,7 +51,7 @@ def test_any_bytes_get_one_line_of_json_as_answer(line: bytes) -> None:
         {}, optional={"jsonrpc": st.just("2.0") | anything, "id": anything, "method": anything}
     )
 )
-def test_any_document_gets_one_line_of_json_as_answer(document: Any) -> None:
+def test_any_document_gets_one_line_of_json_as_answer(document):
     assert_refused_in_one_line(json.dumps({**document, "params": {"x": 1}}).encode())
 
 
@@ -67,7 +66,7 @@ def assert_refused_in_one_line(line: bytes) -> None:
 
 
 @given(st.integers() | st.text())
-def test_an_answer_carries_the_number_of_its_request(number: int | str) -> None:
+def test_an_answer_carries_the_number_of_its_request(number):
     line = json.dumps({"jsonrpc": "2.0", "id": number, "method": "status"}).encode()
     request = parse_request(line, METHODS)
     assert json.loads(encode_result(request.id, {"state": "idle"})) == {
@@ -77,7 +76,7 @@ def test_an_answer_carries_the_number_of_its_request(number: int | str) -> None:
     }
 
 
-def test_deeply_nested_json_is_refused_as_invalid() -> None:
+def test_deeply_nested_json_is_refused_as_invalid():
     assert_refused_in_one_line(b"[" * 100_000)
 
 
@@ -141,7 +140,7 @@ def request(method: str, **params: Any) -> bytes:
     return json.dumps(document).encode() + b"\n"
 
 
-def test_a_silent_client_and_one_with_half_a_message_disturb_nobody(held: Daemon) -> None:
+def test_a_silent_client_and_one_with_half_a_message_disturb_nobody(held):
     with unaffected(held) as answered, connected(held) as silent, connected(held) as half:
         half.sendall(request("status")[:-5])
         answered()
@@ -152,7 +151,7 @@ def test_a_silent_client_and_one_with_half_a_message_disturb_nobody(held: Daemon
             assert b"result" in client.makefile("rb").readline()
 
 
-def test_a_client_may_vanish_within_a_message_or_before_its_answer(held: Daemon) -> None:
+def test_a_client_may_vanish_within_a_message_or_before_its_answer(held):
     with unaffected(held) as answered:
         for sent in (request("stop")[:-5], request("status")):
             client = connected(held)
@@ -161,7 +160,7 @@ def test_a_client_may_vanish_within_a_message_or_before_its_answer(held: Daemon)
             answered()
 
 
-def test_a_client_that_sends_garbage_is_answered_and_may_continue(held: Daemon) -> None:
+def test_a_client_that_sends_garbage_is_answered_and_may_continue(held):
     with unaffected(held), connected(held) as client:
         answers = client.makefile("rb")
         for garbage in (b"\x00\xff\n", b"{}\n", b"[1,2]\n", b'"stop"\n', b"\n"):
@@ -171,7 +170,7 @@ def test_a_client_that_sends_garbage_is_answered_and_may_continue(held: Daemon) 
         assert json.loads(answers.readline())["result"]["state"] == "ready"
 
 
-def test_a_client_that_sends_a_hundred_megabytes_is_disconnected_early(held: Daemon) -> None:
+def test_a_client_that_sends_a_hundred_megabytes_is_disconnected_early(held):
     sent = 0
     with unaffected(held), connected(held) as client, suppress(OSError):
         while sent < 100e6:
@@ -179,7 +178,7 @@ def test_a_client_that_sends_a_hundred_megabytes_is_disconnected_early(held: Dae
     assert sent < 100 * LARGEST_REQUEST
 
 
-def test_a_client_that_floods_is_answered_in_its_order_and_may_stop(tmp_path: Path) -> None:
+def test_a_client_that_floods_is_answered_in_its_order_and_may_stop(tmp_path):
     stops: list[object] = []
     methods = {
         "status": METHODS["status"],
@@ -202,7 +201,7 @@ def test_a_client_that_floods_is_answered_in_its_order_and_may_stop(tmp_path: Pa
     assert len(stops) == 1
 
 
-def test_a_client_that_never_reads_is_disconnected(held: Daemon) -> None:
+def test_a_client_that_never_reads_is_disconnected(held):
     with unaffected(held) as answered, connected(held) as client:
         client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         client.settimeout(0.5)
@@ -213,9 +212,7 @@ def test_a_client_that_never_reads_is_disconnected(held: Daemon) -> None:
 
 
 @pytest.mark.parametrize("turns", [0, 2, 5])
-def test_a_client_that_connects_as_the_socket_closes_is_answered(
-    tmp_path: Path, turns: int
-) -> None:
+def test_a_client_that_connects_as_the_socket_closes_is_answered(tmp_path, turns):
     async def late() -> bytes:
         server = Server({"status": Method(NoParams, lambda _: "there", changes=False)})
         await server.listen(tmp_path / "socket")
@@ -240,9 +237,7 @@ def test_a_client_that_connects_as_the_socket_closes_is_answered(
         max_size=6,
     )
 )
-def test_no_sequence_of_bytes_stops_the_loop_or_moves_the_muscle(
-    held: Daemon, pieces: list[bytes]
-) -> None:
+def test_no_sequence_of_bytes_stops_the_loop_or_moves_the_muscle(held, pieces):
     with connected(held) as client, suppress(OSError):
         for piece in pieces:
             client.sendall(piece)

@@ -64,7 +64,7 @@ def holding(made: Daemon) -> Path:
 
 
 @pytest.mark.long
-def test_an_emergency_stop_is_safe_within_a_few_ticks_and_latched(hurt: Daemon) -> None:
+def test_an_emergency_stop_is_safe_within_a_few_ticks_and_latched(hurt):
     log = holding(hurt)
     hurt.ask("estop")
     hurt.wait_safe()
@@ -80,7 +80,7 @@ def test_an_emergency_stop_is_safe_within_a_few_ticks_and_latched(hurt: Daemon) 
 
 
 @as_root
-def test_another_users_daemon_knows_the_fault_too_and_may_have_it_acknowledged() -> None:
+def test_another_users_daemon_knows_the_fault_too_and_may_have_it_acknowledged():
     place = SHARED_MEMORY / "several-users"  # as /dev/shm is
     place.mkdir()
     place.chmod(0o1777)
@@ -91,7 +91,7 @@ def test_another_users_daemon_knows_the_fault_too_and_may_have_it_acknowledged()
 
 
 @pytest.mark.long
-def test_a_loop_that_freezes_is_a_fault_and_the_log_is_whole(hurt: Daemon) -> None:
+def test_a_loop_that_freezes_is_a_fault_and_the_log_is_whole(hurt):
     """One that dies: `test_daemon_waits.py`, `test_state_table.py`."""
     log = holding(hurt)
     os.kill(hurt.ask("status")["pids"]["loop"], signal.SIGSTOP)
@@ -111,7 +111,7 @@ def holds_numpy(made: Daemon) -> bool:
 
 
 @pytest.mark.long
-def test_a_recorder_that_dies_is_a_fault_and_its_ticks_are_rescued(hurt: Daemon) -> None:
+def test_a_recorder_that_dies_is_a_fault_and_its_ticks_are_rescued(hurt):
     log = holding(hurt)
     os.kill(hurt.ask("status")["pids"]["recorder"], signal.SIGKILL)
     hurt.wait_safe()
@@ -124,9 +124,7 @@ def test_a_recorder_that_dies_is_a_fault_and_its_ticks_are_rescued(hurt: Daemon)
 
 
 @pytest.mark.long
-def test_a_daemon_that_is_killed_leaves_the_valve_safe_and_the_next_one_knows_its_fault(
-    tmp_path: Path,
-) -> None:
+def test_a_daemon_that_is_killed_leaves_the_valve_safe_and_the_next_one_knows_its_fault(tmp_path):
     with daemon(tmp_path, "latch", NOT_HOMED, forget=False) as first:
         log = holding(first)
         pids = first.ask("status")["pids"]
@@ -153,9 +151,7 @@ def test_a_daemon_that_is_killed_leaves_the_valve_safe_and_the_next_one_knows_it
 
 
 @pytest.mark.long
-def test_the_next_start_after_all_were_killed_finishes_the_log_and_stays_small(
-    tmp_path: Path,
-) -> None:
+def test_the_next_start_after_all_were_killed_finishes_the_log_and_stays_small(tmp_path):
     with daemon(tmp_path, "own", NOT_HOMED) as made:
         log = holding(made)
         kill_as_one(made.process.pid, *list_children(made.process.pid))
@@ -170,7 +166,7 @@ def test_the_next_start_after_all_were_killed_finishes_the_log_and_stays_small(
 
 
 @pytest.mark.long
-def test_more_signals_end_it_at_once_and_leave_no_fault(tmp_path: Path) -> None:
+def test_more_signals_end_it_at_once_and_leave_no_fault(tmp_path):
     slowly = ("rig.loop.stop_ramp_s=5", "rig.loop.ring_rows=65536")
     with daemon(tmp_path, "hurry", NOT_HOMED, *slowly) as made:
         log = holding(made)
@@ -191,7 +187,7 @@ def test_more_signals_end_it_at_once_and_leave_no_fault(tmp_path: Path) -> None:
         assert not ao_path(made.device).with_suffix(".fault").exists()
 
 
-def test_a_daemon_that_is_ending_starts_nothing(tmp_path: Path) -> None:
+def test_a_daemon_that_is_ending_starts_nothing(tmp_path):
     settings = resolve()
     workshop = Workshop(build_safe_rig(settings.rig), "none")
     latch = Latch(tmp_path / "fault")
@@ -203,9 +199,7 @@ def test_a_daemon_that_is_ending_starts_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_a_daemon_tells_each_event_keeps_the_newest_logs_and_ends_with_a_signal(
-    tmp_path: Path,
-) -> None:
+def test_a_daemon_tells_each_event_keeps_the_newest_logs_and_ends_with_a_signal(tmp_path):
     options = ["--json", "--keep", "1", "--idle-after", "1"]
     with daemon(tmp_path, "json", NOT_HOMED, options=options) as made:
         others = [made.logs / "20250101-000000-qsmc-tracking-1.mcap", made.logs / "mine.csv"]
@@ -244,7 +238,7 @@ def test_a_daemon_tells_each_event_keeps_the_newest_logs_and_ends_with_a_signal(
     assert ("running", "") in states
 
 
-def test_a_slow_stuck_or_gone_reader_of_events_delays_nobody() -> None:
+def test_a_slow_stuck_or_gone_reader_of_events_delays_nobody():
     ours, its = os.pipe()
     stuck = Announcements(its)
     for number in range(20_000):

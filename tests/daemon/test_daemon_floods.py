@@ -121,19 +121,19 @@ def require_quick_estop(
 
 
 @pytest.mark.parametrize("kind", IN_EVERY_RUN)
-def test_an_emergency_stop_reaches_the_valve_at_once_in_a_flood(parked: Daemon, kind: str) -> None:
+def test_an_emergency_stop_reaches_the_valve_at_once_in_a_flood(parked, kind):
     require_quick_estop(parked, kind, parked.is_safe, lambda: leave_safe_voltage(parked))
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", [kind for kind in flood.KINDS if kind not in IN_EVERY_RUN])
-def test_an_emergency_stop_is_carried_out_at_once_in_any_flood(parked: Daemon, kind: str) -> None:
+def test_an_emergency_stop_is_carried_out_at_once_in_any_flood(parked, kind):
     """Without a loop it is as quick to begin again; the order to the loop is a word in memory."""
     require_quick_estop(parked, kind, ao_path(parked.device).with_suffix(".fault").exists)
 
 
 @pytest.mark.long
-def test_a_signal_stops_the_valve_at_once_in_a_flood(tmp_path: Path) -> None:
+def test_a_signal_stops_the_valve_at_once_in_a_flood(tmp_path):
     took_s = []
     for attempt in range(TRIES):
         place = tmp_path / str(attempt)
@@ -187,7 +187,7 @@ def ask(client: socket.socket, method: str) -> None:
     client.sendall(json.dumps({"jsonrpc": "2.0", "id": 1, "method": method}).encode() + b"\n")
 
 
-def test_a_client_that_waits_for_its_answer_keeps_its_place(tmp_path: Path) -> None:
+def test_a_client_that_waits_for_its_answer_keeps_its_place(tmp_path):
     def work(path: Path, end: Callable[[], object]) -> None:
         with ExitStack() as crowd, connect(path) as patient:
             ask(patient, "wait")
@@ -201,7 +201,7 @@ def test_a_client_that_waits_for_its_answer_keeps_its_place(tmp_path: Path) -> N
     serve(tmp_path, work)
 
 
-def test_where_hundreds_wait_a_new_client_may_still_stop(tmp_path: Path) -> None:
+def test_where_hundreds_wait_a_new_client_may_still_stop(tmp_path):
     def work(path: Path, end: Callable[[], object]) -> None:
         with ExitStack() as crowd:
             waiting = []
@@ -221,7 +221,7 @@ def test_where_hundreds_wait_a_new_client_may_still_stop(tmp_path: Path) -> None
     assert len(serve(tmp_path, work)) == 1
 
 
-def test_a_client_waits_until_those_that_connected_before_are_accepted(tmp_path: Path) -> None:
+def test_a_client_waits_until_those_that_connected_before_are_accepted(tmp_path):
     path = tmp_path / "socket"
     with ExitStack() as crowd, socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(path))

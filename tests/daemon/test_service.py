@@ -46,7 +46,7 @@ def unit() -> configparser.SectionProxy:
     return parser["Service"]
 
 
-def test_systemd_accepts_the_unit(tmp_path: Path) -> None:
+def test_systemd_accepts_the_unit(tmp_path):
     analyze = shutil.which("systemd-analyze")
     if analyze is None:
         pytest.skip("no systemd-analyze (apt-get install systemd)")
@@ -59,14 +59,14 @@ def test_systemd_accepts_the_unit(tmp_path: Path) -> None:
     assert (done.returncode, done.stdout + done.stderr) == (0, "")
 
 
-def test_the_unit_does_not_restart_after_a_trip_or_a_wrong_setting() -> None:
+def test_the_unit_does_not_restart_after_a_trip_or_a_wrong_setting():
     never = {int(code) for code in unit()["RestartPreventExitStatus"].split()}
     assert never == {ExitCode.USAGE, ExitCode.SAFETY_TRIP, ExitCode.BAD_CONFIG}
     assert unit()["Restart"] == "on-failure"
     assert unit()["Type"] == "notify"
 
 
-def test_the_command_after_its_end_drives_the_safe_voltage(tmp_path: Path) -> None:
+def test_the_command_after_its_end_drives_the_safe_voltage(tmp_path):
     device = f"test-post-{os.getpid()}"
     done = run_process(_command(unit()["ExecStopPost"], tmp_path, device))
     ao_path(device).unlink(missing_ok=True)
@@ -110,9 +110,7 @@ class Manager:
 
 
 @pytest.mark.long
-def test_it_is_ready_when_it_answers_and_the_loops_progress_feeds_the_watchdog(
-    tmp_path: Path,
-) -> None:
+def test_it_is_ready_when_it_answers_and_the_loops_progress_feeds_the_watchdog(tmp_path):
     manager, device = Manager(tmp_path / "notify"), f"test-unit-{os.getpid()}"
     patient = ["rig.loop.heartbeat_ms=10000", "rig.homing.enabled=false"]
     command = _command(unit()["ExecStart"], tmp_path, device)
@@ -162,9 +160,7 @@ if "pamctl.processes.loop_main" in sys.orig_argv:
 """
 
 
-def test_a_loop_that_dies_over_an_order_is_a_fault_and_the_daemon_still_ends(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_loop_that_dies_over_an_order_is_a_fault_and_the_daemon_still_ends(tmp_path, monkeypatch):
     (tmp_path / "sitecustomize.py").write_text(DIES_WITH_ITS_SECOND_RUN)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=":")
     with daemon(tmp_path, "dies", NOT_HOMED) as made:
@@ -181,9 +177,7 @@ def test_a_loop_that_dies_over_an_order_is_a_fault_and_the_daemon_still_ends(
         assert made.process.wait(PATIENCE_S) == 0
 
 
-def test_a_recorder_that_never_finishes_is_killed_and_the_note_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_recorder_that_never_finishes_is_killed_and_the_note_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr(recorded_run, "_FINISH_PATIENCE_S", 0.3)
     names = {"controller": "qsmc", "experiment": "tracking-1", "rig": "sim"}
     meta = make_run_meta(resolve(experiment="tracking-1"), names, tmp_path / "run.mcap")
@@ -231,7 +225,7 @@ LONG: tuple[dict[str, Any], ...] = (
 
 
 @pytest.mark.long
-def test_a_long_program_does_not_make_the_loop_late(strict: Daemon) -> None:
+def test_a_long_program_does_not_make_the_loop_late(strict):
     strict.ask("goto", position_m=4e-3)
     strict.wait_for("ready")
     for experiment in LONG:
@@ -248,7 +242,7 @@ def test_a_long_program_does_not_make_the_loop_late(strict: Daemon) -> None:
         assert replay_log(ran).is_equal
 
 
-def test_a_log_that_cannot_be_removed_is_told_and_the_others_still_go(tmp_path: Path) -> None:
+def test_a_log_that_cannot_be_removed_is_told_and_the_others_still_go(tmp_path):
     stuck, old, newest = (tmp_path / f"20260101-00000{number}-daemon-x.mcap" for number in range(3))
     stuck.mkdir()  # no file: it cannot be unlinked, whoever asks
     old.touch()
@@ -259,7 +253,7 @@ def test_a_log_that_cannot_be_removed_is_told_and_the_others_still_go(tmp_path: 
     assert newest.exists()
 
 
-def test_the_first_reason_of_a_fault_stays_until_it_is_acknowledged(tmp_path: Path) -> None:
+def test_the_first_reason_of_a_fault_stays_until_it_is_acknowledged(tmp_path):
     latch = Latch(tmp_path / "fault")
     latch.engage("the cause")
     latch.engage("what came of it")
@@ -268,7 +262,7 @@ def test_the_first_reason_of_a_fault_stays_until_it_is_acknowledged(tmp_path: Pa
     assert Latch(tmp_path / "fault").reason == ""
 
 
-def test_a_trip_of_the_monitor_does_not_wait_for_a_mark_that_is_held_up() -> None:
+def test_a_trip_of_the_monitor_does_not_wait_for_a_mark_that_is_held_up():
     held_up, tripped = threading.Event(), []
     desk = MonitorHandle(
         None, lambda *_, **__: None, lambda _: held_up.wait(PATIENCE_S), tripped.append

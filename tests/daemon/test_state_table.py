@@ -89,9 +89,7 @@ def listening(session: RigSession, path: Path) -> Iterator[None]:
         thread.join()
 
 
-def test_a_new_order_is_given_by_socket_python_page_and_verb(
-    session: RigSession, tmp_path: Path
-) -> None:
+def test_a_new_order_is_given_by_socket_python_page_and_verb(session, tmp_path):
     path = tmp_path / "socket"
     expected = {"height_m": 0.02, "times": 2, "state": "idle"}
     with listening(session, path):
@@ -120,14 +118,14 @@ def test_a_new_order_is_given_by_socket_python_page_and_verb(
         assert run(app, ["20mm", "--within", "0", "--socket", str(path)]).exit_code == 2
 
 
-def test_the_simulated_rig_takes_a_new_order_too(session: RigSession, tmp_path: Path) -> None:
+def test_the_simulated_rig_takes_a_new_order_too(session, tmp_path):
     with pamctl.simulate(logs=tmp_path, overrides=QUICK) as rig:
         assert rig.wave(0.01, times=1)["times"] == 1  # type: ignore[attr-defined]
         with pytest.raises(AttributeError, match="no 'waive'"):
             rig.waive()  # type: ignore[attr-defined]
 
 
-def test_recent_ticks_begin_with_the_first_where_none_is_named(tmp_path: Path) -> None:
+def test_recent_ticks_begin_with_the_first_where_none_is_named(tmp_path):
     with pamctl.simulate(logs=tmp_path, overrides=QUICK) as rig:
         rig.goto(8e-3, within_s=0.2)
         ticks = rig._ask("recent", every=50, fields=["tick"])["ticks"]  # type: ignore[attr-defined]
@@ -136,7 +134,7 @@ def test_recent_ticks_begin_with_the_first_where_none_is_named(tmp_path: Path) -
         assert later[0] == [100]
 
 
-def test_each_order_has_a_verb_whose_help_is_its_own() -> None:
+def test_each_order_has_a_verb_whose_help_is_its_own():
     app = build_app()
     for name, told in list_orders(RigSession).items():
         if name in READ_BY_VIEWERS:
@@ -148,7 +146,7 @@ def test_each_order_has_a_verb_whose_help_is_its_own() -> None:
             assert (told.body.__doc__ or "").splitlines()[0] in shown.output
 
 
-def test_who_may_give_an_order_stands_beside_it() -> None:
+def test_who_may_give_an_order_stands_beside_it():
     orders = list_orders(RigSession)
     assert {name for name, told in orders.items() if told.at_once} == {"estop"}
     only_the_socket = {name for name, told in orders.items() if not told.on_page}
@@ -158,7 +156,7 @@ def test_who_may_give_an_order_stands_beside_it() -> None:
     }  # fmt: skip
 
 
-def test_the_table_of_states_names_orders_and_states_that_there_are() -> None:
+def test_the_table_of_states_names_orders_and_states_that_there_are():
     assert {*STATES} == {*RigState}
     for row in STATES.values():
         assert row.takes <= {*list_orders(RigSession)}
@@ -306,7 +304,7 @@ TestSimulatedSession = SimulatedSession.TestCase
 
 
 @pytest.mark.long
-def test_a_daemon_keeps_to_the_table_while_its_processes_are_killed(tmp_path: Path) -> None:
+def test_a_daemon_keeps_to_the_table_while_its_processes_are_killed(tmp_path):
     draw = random.Random(2)
     with daemon(tmp_path, "table", *SHORT, options=["--json"]) as made:
         for _ in range(8):

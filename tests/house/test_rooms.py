@@ -48,7 +48,7 @@ PARTICIPLES = {
 @pytest.mark.skipif(
     shutil.which("git") is None or not (ROOT / ".git").exists(), reason="needs a git clone"
 )
-def test_nothing_stray_lies_at_the_top_level() -> None:
+def test_nothing_stray_lies_at_the_top_level():
     command = ["git", "-C", str(ROOT), "ls-files"]
     listed = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
     assert {line.split("/")[0] for line in listed.splitlines()} == TOP_LEVEL
@@ -68,7 +68,7 @@ def _require_unique(places: dict[str, list[str]]) -> None:
     assert not doubled
 
 
-def test_no_folder_holds_too_many_modules() -> None:
+def test_no_folder_holds_too_many_modules():
     folders: dict[str, int] = defaultdict(int)
     for path in MODULES:
         folders[_name_of(path.parent)] += path.name != "__init__.py"
@@ -76,7 +76,7 @@ def test_no_folder_holds_too_many_modules() -> None:
     assert not crowded
 
 
-def test_no_two_modules_share_a_name() -> None:
+def test_no_two_modules_share_a_name():
     """A verb of the command line may be called as the room that does its work.
 
     `kernel.build` builds machine code, `settings.build` what settings ask for.
@@ -90,7 +90,7 @@ def test_no_two_modules_share_a_name() -> None:
     _require_unique(places)
 
 
-def test_no_two_public_types_share_a_name() -> None:
+def test_no_two_public_types_share_a_name():
     places: dict[str, list[str]] = defaultdict(list)
     for path, tree in _trees():
         for node in tree.body:
@@ -99,7 +99,7 @@ def test_no_two_public_types_share_a_name() -> None:
     _require_unique(places)
 
 
-def test_each_folder_says_what_it_is_and_where_to_begin() -> None:
+def test_each_folder_says_what_it_is_and_where_to_begin():
     for path in PACKAGES:
         text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
         advice = re.search(r"Read `([^`]+)`", text)
@@ -107,7 +107,7 @@ def test_each_folder_says_what_it_is_and_where_to_begin() -> None:
         assert (path.parent / advice[1]).exists(), f"{_name_of(path)}: there is no {advice[1]}"
 
 
-def test_public_functions_are_verbs() -> None:
+def test_public_functions_are_verbs():
     wrong = [
         f"{_name_of(path)}: {node.name}"
         for path, tree in _trees()
@@ -154,14 +154,14 @@ def run_verb(*words: str) -> str:
     return done.stderr
 
 
-def test_a_run_takes_no_module_from_the_working_directory(traps: Path) -> None:
+def test_a_run_takes_no_module_from_the_working_directory(traps):
     device = f"rig.sim.device=traps{os.getpid()}"
     options = [p for one in (device, "rig.homing.enabled=false", *BUSY_PC) for p in ("--set", one)]
     run_verb("run", "--quiet", "--duration", "0.1", "--log", "run.mcap", *options)
     assert not sprung(traps)
 
 
-def test_an_import_takes_no_module_from_the_working_directory(traps: Path) -> None:
+def test_an_import_takes_no_module_from_the_working_directory(traps):
     time_s = np.arange(200) * 0.01
     columns = {"t_s": time_s, "valve_v": np.sin(time_s), "position_mm": 10 + np.sin(time_s)}
     columns["pressure_kpa"] = 200 + np.sin(time_s)
@@ -170,13 +170,13 @@ def test_an_import_takes_no_module_from_the_working_directory(traps: Path) -> No
     assert not sprung(traps)
 
 
-def test_workers_take_no_module_from_the_working_directory(traps: Path) -> None:
+def test_workers_take_no_module_from_the_working_directory(traps):
     with start_workers(1) as workers:
         assert workers.submit(os.getcwd).result() == str(traps)
     assert not sprung(traps)
 
 
-def test_a_process_runs_the_code_of_the_one_that_started_it(tmp_path: Path) -> None:
+def test_a_process_runs_the_code_of_the_one_that_started_it(tmp_path):
     """Also where another checkout is installed than the one that `python -m pamctl` runs."""
     for package in ("hal", "pamctl"):
         (tmp_path / package).mkdir()
@@ -192,7 +192,7 @@ def test_a_process_runs_the_code_of_the_one_that_started_it(tmp_path: Path) -> N
     assert done.stdout.strip() == str(tmp_path / "pamctl/who.py")
 
 
-def test_nothing_else_starts_python() -> None:
+def test_nothing_else_starts_python():
     found = []
     for package in (hal, pamctl):
         for path in sorted(Path(str(package.__file__)).parent.rglob("*.py")):
@@ -227,7 +227,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "site"
 
 
-def test_every_file_of_the_packages_and_of_config_is_in_the_wheel(installed: Path) -> None:
+def test_every_file_of_the_packages_and_of_config_is_in_the_wheel(installed):
     def files(folder: Path) -> set[Path]:
         found = (path for path in folder.rglob("*") if path.is_file())
         return {path.relative_to(folder) for path in found if path.suffix != ".pyc"}
@@ -238,9 +238,7 @@ def test_every_file_of_the_packages_and_of_config_is_in_the_wheel(installed: Pat
     assert files(ROOT / "config")
 
 
-def test_elsewhere_a_run_finds_its_configuration_in_the_wheel(
-    installed: Path, tmp_path: Path
-) -> None:
+def test_elsewhere_a_run_finds_its_configuration_in_the_wheel(installed, tmp_path):
     command = [sys.executable, "-m", "pamctl", "run", "--dry-run", "--json"]
     alone = {**os.environ, "PYTHONPATH": str(installed)}
     done = run_process(command, cwd=tmp_path, env=alone)

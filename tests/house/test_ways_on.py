@@ -21,7 +21,7 @@ def list_calls(folder: str) -> Iterator[tuple[str, str, ast.Call]]:
                 yield f"{path.relative_to(ROOT)}:{node.lineno}", name, node
 
 
-def test_each_error_of_log_check_has_a_way_on() -> None:
+def test_each_error_of_log_check_has_a_way_on():
     kinds = set[str]()
     for where, name, call in list_calls("pamctl/log"):
         named = [a.value for a in call.args if isinstance(a, ast.Constant)]
@@ -34,7 +34,7 @@ def test_each_error_of_log_check_has_a_way_on() -> None:
     assert kinds - set(FIXES) == set()
 
 
-def test_each_fault_that_the_doctor_finds_has_a_fix() -> None:
+def test_each_fault_that_the_doctor_finds_has_a_fix():
     findings = [
         (where, call)
         for folder in ("hal", "pamctl/commissioning")
@@ -54,7 +54,7 @@ def test_each_fault_that_the_doctor_finds_has_a_fix() -> None:
     assert without == []
 
 
-def test_each_doubt_about_the_data_of_a_diagnosis_has_a_way_on() -> None:
+def test_each_doubt_about_the_data_of_a_diagnosis_has_a_way_on():
     doubts = [
         (where, call)
         for where, name, call in list_calls("pamctl/diagnose")

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from support.chromium import Page
 from support.processes.daemons import TRACKING, Daemon, as_root, nobody, parked, run_to_its_end
-from support.processes.watch_pages import Served, set_input, shown, tab, up
+from support.processes.watch_pages import set_input, shown, tab, up
 
 from pamctl.daemon.client import DaemonDeclinedError
 from pamctl.live.tick_memory import TickMemory
@@ -75,9 +75,7 @@ def watched(up: Daemon, tab: Page) -> tuple[Log, dict[str, list[int]]]:
     return read(up.logs / log), seen
 
 
-def test_normal_fires_again_and_again_at_the_ticks_of_the_crossings(
-    watched: tuple[Log, dict[str, list[int]]],
-) -> None:
+def test_normal_fires_again_and_again_at_the_ticks_of_the_crossings(watched):
     log, seen = watched
     rises = find_rises(log)
     assert set(seen["normal"]) <= set(rises)
@@ -86,9 +84,7 @@ def test_normal_fires_again_and_again_at_the_ticks_of_the_crossings(
     assert all(gaps), "no crossing after the capture was left out"
 
 
-def test_holdoff_keeps_the_next_trigger_away_and_not_the_one_behind_it(
-    watched: tuple[Log, dict[str, list[int]]],
-) -> None:
+def test_holdoff_keeps_the_next_trigger_away_and_not_the_one_behind_it(watched):
     log, seen = watched
     rises, held = find_rises(log), seen["held off"]
     for a, b in pairwise(held):
@@ -100,9 +96,7 @@ def following(rises: list[int], tick: int) -> int:
     return next(rise for rise in rises if rise > tick)
 
 
-def test_auto_rolls_while_no_trigger_comes_and_fires_when_one_does(
-    watched: tuple[Log, dict[str, list[int]]],
-) -> None:
+def test_auto_rolls_while_no_trigger_comes_and_fires_when_one_does(watched):
     log, seen = watched
     assert set(seen["auto"]) == {None}
     fired = {tick for tick in seen["auto again"] if tick is not None}
@@ -110,9 +104,7 @@ def test_auto_rolls_while_no_trigger_comes_and_fires_when_one_does(
 
 
 @pytest.mark.parametrize("how", ["phase", "trigger"])
-def test_runs_lie_over_each_other_with_their_zero_where_it_was_asked(
-    up: Daemon, watched: tuple[Log, dict[str, list[int]]], tab: Page, how: str
-) -> None:
+def test_runs_lie_over_each_other_with_their_zero_where_it_was_asked(up, watched, tab, how):
     if len(up.finished_logs()) < 2:
         run_to_its_end(up, {**WAVE, "cycles": 2}, "later")
     tab.value("loadRuns()")
@@ -152,9 +144,7 @@ def reference_mm(up: Daemon) -> float:
     return round(up.ask("status")["tick"]["reference_m"] * 1e3, 6)
 
 
-def test_a_position_is_dragged_in_the_plot_and_a_drag_to_the_side_is_none(
-    up: Daemon, holding: Path, tab: Page
-) -> None:
+def test_a_position_is_dragged_in_the_plot_and_a_drag_to_the_side_is_none(up, holding, tab):
     tab.value("(byId('target').value = 8, 0)")
     tab.drag("#gotohandle span", 900, 30)
     assert float(tab.value("byId('target').value")) < 8, "it was dragged down, and out"
@@ -169,7 +159,7 @@ def test_a_position_is_dragged_in_the_plot_and_a_drag_to_the_side_is_none(
     up.wait_for("ready")
 
 
-def test_the_arrow_keys_and_enter_go_to_a_position(up: Daemon, holding: Path, tab: Page) -> None:
+def test_the_arrow_keys_and_enter_go_to_a_position(up, holding, tab):
     up.wait_for("ready")
     before = reference_mm(up)
     tab.wait_for(f"Math.abs(series.reference.at(-1) - {before}) < 1e-6")
@@ -183,9 +173,7 @@ def test_the_arrow_keys_and_enter_go_to_a_position(up: Daemon, holding: Path, ta
     up.wait_for("ready")
 
 
-def test_page_and_log_say_who_changed_which_gain_and_anyone_can_undo_it(
-    up: Daemon, holding: Path, tab: Page
-) -> None:
+def test_page_and_log_say_who_changed_which_gain_and_anyone_can_undo_it(up, holding, tab):
     was = up.ask("status")["controller"]["lambda_per_s"]
     set_input(tab, "operator", "Ann")
     set_input(tab, "gain-lambda_per_s", 60)
@@ -212,9 +200,7 @@ def test_page_and_log_say_who_changed_which_gain_and_anyone_can_undo_it(
     up.wait_for("ready")
 
 
-def test_a_gain_that_the_keyboard_changed_keeps_the_keyboard(
-    up: Daemon, holding: Path, tab: Page
-) -> None:
+def test_a_gain_that_the_keyboard_changed_keeps_the_keyboard(up, holding, tab):
     slider = "document.querySelector('[data-gain=eta] input[type=range]')"
     values = [up.ask("status")["controller"]["eta"]]
     tab.value(f"{slider}.focus()")
@@ -229,9 +215,7 @@ def test_a_gain_that_the_keyboard_changed_keeps_the_keyboard(
 
 
 @as_root
-def test_the_group_that_may_steer_can_read_every_tick_and_write_none(
-    up: Daemon, holding: Path
-) -> None:
+def test_the_group_that_may_steer_can_read_every_tick_and_write_none(up, holding):
     ring = Path(up.ask("status")["ring"])
     assert (ring.stat().st_mode & 0o777, ring.stat().st_gid) == (0o640, os.getegid())
     memory = TickMemory()
@@ -247,8 +231,8 @@ def test_the_group_that_may_steer_can_read_every_tick_and_write_none(
 
 
 def test_the_page_breaks_no_rule_for_accessible_pages_and_the_stop_is_the_first_key(
-    shown: Served, holding: Path, tab: Page
-) -> None:
+    shown, holding, tab
+):
     rules = (files("axe_core_python") / "axe.min.js").read_text()
     for width, colours in ((1280, "light"), (390, "dark")):
         tab.choose_colours(colours)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from support.chromium import Page
 from support.processes.daemons import Daemon, parked
-from support.processes.watch_pages import Served, set_input, shown, tab, up
+from support.processes.watch_pages import set_input, shown, tab, up
 
 from pamctl.log.reader import Log, read
 
@@ -57,9 +57,7 @@ def run(up: Daemon, tab: Page) -> Log:
     return read(name)
 
 
-def test_the_trigger_fires_at_the_tick_of_the_crossing_and_every_tick_is_there(
-    run: Log, tab: Page
-) -> None:
+def test_the_trigger_fires_at_the_tick_of_the_crossing_and_every_tick_is_there(run, tab):
     reference = run["reference_m"]
     goes_up = np.flatnonzero((reference[1:] >= 8.75e-3) & (reference[:-1] < 8.75e-3)) + 1
     assert tab.value("captured.trigger") == run["tick"][goes_up[0]]
@@ -72,9 +70,7 @@ def test_the_trigger_fires_at_the_tick_of_the_crossing_and_every_tick_is_there(
         assert np.array_equal(show_values(tab, f"captured.raw.{name}"), run[name][rows])
 
 
-def test_cursors_stand_on_samples_and_the_table_is_of_the_samples_between(
-    run: Log, tab: Page
-) -> None:
+def test_cursors_stand_on_samples_and_the_table_is_of_the_samples_between(run, tab):
     tab.value("(setMode('still'), scope.view = null, showCapture(captured))")
     t = show_values(tab, "captured.t")
     a, b = 40, len(t) - 60
@@ -93,9 +89,7 @@ def test_cursors_stand_on_samples_and_the_table_is_of_the_samples_between(
     assert told == pytest.approx(expected, rel=2e-5, abs=1e-5)
 
 
-def test_a_slider_is_a_gains_event_of_the_log_with_its_ramp_and_undo_another(
-    run: Log, tab: Page
-) -> None:
+def test_a_slider_is_a_gains_event_of_the_log_with_its_ramp_and_undo_another(run, tab):
     values = [gains["lambda_per_s"] for gains in run.gains]
     changed = [after for before, after in pairwise(values) if after != before]
     assert changed == [pytest.approx(tab.value("chosen")), values[0]]
@@ -105,9 +99,7 @@ def test_a_slider_is_a_gains_event_of_the_log_with_its_ramp_and_undo_another(
     assert marks[-1] == "a spike"
 
 
-def test_a_view_that_left_ticks_out_has_all_of_them_when_it_stands_still(
-    run: Log, tab: Page
-) -> None:
+def test_a_view_that_left_ticks_out_has_all_of_them_when_it_stands_still(run, tab):
     last = int(run["tick"][-1])
     whole = f"{{ log: captured.log, first: {last - 400}, last: {last}, trigger: null }}"
     tab.value(f"(setMode('roll'), loadCapture({whole}, 7).then(setStill))")
@@ -119,7 +111,7 @@ def test_a_view_that_left_ticks_out_has_all_of_them_when_it_stands_still(
     )
 
 
-def test_a_drag_zooms_and_pauses_and_a_layout_is_kept(run: Log, tab: Page) -> None:
+def test_a_drag_zooms_and_pauses_and_a_layout_is_kept(run, tab):
     tab.value("(showCapture(captured), setView(-0.05, 0.1))")
     assert tab.value("scope.mode") == "still"
     low, high = tab.value(
@@ -139,9 +131,7 @@ def test_a_drag_zooms_and_pauses_and_a_layout_is_kept(run: Log, tab: Page) -> No
     assert np.array_equal(pressure, run["pressure_pa"][rows])
 
 
-def test_a_saved_capture_opens_again_and_its_cut_is_a_log(
-    run: Log, tab: Page, shown: Served, tmp_path: Path
-) -> None:
+def test_a_saved_capture_opens_again_and_its_cut_is_a_log(run, tab, shown, tmp_path):
     tab.value("showCapture(captured)")
     before = show_values(tab, "captured.raw.position_m")
     again = show_values(tab, "csvToCapture(captureAsCsv(), 'x.csv').raw.position_m")
@@ -168,7 +158,7 @@ def test_a_saved_capture_opens_again_and_its_cut_is_a_log(
     assert np.array_equal(read(piece)["position_m"], before)
 
 
-def test_a_minute_at_10_khz_is_drawn_by_its_extremes_and_kept_whole(tab: Page) -> None:
+def test_a_minute_at_10_khz_is_drawn_by_its_extremes_and_kept_whole(tab):
     count, spike, dip = 600_000, 123_457, 400_001
     tab.value(
         f"(() => {{ const n = {count}, t = Float64Array.from({{ length: n }}, (_, k) => k * 1e-4);"
@@ -194,7 +184,7 @@ def test_a_minute_at_10_khz_is_drawn_by_its_extremes_and_kept_whole(tab: Page) -
     )
 
 
-def test_the_spectrum_is_that_of_numpy(tab: Page) -> None:
+def test_the_spectrum_is_that_of_numpy(tab):
     rate_hz, count = 1000.0, 1500
     t = np.arange(count) / rate_hz
     x = 3.0 + 0.7 * np.sin(2 * np.pi * 50.0 * t) + 0.2 * np.cos(2 * np.pi * 120.3 * t)
@@ -208,9 +198,7 @@ def test_the_spectrum_is_that_of_numpy(tab: Page) -> None:
     assert told[1] == pytest.approx(lines, abs=1e-12)
 
 
-def test_nothing_complains_on_a_phone_and_escape_is_the_emergency_stop(
-    up: Daemon, shown: Served, tab: Page, tmp_path: Path
-) -> None:
+def test_nothing_complains_on_a_phone_and_escape_is_the_emergency_stop(up, shown, tab, tmp_path):
     tab.screenshot(tmp_path / "scope.png")
     tab.open(shown.address, width=390, height=844)
     tab.wait_for("scope.charts.length > 0")

@@ -150,7 +150,7 @@ def test_a_question_that_cannot_be_answered_is_refused(ring, tmp_path, path, que
 
 
 @pytest.mark.parametrize("slope", ["rising", "falling", "either"])
-def test_a_search_in_pieces_finds_what_a_walk_over_the_samples_finds(slope: str) -> None:
+def test_a_search_in_pieces_finds_what_a_walk_over_the_samples_finds(slope):
     generator = np.random.default_rng(7)
     for _ in range(200):
         values = np.cumsum(generator.normal(size=60))

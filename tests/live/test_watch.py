@@ -37,7 +37,7 @@ def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
 
 
 @pytest.mark.long
-def test_values_are_those_of_the_log(up: Daemon) -> None:
+def test_values_are_those_of_the_log(up):
     """A daemon that is started again is found again: `test_watch_web.py`."""
     from pamctl.log import read
 
@@ -63,9 +63,7 @@ def test_values_are_those_of_the_log(up: Daemon) -> None:
 
 
 @pytest.mark.long
-def test_a_terminal_is_rewritten_a_pipe_gets_lines_and_json_is_what_the_page_is_sent(
-    up: Daemon, tmp_path: Path
-) -> None:
+def test_a_terminal_is_rewritten_a_pipe_gets_lines_and_json_is_what_the_page_is_sent(up, tmp_path):
     up.ask("goto", position_m=8e-3, within_s=0.5)
     command = [sys.executable, "-m", "pamctl", "watch", "--socket", str(up.socket)]
     picture = _seen_in_a_terminal(command, until="8.00")
@@ -96,14 +94,14 @@ def _json_lines(socket: Path, code: int = 0) -> list[dict[str, Any]]:
     return [json.loads(line) for line in done.stdout.splitlines()]
 
 
-def test_a_terminal_gets_its_cursor_back_however_it_ends(tmp_path: Path) -> None:
+def test_a_terminal_gets_its_cursor_back_however_it_ends(tmp_path):
     command = [sys.executable, "-m", "pamctl", "watch", "--socket", str(tmp_path / "none")]
     for number, code in ((signal.SIGINT, 0), (signal.SIGTERM, 143)):
         seen = _seen_in_a_terminal(command, until="away", end=number, code=code)
         assert 0 <= seen.rfind(HIDE_CURSOR) < seen.rfind(SHOW_CURSOR), repr(seen[-100:])
 
 
-def test_a_terminal_that_cannot_draw_gets_lines(tmp_path: Path) -> None:
+def test_a_terminal_that_cannot_draw_gets_lines(tmp_path):
     command = [sys.executable, "-m", "pamctl", "watch", "--socket", str(tmp_path / "none")]
     seen = _seen_in_a_terminal(command, until="away:", kind="dumb")
     waited = r"(\r\x1b\[Kpamctl: starting, \d+ s)+\r\x1b\[K"  # on a busy machine

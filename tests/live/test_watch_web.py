@@ -51,8 +51,8 @@ def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
 
 @pytest.mark.long
 def test_plots_move_and_fit_the_page_and_the_emergency_stop_ends_at_the_safe_voltage(
-    up: Daemon, controlled: Served, tab: Page
-) -> None:
+    up, controlled, tab
+):
     up.ask("goto", position_m=8e-3, within_s=0.5)
     tab.open(controlled.address, width=1280, height=900)
     tab.wait_for("charts[0].chart.data[0].length > 20")
@@ -89,9 +89,7 @@ def test_plots_move_and_fit_the_page_and_the_emergency_stop_ends_at_the_safe_vol
 
 
 @pytest.mark.long
-def test_an_order_that_is_not_confirmed_says_so_until_it_is(
-    up: Daemon, controlled: Served, tab: Page
-) -> None:
+def test_an_order_that_is_not_confirmed_says_so_until_it_is(up, controlled, tab):
     tab.open("about:blank", width=390, height=844)
     tab.open(controlled.address, width=390, height=844)
     tab.wait_for("document.querySelector('#state').textContent === 'idle'")
@@ -111,7 +109,7 @@ def test_an_order_that_is_not_confirmed_says_so_until_it_is(
 
 
 @pytest.mark.long
-def test_an_open_page_survives_a_restart_of_the_daemon(tmp_path: Path, tab: Page) -> None:
+def test_an_open_page_survives_a_restart_of_the_daemon(tmp_path, tab):
     with daemon(tmp_path, "again", NOT_HOMED) as first, served(first) as shown:
         before = len(tab.complaints)
         tab.open(shown.address, width=1280, height=900)
@@ -130,7 +128,7 @@ def test_an_open_page_survives_a_restart_of_the_daemon(tmp_path: Path, tab: Page
 # --- who may ask what --------------------------------------------------------------------------
 
 
-def test_every_answer_has_a_policy_that_admits_only_its_own_origin(controlled: Served) -> None:
+def test_every_answer_has_a_policy_that_admits_only_its_own_origin(controlled):
     for path in ("/", "/page.js", "/page.css", "/uplot.js", "/uplot.css", "/icon.svg", "/nothing"):
         status, body, headers = controlled.ask("GET", path)
         assert status == (404 if path == "/nothing" else 200)
@@ -145,7 +143,7 @@ def test_every_answer_has_a_policy_that_admits_only_its_own_origin(controlled: S
 
 
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "127.0.0.1", "", "[::1]:1"])
-def test_a_foreign_host_name_for_this_address_is_refused(controlled: Served, host: str) -> None:
+def test_a_foreign_host_name_for_this_address_is_refused(controlled, host):
     for method, path in (("GET", "/"), ("GET", "/news?"), ("POST", "/do")):
         assert controlled.ask(method, path, Host=host)[0] == 421
 
@@ -161,23 +159,21 @@ def test_a_foreign_host_name_for_this_address_is_refused(controlled: Served, hos
         {"Sec_Fetch_Site": "same-site"},
     ],
 )
-def test_another_site_can_neither_read_nor_order_even_with_the_token(
-    controlled: Served, headers: dict[str, str]
-) -> None:
+def test_another_site_can_neither_read_nor_order_even_with_the_token(controlled, headers):
     given = {name: value.format(port=controlled.port) for name, value in headers.items()}
     assert controlled.ask("GET", "/news?", **given)[0] == 403
     assert controlled.order({"do": "stop"}, **given)[0] == 403
 
 
 @pytest.mark.parametrize("token", ["", "x", "Bearer", "\u00e9"])
-def test_without_the_token_nothing_can_be_ordered(controlled: Served, token: str) -> None:
+def test_without_the_token_nothing_can_be_ordered(controlled, token):
     status, said = controlled.order({"do": "estop"}, Authorization=f"Bearer {token}")
     assert status == 401
     assert "whole address" in said
     assert controlled.daemon.state() != "fault"
 
 
-def test_nothing_can_be_ordered_without_the_option_allow_control(up: Daemon) -> None:
+def test_nothing_can_be_ordered_without_the_option_allow_control(up):
     with served(up) as shown:
         assert shown.token == ""
         assert shown.order({"do": "estop"})[0] == 403
@@ -196,12 +192,12 @@ def test_nothing_can_be_ordered_without_the_option_allow_control(up: Daemon) -> 
         ({"do": "goto", "position_mm": 500}, 409), ({"do": "stop"}, 409),
     ],
 )  # fmt: skip
-def test_an_invalid_order_is_refused(controlled: Served, what: object, status: int) -> None:
+def test_an_invalid_order_is_refused(controlled, what, status):
     controlled.daemon.wait_for("idle", "ready")
     assert controlled.order(what)[0] == status
 
 
-def test_an_order_is_small_json_with_a_length(controlled: Served) -> None:
+def test_an_order_is_small_json_with_a_length(controlled):
     bearer = {"Authorization": f"Bearer {controlled.token}"}
     json_type = {**bearer, "Content_Type": "application/json"}
     assert controlled.ask("POST", "/do", b"{}", **bearer)[0] == 415
@@ -215,7 +211,7 @@ def test_an_order_is_small_json_with_a_length(controlled: Served) -> None:
     assert controlled.ask("POST", "/do", None, **{**huge, "Content_Length": "-1"})[0] == 411
 
 
-def test_a_crowd_of_silent_connections_keeps_nobody_out(controlled: Served) -> None:
+def test_a_crowd_of_silent_connections_keeps_nobody_out(controlled):
     at = ("127.0.0.1", controlled.port)
     with ExitStack() as stack:
         for _ in range(40):
@@ -223,7 +219,7 @@ def test_a_crowd_of_silent_connections_keeps_nobody_out(controlled: Served) -> N
         assert controlled.ask("GET", "/news?")[0] == 200
 
 
-def test_news_are_those_since_the_look_that_is_named(controlled: Served) -> None:
+def test_news_are_those_since_the_look_that_is_named(controlled):
     def news(query: str) -> dict[str, Any]:
         told: dict[str, Any] = json.loads(controlled.ask("GET", f"/news?{query}")[1])
         return told
@@ -241,7 +237,7 @@ def test_news_are_those_since_the_look_that_is_named(controlled: Served) -> None
     controlled.daemon.ask("disarm")
 
 
-def test_an_emergency_stop_gets_through_a_flood_of_requests(controlled: Served) -> None:
+def test_an_emergency_stop_gets_through_a_flood_of_requests(controlled):
     body = b'{"do": "explode"}'
     request = (
         f"POST /do HTTP/1.1\r\nHost: 127.0.0.1:{controlled.port}\r\nContent-Length: {len(body)}\r\n"
@@ -257,14 +253,14 @@ def test_an_emergency_stop_gets_through_a_flood_of_requests(controlled: Served) 
     controlled.daemon.acknowledge()
 
 
-def test_the_page_listens_on_this_pc_only(controlled: Served) -> None:
+def test_the_page_listens_on_this_pc_only(controlled):
     listening = Path("/proc/net/tcp").read_text().splitlines()[1:]
     ours = [line.split()[1] for line in listening if line.split()[3] == "0A"]
     assert f"0100007F:{controlled.port:04X}" in ours
     assert f"00000000:{controlled.port:04X}" not in ours
 
 
-def test_a_taken_port_is_one_clear_line(up: Daemon) -> None:
+def test_a_taken_port_is_one_clear_line(up):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()

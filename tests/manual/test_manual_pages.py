@@ -26,7 +26,7 @@ def anchors_of(path: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
-def test_every_link_resolves() -> None:
+def test_every_link_resolves():
     for name, file in FILES.items():
         for link in _LINK.findall(_CODE.sub("", file.read_text(encoding="utf-8"))):
             if re.match(r"https?:", link):
@@ -38,7 +38,7 @@ def test_every_link_resolves() -> None:
                 assert anchor in anchors_of(path), (name, link)
 
 
-def test_the_list_holds_every_file_of_the_manual_once() -> None:
+def test_the_list_holds_every_file_of_the_manual_once():
     pages = list_pages()
     files = {path.resolve() for path in (ROOT / "pamctl" / "manual").rglob("*.md")}
     assert {page.path.resolve() for page in pages} == files
@@ -46,7 +46,7 @@ def test_the_list_holds_every_file_of_the_manual_once() -> None:
     assert {page.kind for page in pages} == set(KINDS.values())
 
 
-def test_every_page_can_be_reached_from_the_readme() -> None:
+def test_every_page_can_be_reached_from_the_readme():
     reached, waiting = set(), [FILES["README"]]
     while waiting:
         path = waiting.pop()
@@ -60,20 +60,20 @@ def test_every_page_can_be_reached_from_the_readme() -> None:
     assert {page.path.resolve() for page in list_pages()} <= reached
 
 
-def test_the_readme_is_one_page() -> None:
+def test_the_readme_is_one_page():
     text = FILES["README"].read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 180
     assert len(text.split()) <= 1200
 
 
 @pytest.mark.parametrize("name", ["first-ran", "First-Run", "first-run.md"])
-def test_an_unknown_page_is_refused_with_the_nearest_name(name: str) -> None:
+def test_an_unknown_page_is_refused_with_the_nearest_name(name):
     with pytest.raises(UnknownPageError, match="did you mean 'first-run'"):
         read_page(name)
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_reference_pages_are_those_that_the_code_makes(name: str) -> None:
+def test_reference_pages_are_those_that_the_code_makes(name):
     committed = (REFERENCE / f"{name}.md").read_text(encoding="utf-8")
     assert committed == PAGES[name]().rstrip() + "\n", (
         f"{name}.md differs from the code: run `python scripts/generate_reference.py`"
@@ -99,7 +99,7 @@ GROUPS = {verb.split()[0] for verb in VERBS if " " in verb}
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_every_command_has_a_verb_and_options_that_exist(name: str) -> None:
+def test_every_command_has_a_verb_and_options_that_exist(name):
     for words in shown_commands(FILES[name].read_text(encoding="utf-8")):
         if not words or not re.fullmatch(r"[a-z]+", words[0]):
             continue  # `pamctl VERB`, or `pamctl --help`
@@ -121,7 +121,7 @@ QUICK_PAGES = ("first-run", "read-a-log", "diagnose-a-log", "describe-your-rig",
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", QUICK_PAGES)
-def test_the_quick_commands_of_a_page_run_as_they_stand(name: str) -> None:
+def test_the_quick_commands_of_a_page_run_as_they_stand(name):
     results = list(run_page(name, TEXTS[name], quick=True))
     assert any(result.status == "ok" for result in results)
     for result in results:
@@ -153,7 +153,7 @@ echo not tried
 """
 
 
-def test_a_failing_block_is_reported_and_ends_its_page() -> None:
+def test_a_failing_block_is_reported_and_ends_its_page():
     results = list(run_page("made", PAGE, quick=True))
     assert [result.status for result in results] == [
         "ok", "failed: exit code 1", "skipped: after a failure",
@@ -170,7 +170,7 @@ def test_a_failing_block_is_reported_and_ends_its_page() -> None:
         ("false | true", "failed: exit code 1"),
     ],
 )
-def test_a_command_must_end_as_the_page_says(command: str, status: str) -> None:
+def test_a_command_must_end_as_the_page_says(command, status):
     (result,) = run_page("made", f"```sh\n{command}\n```\n", quick=True)
     assert result.status == status
 
@@ -183,18 +183,18 @@ def test_a_command_must_end_as_the_page_says(command: str, status: str) -> None:
         ("4e-05 um right", "failed: it does not print '4e-05 um right'"),
     ],
 )
-def test_output_that_is_shown_must_be_printed_whatever_its_numbers(shown: str, status: str) -> None:
+def test_output_that_is_shown_must_be_printed_whatever_its_numbers(shown, status):
     text = f"```console\n$ echo ' 17 um left'\n{shown}\n```\n"
     (result,) = run_page("made", text, quick=True)
     assert result.status == status
 
 
-def test_marks_that_do_not_exist_are_refused() -> None:
+def test_marks_that_do_not_exist_are_refused():
     with pytest.raises(ValueError, match="line 2: unknown mark slwo"):
         read_blocks("<!-- run: slwo -->\n```sh\ntrue\n```\n")
 
 
-def test_processes_of_a_block_end_with_its_page() -> None:
+def test_processes_of_a_block_end_with_its_page():
     text = "```sh\nsleep 1000 & echo $! > pid\n```\n\n```sh\ncat pid\n```\n"
     _, second = run_page("made", text, quick=True)
     with pytest.raises(ProcessLookupError):

@@ -58,7 +58,7 @@ def measured(
     return path
 
 
-def test_ticks_at_which_a_sensor_is_frozen_count_in_no_gap(tmp_path: Path) -> None:
+def test_ticks_at_which_a_sensor_is_frozen_count_in_no_gap(tmp_path):
     whole = measured(tmp_path / "whole.mcap", {})
     log = signals(read(whole))
     pressure_pa = np.array(log.pressure_pa)
@@ -77,9 +77,7 @@ def test_ticks_at_which_a_sensor_is_frozen_count_in_no_gap(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("name", "rms_counts"), [("qsmc", 1.5), ("smc", 1.5), ("steps", 1.5), ("pid-delayed", 3.5)]
 )
-def test_a_simulated_run_agrees_with_its_own_plant_within_its_sensors(
-    name: str, rms_counts: float
-) -> None:
+def test_a_simulated_run_agrees_with_its_own_plant_within_its_sensors(name, rms_counts):
     log = read(GOLDEN / f"{name}.mcap")
     plant = plant_parameters(PlantSettings.model_validate(log.config["plant"]))
     found = compare_model(log, plant)
@@ -98,8 +96,8 @@ def test_a_simulated_run_agrees_with_its_own_plant_within_its_sensors(
     ],
 )
 def test_a_real_time_log_agrees_with_its_own_plant_for_commands_act_when_the_log_says(
-    name: str, rms_pa: float, at_once_pa: float
-) -> None:
+    name, rms_pa, at_once_pa
+):
     log = read(GOLDEN / f"{name}.mcap")
     assert log["missed"].sum() > 30
     plant = plant_parameters(PlantSettings.model_validate(log.config["plant"]))
@@ -114,7 +112,7 @@ def test_a_real_time_log_agrees_with_its_own_plant_for_commands_act_when_the_log
     assert np.sqrt(np.mean((at_once.pressure_pa - part.pressure_pa) ** 2)) > at_once_pa
 
 
-def test_a_gap_is_drawn_as_model_minus_measurement() -> None:
+def test_a_gap_is_drawn_as_model_minus_measurement():
     log = read(GOLDEN / "qsmc.mcap")
     found = compare_model(log, PAPER)
     report = report_comparison(log, {"paper": found}, is_drawn=True)
@@ -136,17 +134,13 @@ def test_a_gap_is_drawn_as_model_minus_measurement() -> None:
 # --- a model that is wrong -----------------------------------------------------------------------
 
 
-def test_a_wrong_stiffness_is_seen_in_the_mechanics_and_not_in_the_pressure_block(
-    tmp_path: Path,
-) -> None:
+def test_a_wrong_stiffness_is_seen_in_the_mechanics_and_not_in_the_pressure_block(tmp_path):
     found = compare_model(read(measured(tmp_path / "a.mcap", {"stiffness_n_per_m": 9000.0})), PAPER)
     assert found.gap(found.mechanics, "position_m").rms > 20 * COUNT_M
     assert found.gap(found.pressure_block, "pressure_pa").rms == pytest.approx(NOISE_PA, rel=0.05)
 
 
-def test_a_wrong_valve_gain_is_seen_in_the_pressure_block_and_not_in_the_mechanics(
-    tmp_path: Path,
-) -> None:
+def test_a_wrong_valve_gain_is_seen_in_the_pressure_block_and_not_in_the_mechanics(tmp_path):
     right = compare_model(read(measured(tmp_path / "a.mcap", {})), PAPER)
     wrong = compare_model(
         read(measured(tmp_path / "b.mcap", {"valve_gain_m2_per_v": 1.2e-6})), PAPER
@@ -159,14 +153,14 @@ def test_a_wrong_valve_gain_is_seen_in_the_pressure_block_and_not_in_the_mechani
 # --- what a log holds, and what it does not ------------------------------------------------------
 
 
-def test_without_a_command_the_mechanics_alone_can_be_compared(tmp_path: Path) -> None:
+def test_without_a_command_the_mechanics_alone_can_be_compared(tmp_path):
     found = compare_model(read(measured(tmp_path / "a.mcap", {}, "valve_v")), PAPER)
     assert found.coupled.position_m is found.pressure_block.pressure_pa is None
     assert found.gap(found.mechanics, "position_m").rms < 5 * COUNT_M
     assert np.isnan(found.gap(found.coupled, "pressure_pa").rms)
 
 
-def test_one_signal_alone_is_refused(tmp_path: Path) -> None:
+def test_one_signal_alone_is_refused(tmp_path):
     path = measured(tmp_path / "a.mcap", {}, "position_m", "pressure_pa")
     with pytest.raises(LogError, match="holds valve_v only"):
         compare_model(read(path), PAPER)
@@ -175,9 +169,7 @@ def test_one_signal_alone_is_refused(tmp_path: Path) -> None:
     assert json.loads(done.stdout)["exit_code"] == 65
 
 
-def test_values_that_are_not_numbers_are_skipped_and_the_model_restarts_after_them(
-    tmp_path: Path,
-) -> None:
+def test_values_that_are_not_numbers_are_skipped_and_the_model_restarts_after_them(tmp_path):
     path = measured(tmp_path / "a.mcap", {})
     log = read(path)
     broken = {name: column.copy() for name, column in signals_of(path).items()}
@@ -194,7 +186,7 @@ def signals_of(path: Path) -> dict[str, NDArray[np.float64]]:
     return {name: getattr(here, name) for name in ("valve_v", "pressure_pa", "position_m")}
 
 
-def test_a_recovered_log_is_compared_on_both_sides_of_what_it_lost(tmp_path: Path) -> None:
+def test_a_recovered_log_is_compared_on_both_sides_of_what_it_lost(tmp_path):
     log = read(GOLDEN / "qsmc.mcap")
     keep = np.ones(len(log), bool)
     keep[600:700] = False
@@ -213,7 +205,7 @@ def test_a_recovered_log_is_compared_on_both_sides_of_what_it_lost(tmp_path: Pat
 # --- the verb ------------------------------------------------------------------------------------
 
 
-def test_two_models_appear_side_by_side_with_the_next_step(tmp_path: Path) -> None:
+def test_two_models_appear_side_by_side_with_the_next_step(tmp_path):
     log = GOLDEN / "pid-delayed.mcap"
     page = tmp_path / "compare.html"
     arguments = ["compare", str(log), "--plant", "paper", "--plant", "paper-valve109"]
@@ -238,24 +230,20 @@ def test_two_models_appear_side_by_side_with_the_next_step(tmp_path: Path) -> No
     assert document["plants"][0]["gap"]["mechanics"]["pressure_pa"] == {"rms": None, "max": None}
 
 
-def test_a_plant_that_does_not_exist_is_refused_with_the_nearest() -> None:
+def test_a_plant_that_does_not_exist_is_refused_with_the_nearest():
     done = CliRunner().invoke(app, ["compare", str(GOLDEN / "qsmc.mcap"), "--plant", "papr"])
     assert done.exit_code == 2
     assert "did you mean 'paper'" in done.stderr
 
 
-def test_a_page_that_cannot_be_written_is_refused_before_anything_is_computed(
-    tmp_path: Path,
-) -> None:
+def test_a_page_that_cannot_be_written_is_refused_before_anything_is_computed(tmp_path):
     page = tmp_path / "nowhere" / "page.html"
     done = CliRunner().invoke(app, ["compare", str(tmp_path / "no.mcap"), "--plot", str(page)])
     assert done.exit_code == 2
     assert "there is no directory" in done.stderr
 
 
-def test_an_axis_that_forgets_nothing_is_compared_in_windows_and_has_no_coupled_figures(
-    tmp_path: Path,
-) -> None:
+def test_an_axis_that_forgets_nothing_is_compared_in_windows_and_has_no_coupled_figures(tmp_path):
     record = pushed_mass(1)
     assert record.force_n is not None
     assert record.position_m is not None

@@ -33,7 +33,7 @@ MOVING = 300
 
 
 @pytest.mark.long
-def test_a_run_on_the_card_is_complete_and_ends_at_the_safe_voltage(own: Card) -> None:
+def test_a_run_on_the_card_is_complete_and_ends_at_the_safe_voltage(own):
     own.fail("DAQmxWriteAnalogScalarF64", hang_s=6.5e-3, is_deaf=True, after=MOVING, times=1)
     # In the plainest of locales: every name handed to the driver must survive it.
     quick = [part for setting in QUICK for part in ("--set", setting)]
@@ -60,9 +60,7 @@ def test_a_run_on_the_card_is_complete_and_ends_at_the_safe_voltage(own: Card) -
     assert any(found[:16])
 
 
-def test_ctrl_c_leaves_the_card_safe_and_its_driver_s_threads_were_raised_and_unpinned(
-    own: Card,
-) -> None:
+def test_ctrl_c_leaves_the_card_safe_and_its_driver_s_threads_were_raised_and_unpinned(own):
     """Else a killed loop frees the card only when its busy CPU gets round to them."""
     process = start(own, *AT_ONCE)
     await_writes(own, process, 300)
@@ -98,9 +96,7 @@ def assert_left_in_order(card: Card, process: subprocess.Popen[str], code: int) 
 
 
 @pytest.mark.long
-def test_a_driver_that_never_returns_is_killed_with_its_loop_and_the_next_start_is_clean(
-    own: Card,
-) -> None:
+def test_a_driver_that_never_returns_is_killed_with_its_loop_and_the_next_start_is_clean(own):
     """The read ignores its timeout and all signals: only the guardian can act."""
     own.fail(READ_VOLTS, hang_s=60.0, is_deaf=True, after=MOVING, times=1)
     process = start(own, *AT_ONCE, *PACED_BY_THE_CARD)
@@ -125,9 +121,7 @@ if sys.orig_argv[-2].endswith("guardian_main") or "run" in sys.orig_argv:
 
 
 @pytest.mark.long
-def test_a_card_that_is_gone_ends_with_69_its_own_words_and_an_alarm(
-    own: Card, tmp_path: Path
-) -> None:
+def test_a_card_that_is_gone_ends_with_69_its_own_words_and_an_alarm(own, tmp_path):
     """No software reaches the output then: a person must act."""
     (tmp_path / "sitecustomize.py").write_text(SOON_GIVEN_UP)
     path = os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH")]))
@@ -147,7 +141,7 @@ def test_a_card_that_is_gone_ends_with_69_its_own_words_and_an_alarm(
     assert log.events[-1]["code"] == 69
 
 
-def test_a_loop_paced_by_the_card_that_dies_leaves_it_safe(own: Card) -> None:
+def test_a_loop_paced_by_the_card_that_dies_leaves_it_safe(own):
     process = start(own, *AT_ONCE, *PACED_BY_THE_CARD, STANDIN_THREADS="0")
     await_writes(own, process, MOVING)
     loop = await_children(process.pid, "loop_main")["loop_main"]
@@ -157,9 +151,7 @@ def test_a_loop_paced_by_the_card_that_dies_leaves_it_safe(own: Card) -> None:
     assert "the guardian drove the safe voltage" in assert_left_in_order(own, process, code=1)
 
 
-def test_a_card_that_cannot_be_had_is_refused_before_anything_is_touched(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_card_that_cannot_be_had_is_refused_before_anything_is_touched(tmp_path, monkeypatch):
     monkeypatch.setenv(PERMIT, "1")
     before = here().registers.ao_writes
     done = run_pamctl(*RUN[1:], "--set", "rig.nidaq.device=Dev9", cwd=tmp_path)
@@ -170,7 +162,7 @@ def test_a_card_that_cannot_be_had_is_refused_before_anything_is_touched(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_broken_env_file_beside_the_run_is_named_as_the_culprit(own: Card) -> None:
+def test_a_broken_env_file_beside_the_run_is_named_as_the_culprit(own):
     (own.path.parent / "cwd" / ".env").write_bytes(b"\xff\xfe")
     process = start(own, *AT_ONCE)
     _, complaints = process.communicate(timeout=PATIENCE_S)

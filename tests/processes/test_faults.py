@@ -187,7 +187,7 @@ def ran(
         made.rig.close()
 
 
-def test_an_open_input_that_stands_still_is_noticed_by_nothing_in_a_run() -> None:
+def test_an_open_input_that_stands_still_is_noticed_by_nothing_in_a_run():
     """It is why the wiring page asks for a pull-down: this voltage is quiet and plausible."""
     settings = run_settings(*MOVING, controller="qsmc")
     stopped = ScriptedSupervisor(Ending(ExitCode.OK, "long enough"), stop_at=BEGINS + 2500)
@@ -198,9 +198,7 @@ def test_an_open_input_that_stands_still_is_noticed_by_nothing_in_a_run() -> Non
 
 
 @pytest.mark.parametrize(("bench", "fault"), CASES)
-def test_a_fault_ends_the_run_safe_with_its_exit_code_and_its_reason(
-    bench: str, fault: str
-) -> None:
+def test_a_fault_ends_the_run_safe_with_its_exit_code_and_its_reason(bench, fault):
     settings = run_settings(*MOVING, controller="qsmc")
     ending, journal, output_v = ran(bench, fault, settings)
     code, verdicts = EXPECTED[fault]
@@ -218,9 +216,7 @@ def test_a_fault_ends_the_run_safe_with_its_exit_code_and_its_reason(
 
 
 @pytest.mark.parametrize("stuck_v", [0.0, 10.0])
-def test_a_valve_that_is_stuck_is_noticed_by_the_pressure_alone(
-    stuck_v: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_valve_that_is_stuck_is_noticed_by_the_pressure_alone(stuck_v, monkeypatch):
     """Open loop there is no tracking error that could give it away."""
     monkeypatch.setitem(CARD, "stuck", set_to(valve_is_stuck=1, valve_stuck_v=stuck_v))
     ending, journal, output_v = ran(
@@ -231,9 +227,7 @@ def test_a_valve_that_is_stuck_is_noticed_by_the_pressure_alone(
     assert output_v == pytest.approx(SAFE_V, abs=AO_STEP_V)
 
 
-def test_an_exception_in_the_law_is_the_ending_and_leaves_the_output_safe(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_exception_in_the_law_is_the_ending_and_leaves_the_output_safe(monkeypatch):
     right = run_ticks.step
 
     def wrong(setup: Any, state: Any, raw: Any, reference: Any, timing: Any) -> Any:

@@ -51,7 +51,7 @@ def measure_silences(looks: list[tuple[float, float]]) -> list[float]:
     ]
 
 
-def test_a_frozen_loop_is_heard_as_silent_for_as_long_as_it_is() -> None:
+def test_a_frozen_loop_is_heard_as_silent_for_as_long_as_it_is():
     silences = measure_silences([(0, 0), *((t, 3.0) for t in range(POLL_MS, 101, POLL_MS))])
     assert silences[-1] == pytest.approx(97.0)
 
@@ -65,7 +65,7 @@ def test_a_machine_that_stood_still_does_not_make_the_loop_a_frozen_one(stall_ms
     assert max(silences) <= 2 * POLL_MS
 
 
-def test_a_beat_from_just_after_the_clock_was_read_is_no_negative_silence() -> None:
+def test_a_beat_from_just_after_the_clock_was_read_is_no_negative_silence():
     assert measure_silences([(0, 0), (5, 5.1)]) == [0.0]
 
 
@@ -79,13 +79,11 @@ def test_a_beat_from_just_after_the_clock_was_read_is_no_negative_silence() -> N
         (LoopStage.SETTING_UP, True, LEAVING_NS),
     ],
 )
-def test_milliseconds_count_only_while_the_loop_drives_the_valve(
-    stage: int, done: bool, expected_ns: int
-) -> None:
+def test_milliseconds_count_only_while_the_loop_drives_the_valve(stage, done, expected_ns):
     assert patience_ns(stage, done, LIMIT_NS) == expected_ns
 
 
-def test_a_limit_that_every_tick_would_exceed_is_refused() -> None:
+def test_a_limit_that_every_tick_would_exceed_is_refused():
     with pytest.raises(ConfigError, match="less than three periods of 10 ms"):
         resolve(overrides=["rig.loop.rate_hz=100", "rig.loop.heartbeat_ms=25"])
 
@@ -141,7 +139,7 @@ def guard_stub(ring: Ring, pid: int, rig: StubRig) -> Takeover | None:
     return guard(ring, LoopProcess(pid), rig, LIMIT_NS)  # type: ignore[arg-type]
 
 
-def test_a_death_is_noticed_at_once_and_a_busy_output_tried_again(ring: Ring) -> None:
+def test_a_death_is_noticed_at_once_and_a_busy_output_tried_again(ring):
     with sleeper() as loop:
         after(0.05, loop.kill)
         takeover = guard_stub(ring, loop.pid, StubRig(refusals=3))
@@ -151,7 +149,7 @@ def test_a_death_is_noticed_at_once_and_a_busy_output_tried_again(ring: Ring) ->
     assert takeover.event()["reason"] == "died"
 
 
-def test_a_silent_loop_is_killed(ring: Ring) -> None:
+def test_a_silent_loop_is_killed(ring):
     rig = StubRig()
     ring.loop_stage = LoopStage.TICKING
     with frozen_loop() as loop:
@@ -162,7 +160,7 @@ def test_a_silent_loop_is_killed(ring: Ring) -> None:
     assert rig.tries == 1
 
 
-def test_a_loop_that_sets_up_or_leaves_may_take_its_time(ring: Ring) -> None:
+def test_a_loop_that_sets_up_or_leaves_may_take_its_time(ring):
     for stage in (LoopStage.SETTING_UP, LoopStage.LEAVING):
         ring.loop_stage = stage
         with sleeper() as loop:
@@ -172,7 +170,7 @@ def test_a_loop_that_sets_up_or_leaves_may_take_its_time(ring: Ring) -> None:
             assert takeover.reason == ""  # it died; nobody killed it for its silence
 
 
-def test_an_orderly_end_leaves_nothing_to_say_and_the_voltage_verified(ring: Ring) -> None:
+def test_an_orderly_end_leaves_nothing_to_say_and_the_voltage_verified(ring):
     rig = StubRig()
     with sleeper() as loop:
         ring.loop_done = 1
@@ -181,14 +179,14 @@ def test_an_orderly_end_leaves_nothing_to_say_and_the_voltage_verified(ring: Rin
     assert rig.tries == 1
 
 
-def test_a_loop_that_is_gone_before_it_is_watched_is_a_dead_loop(ring: Ring) -> None:
+def test_a_loop_that_is_gone_before_it_is_watched_is_a_dead_loop(ring):
     with sleeper() as loop:
         pass
     takeover = guard_stub(ring, loop.pid, StubRig())
     assert takeover is not None
 
 
-def test_what_cannot_be_made_safe_says_why_when_patience_ends() -> None:
+def test_what_cannot_be_made_safe_says_why_when_patience_ends():
     failure = drive_safe(StubRig(refusals=10**9), patience_s=0.05)  # type: ignore[arg-type]
     assert "reserved" in str(failure)
 
@@ -198,7 +196,7 @@ def start_guardian() -> subprocess.Popen[bytes]:
     return subprocess.Popen(["cat"], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
 
-def test_a_guardian_that_dies_is_lost_when_the_front_looks(ring: Ring) -> None:
+def test_a_guardian_that_dies_is_lost_when_the_front_looks(ring):
     guardian = start_guardian()
     front = Guardianship(ring, guardian, StubRig(), LoopSettings())  # type: ignore[arg-type]
     with sleeper() as loop:
@@ -229,7 +227,7 @@ def kill_silent_loop(ring: Ring, rig: StubRig, told: Ending) -> Ending:
     return ending
 
 
-def test_a_silent_loop_that_its_guardian_leaves_alone_is_killed_by_the_front(ring: Ring) -> None:
+def test_a_silent_loop_that_its_guardian_leaves_alone_is_killed_by_the_front(ring):
     rig = StubRig()
     ending = kill_silent_loop(ring, rig, Ending(ExitCode.UNEXPECTED, "the loop process was killed"))
     assert ending.code == ExitCode.UNEXPECTED
@@ -239,7 +237,7 @@ def test_a_silent_loop_that_its_guardian_leaves_alone_is_killed_by_the_front(rin
     assert rig.tries == 1
 
 
-def test_a_device_error_that_the_loop_has_told_stays_the_reason_of_its_end(ring: Ring) -> None:
+def test_a_device_error_that_the_loop_has_told_stays_the_reason_of_its_end(ring):
     told = Ending(ExitCode.UNAVAILABLE, "device error -201003")
     ending = kill_silent_loop(ring, StubRig(), told)
     assert ending.code == ExitCode.UNAVAILABLE
@@ -247,7 +245,7 @@ def test_a_device_error_that_the_loop_has_told_stays_the_reason_of_its_end(ring:
     assert ending.reason.count("its guardian did nothing") == 1
 
 
-def test_a_session_whose_driver_opens_slowly_is_not_taken_for_silent(tmp_path: Path) -> None:
+def test_a_session_whose_driver_opens_slowly_is_not_taken_for_silent(tmp_path):
     with Ring.create(tmp_path / "a.ring", meta(tmp_path / "a.mcap"), 64) as ring:
         journal = SessionJournal(ring, lambda recorded: None)
         journal.note_start({"event": "timing_setup"})
@@ -258,7 +256,7 @@ def test_a_session_whose_driver_opens_slowly_is_not_taken_for_silent(tmp_path: P
     assert after_s == 0.05
 
 
-def test_a_watchman_that_does_not_start_is_not_waited_for_and_is_named(monkeypatch) -> None:
+def test_a_watchman_that_does_not_start_is_not_waited_for_and_is_named(monkeypatch):
     monkeypatch.setattr(guardian_main, "STARTS_WITHIN_S", 0.1)
     monkeypatch.setattr(guardian_main, "child_command", lambda *_: ["sleep", "1000"])
     watchman = guardian_main.keep_watchman(resolve().rig, StubRig())  # type: ignore[arg-type]

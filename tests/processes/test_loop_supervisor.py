@@ -40,9 +40,7 @@ def ask_for_stop(supervisor: LoopSupervisor, ms: int) -> tuple[str, bool] | None
     return None
 
 
-def test_a_guardian_that_stands_still_is_found_within_the_heartbeat_and_ends_the_run_at_once(
-    ring: Ring,
-) -> None:
+def test_a_guardian_that_stands_still_is_found_within_the_heartbeat_and_ends_the_run_at_once(ring):
     supervisor = make_supervisor(ring)
     for _ in range(100):
         ring.guardian_beats += 1
@@ -51,11 +49,11 @@ def test_a_guardian_that_stands_still_is_found_within_the_heartbeat_and_ends_the
     assert ask_for_stop(supervisor, 24) == ("the guardian gives no sign of life", True)
 
 
-def test_where_there_is_no_clock_there_is_no_guardian_to_miss(ring: Ring) -> None:
+def test_where_there_is_no_clock_there_is_no_guardian_to_miss(ring):
     assert ask_for_stop(make_supervisor(ring, patient=True), 2000) is None
 
 
-def test_during_a_smooth_stop_a_death_still_ends_the_run_at_once(ring: Ring) -> None:
+def test_during_a_smooth_stop_a_death_still_ends_the_run_at_once(ring):
     supervisor = make_supervisor(ring)
     supervisor._on_signal(signal.SIGINT, None)
     assert ask_for_stop(supervisor, 8) == ("stopped by SIGINT", False)
@@ -71,7 +69,7 @@ def await_recorder(supervisor: LoopSupervisor, ring: Ring) -> str | None:
     return ending and ending.reason
 
 
-def test_a_partner_that_starts_late_is_waited_for(ring: Ring) -> None:
+def test_a_partner_that_starts_late_is_waited_for(ring):
     late = Timer(0.2, ring.raise_flag, [RecorderFlag.READY])
     late.start()
     assert await_recorder(make_supervisor(ring), ring) is None
@@ -86,7 +84,7 @@ def test_a_partner_that_starts_late_is_waited_for(ring: Ring) -> None:
         ("front dead", "the commanding process is gone"),
     ],
 )
-def test_waiting_for_a_partner_ends_when_it_is_in_vain(ring: Ring, what: str, reason: str) -> None:
+def test_waiting_for_a_partner_ends_when_it_is_in_vain(ring, what, reason):
     ours, theirs = os.pipe()
     supervisor = make_supervisor(ring, ours)
     match what:
@@ -102,13 +100,13 @@ def test_waiting_for_a_partner_ends_when_it_is_in_vain(ring: Ring, what: str, re
         os.close(theirs)
 
 
-def test_a_full_disk_leaves_time_for_a_smooth_stop(ring: Ring) -> None:
+def test_a_full_disk_leaves_time_for_a_smooth_stop(ring):
     supervisor = make_supervisor(ring)
     ring.raise_flag(RecorderFlag.FAILED | RecorderFlag.DISK_FULL)
     assert ask_for_stop(supervisor, 8) == ("the log's disk is full", False)
 
 
-def test_a_recorder_that_is_too_far_behind_leaves_room_for_a_smooth_stop(ring: Ring) -> None:
+def test_a_recorder_that_is_too_far_behind_leaves_room_for_a_smooth_stop(ring):
     supervisor = make_supervisor(ring)
     room = LoopSettings(ring_rows=256, stop_ramp_s=0.01).stop_rows
     assert 10 <= room < ring.rows
@@ -119,9 +117,7 @@ def test_a_recorder_that_is_too_far_behind_leaves_room_for_a_smooth_stop(ring: R
         assert asked == (reason and (reason, False))
 
 
-def test_a_stop_may_last_longer_than_the_ticks_kept_between_runs(
-    ring: Ring, tmp_path: Path
-) -> None:
+def test_a_stop_may_last_longer_than_the_ticks_kept_between_runs(ring, tmp_path):
     """How far behind a recorder may be is a matter of its run's ring."""
     pace = LoopSettings(stop_ramp_s=5.0)
     supervisor = LoopSupervisor(ring, None, pace)

@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import pytest
 from support.patience import BUSY_PC, PATIENCE_S, await_true
@@ -28,7 +27,7 @@ from pamctl.settings.config_files import DEFAULT_NAMES
 DEVICE = f"testmarks{os.getpid()}"
 
 
-def test_a_mark_reaches_the_log_of_a_run_without_a_daemon(tmp_path: Path) -> None:
+def test_a_mark_reaches_the_log_of_a_run_without_a_daemon(tmp_path):
     log = tmp_path / "run.mcap"
     settings = [f"rig.sim.device={DEVICE}", "rig.homing.enabled=false", *BUSY_PC]
     command = [sys.executable, "-m", "pamctl", "run", "--quiet", "--log", str(log), "--rt", "off"]
@@ -64,9 +63,7 @@ def test_a_mark_reaches_the_log_of_a_run_without_a_daemon(tmp_path: Path) -> Non
         left.unlink()
 
 
-def test_a_loop_that_takes_no_mark_is_reported_in_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_loop_that_takes_no_mark_is_reported_in_time(tmp_path, monkeypatch):
     monkeypatch.setattr("pamctl.processes.marks._PATIENCE_S", 0.05)
     path = SHARED_MEMORY / f"pamctl-{DEVICE}.ring"
     meta = make_run_meta(run_settings(), DEFAULT_NAMES, tmp_path / "run.mcap")
@@ -80,7 +77,7 @@ def test_a_loop_that_takes_no_mark_is_reported_in_time(
         ring.unlink()
 
 
-def test_the_ring_of_a_dead_run_takes_no_marks(tmp_path: Path) -> None:
+def test_the_ring_of_a_dead_run_takes_no_marks(tmp_path):
     path = SHARED_MEMORY / f"pamctl-{DEVICE}dead.ring"
     meta = make_run_meta(run_settings(), DEFAULT_NAMES, tmp_path / "run.mcap")
     Ring.create(path, meta, 64, slot_bytes=MARK_SLOT_BYTES).close()

@@ -15,7 +15,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -123,8 +123,8 @@ def takeovers(run: Run) -> list[dict[str, object]]:
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_loop_that_dies_or_freezes_leaves_the_valve_safe_and_the_log_complete(
-    tmp_path: Path, device: str, number: signal.Signals
-) -> None:
+    tmp_path, device, number
+):
     with running(tmp_path, device) as run:
         await_motion(run)
         for ignored in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -140,7 +140,7 @@ def test_a_loop_that_dies_or_freezes_leaves_the_valve_safe_and_the_log_complete(
     assert_log_complete_to(run, before)
 
 
-def test_without_its_guardian_a_loop_stops_safe(tmp_path: Path, device: str) -> None:
+def test_without_its_guardian_a_loop_stops_safe(tmp_path, device):
     with running(tmp_path, device) as run:
         await_motion(run)
         before = last_tick_put(run)
@@ -153,9 +153,7 @@ def test_without_its_guardian_a_loop_stops_safe(tmp_path: Path, device: str) -> 
     assert_log_complete_to(run, before)
 
 
-def test_without_its_front_a_loop_stops_safe_and_the_guardian_leaves_after_it(
-    tmp_path: Path, device: str
-) -> None:
+def test_without_its_front_a_loop_stops_safe_and_the_guardian_leaves_after_it(tmp_path, device):
     with running(tmp_path, device) as run:
         await_motion(run)
         before = last_tick_put(run)
@@ -168,9 +166,7 @@ def test_without_its_front_a_loop_stops_safe_and_the_guardian_leaves_after_it(
     assert_log_complete_to(run, before)
 
 
-def test_without_its_recorder_a_loop_stops_safe_and_the_front_finishes_the_log(
-    tmp_path: Path, device: str
-) -> None:
+def test_without_its_recorder_a_loop_stops_safe_and_the_front_finishes_the_log(tmp_path, device):
     with running(tmp_path, device) as run:
         await_motion(run)
         before = last_tick_put(run)
@@ -191,9 +187,7 @@ def assert_stopped_at_once(run: Run) -> None:
 
 
 @pytest.mark.long
-def test_loop_and_front_killed_together_leave_a_safe_valve_and_a_log_with_its_end(
-    tmp_path: Path, device: str
-) -> None:
+def test_loop_and_front_killed_together_leave_a_safe_valve_and_a_log_with_its_end(tmp_path, device):
     with running(tmp_path, device) as run:
         await_motion(run)
         for name in ("front", "loop_main"):
@@ -206,9 +200,7 @@ def test_loop_and_front_killed_together_leave_a_safe_valve_and_a_log_with_its_en
 
 
 @pytest.mark.long
-def test_after_everything_was_killed_at_once_pamctl_safe_closes_the_valve(
-    tmp_path: Path, device: str
-) -> None:
+def test_after_everything_was_killed_at_once_pamctl_safe_closes_the_valve(tmp_path, device):
     with running(tmp_path, device) as run:
         await_motion(run)
         before = last_tick_put(run)
@@ -227,9 +219,7 @@ def test_after_everything_was_killed_at_once_pamctl_safe_closes_the_valve(
 
 
 @pytest.mark.long
-def test_a_device_in_use_is_refused_and_a_front_that_was_stopped_goes_on(
-    tmp_path: Path, device: str
-) -> None:
+def test_a_device_in_use_is_refused_and_a_front_that_was_stopped_goes_on(tmp_path, device):
     with running(tmp_path, device) as run:
         await_motion(run)
         os.kill(run.front.pid, signal.SIGSTOP)
@@ -253,8 +243,8 @@ def test_a_device_in_use_is_refused_and_a_front_that_was_stopped_goes_on(
 
 @pytest.mark.long
 def test_runs_without_a_clock_share_a_device_and_the_next_one_finishes_the_log_of_a_killed_one(
-    tmp_path: Path,
-) -> None:
+    tmp_path,
+):
     device, log = f"test{os.getpid()}-nobodys", tmp_path / "killed.mcap"
     short = run_command(device, "--fast", "--duration", "0.1", "--quiet")[3:]
     run = subprocess.Popen(run_command(device, "--fast", "--quiet", "--log", str(log)))
@@ -291,8 +281,8 @@ def script(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_what_was_done_before_ctrl_c_is_told_kept_and_not_done_again(
-    script, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+    script, monkeypatch, tmp_path, capsys
+):
     kept = tmp_path / "faults.jsonl"
     monkeypatch.setattr("sys.argv", ["fault_rounds.py", "--resume", str(kept)])
 
@@ -332,8 +322,8 @@ HARDEST = [
 @pytest.mark.long
 @pytest.mark.parametrize("case", HARDEST, ids=lambda case: " ".join(sum(case[1:], case[:1])))
 def test_a_real_run_keeps_its_promises_whichever_processes_are_hit(
-    script, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, case: tuple[Any, ...]
-) -> None:
+    script, monkeypatch, tmp_path, case
+):
     require_compiler()
     name, *faults = case
     monkeypatch.setattr(script, "PATIENCE_S", PATIENCE_S)

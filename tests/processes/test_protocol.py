@@ -31,7 +31,7 @@ DIED = Ending(ExitCode.UNEXPECTED, "the loop process was killed by SIGKILL")
 
 
 @pytest.mark.long
-def test_every_interleaving_of_three_deaths_and_freezes_keeps_the_promises() -> None:
+def test_every_interleaving_of_three_deaths_and_freezes_keeps_the_promises():
     assert len(explore()) > 100_000
 
 
@@ -49,9 +49,7 @@ def test_every_interleaving_of_three_deaths_and_freezes_keeps_the_promises() -> 
         ({"ring_waits": False}, "rows are lost", {"loop dead"}),
     ],
 )
-def test_a_model_without_one_of_its_mechanisms_breaks_a_promise(
-    mutant: dict[str, bool], promise: str, events: set[str]
-) -> None:
+def test_a_model_without_one_of_its_mechanisms_breaks_a_promise(mutant, promise, events):
     with pytest.raises(BrokenPromiseError, match=promise) as broken:
         explore(RULES._replace(most_faults=len(events), **mutant))
     assert {event for event in broken.value.path if " " in event} == events
@@ -119,9 +117,7 @@ HEARTBEAT_MS, GUARDIAN_STEPS, FRONT_STEPS = 20.0, 2, 6
 STEPS = Rules(guardian_patience=GUARDIAN_STEPS, front_patience=FRONT_STEPS)
 
 
-def test_a_silence_ends_the_loop_exactly_when_the_model_says_so(
-    clock: StubClock, ring: Ring
-) -> None:
+def test_a_silence_ends_the_loop_exactly_when_the_model_says_so(clock, ring):
     ring.loop_stage = LoopStage.TICKING
     for beats in product([True, False], repeat=7):
         ring.loop_beat_ns = clock.now_ns
@@ -144,9 +140,7 @@ def test_a_silence_ends_the_loop_exactly_when_the_model_says_so(
 
 @pytest.mark.parametrize("guardian_life", [Life.RUNS, Life.FROZEN, Life.DEAD])
 @pytest.mark.parametrize("loop_life", [Life.RUNS, Life.FROZEN, Life.DEAD])
-def test_the_front_looks_as_the_model_does(
-    clock: StubClock, ring: Ring, loop_life: Life, guardian_life: Life
-) -> None:
+def test_the_front_looks_as_the_model_does(clock, ring, loop_life, guardian_life):
     ring.loop_stage = LoopStage.TICKING
     ring.loop_beat_ns = clock.now_ns
     handle = make_handle(ring, StubRig(), guardian_life)
@@ -176,9 +170,7 @@ def make_handle(ring: Ring, rig: StubRig, life: Life) -> Guardianship:
 
 @pytest.mark.parametrize("has_reported", [True, False])
 @pytest.mark.parametrize("life", [Life.RUNS, Life.FROZEN, Life.DEAD])
-def test_the_front_judges_an_ending_as_the_model_does(
-    monkeypatch: pytest.MonkeyPatch, clock: StubClock, ring: Ring, life: Life, has_reported: bool
-) -> None:
+def test_the_front_judges_an_ending_as_the_model_does(monkeypatch, clock, ring, life, has_reported):
     """A running guardian that says nothing: first the safe voltage, then the front takes over."""
     ring.loop_stage = LoopStage.TICKING
     rig = StubRig()
@@ -220,8 +212,8 @@ def test_the_front_judges_an_ending_as_the_model_does(
 @pytest.mark.parametrize("guardian_age", range(5))
 @pytest.mark.parametrize("front_gone", [True, False])
 def test_the_loop_aborts_when_the_model_says_so(
-    ring: Ring, recorder_failed: bool, guardian_lost: bool, guardian_age: int, front_gone: bool
-) -> None:
+    ring, recorder_failed, guardian_lost, guardian_age, front_gone
+):
     ours, theirs = os.pipe()
     try:
         # A step is a look here, every 8 ms; three of them are longer than the heartbeat.
@@ -260,9 +252,7 @@ def ask_for_a_look(supervisor: LoopSupervisor) -> bool:
     return [supervisor.wants_abort() for _ in range(8)][-1]
 
 
-def test_the_loop_stops_for_a_silent_recorder_as_the_model_says(
-    monkeypatch: pytest.MonkeyPatch, ring: Ring
-) -> None:
+def test_the_loop_stops_for_a_silent_recorder_as_the_model_says(monkeypatch, ring):
     clock = StubClock()
     monkeypatch.setattr(journal, "time", clock)
     step_s = journal.SILENT_RECORDER_S / RULES.recorder_patience

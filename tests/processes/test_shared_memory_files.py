@@ -14,7 +14,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from standin.standin import Card
 from support.command_line import run_process
 from support.made_up import meta
 from support.patience import await_true
@@ -65,16 +64,14 @@ def run_safe_in_full_memory(
     return done
 
 
-def test_safe_says_not_safe_where_full_memory_has_no_room_for_the_output(shared: Path) -> None:
+def test_safe_says_not_safe_where_full_memory_has_no_room_for_the_output(shared):
     done = run_safe_in_full_memory(shared)
     assert done.returncode == 69, done.stderr
     assert f"NOT SAFE, {DEVICE}" in done.stderr
     assert "No space left" in done.stderr
 
 
-def test_safe_drives_an_output_that_was_there_before_the_memory_was_full(
-    shared: Path, tmp_path: Path
-) -> None:
+def test_safe_drives_an_output_that_was_there_before_the_memory_was_full(shared, tmp_path):
     left = tmp_path / "left" / f"pamctl-{DEVICE}.ao"
     left.parent.mkdir()
     register = SharedRegister(left, DEVICE)
@@ -86,9 +83,7 @@ def test_safe_drives_an_output_that_was_there_before_the_memory_was_full(
     assert peek_v(tmp_path / left.name) == 0.0
 
 
-def test_safe_drives_a_card_whatever_the_memory(
-    shared: Path, own: Card, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_safe_drives_a_card_whatever_the_memory(shared, own, monkeypatch):
     for name, value in own.environment().items():
         monkeypatch.setenv(name, value)
     monkeypatch.setenv("PAMCTL_SHARED_MEMORY", str(shared))
@@ -128,7 +123,7 @@ def assert_untouched(path: Path) -> None:
         assert target.read_text() == "not for everybody"
 
 
-def test_a_daemon_refuses_a_fault_file_that_pamctl_did_not_make(shared: Path) -> None:
+def test_a_daemon_refuses_a_fault_file_that_pamctl_did_not_make(shared):
     path = shared / f"pamctl-{DEVICE}.fault"
     put_link(path)
     done = run_verb("daemon", "--socket", shared / "d.sock", *ON_DEVICE)
@@ -139,7 +134,7 @@ def test_a_daemon_refuses_a_fault_file_that_pamctl_did_not_make(shared: Path) ->
 
 
 @pytest.mark.parametrize("put", TRICKS)
-def test_no_file_that_pamctl_did_not_make_is_opened(shared: Path, put: Trick) -> None:
+def test_no_file_that_pamctl_did_not_make_is_opened(shared, put):
     path = shared / f"pamctl-{DEVICE}.ao"
     put(path)
     for use in (lambda: open_shared(path, 8), lambda: Latch(path)):
@@ -148,9 +143,7 @@ def test_no_file_that_pamctl_did_not_make_is_opened(shared: Path, put: Trick) ->
     assert_untouched(path)
 
 
-def test_a_run_refuses_a_lock_that_pamctl_did_not_make(
-    shared: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_refuses_a_lock_that_pamctl_did_not_make(shared, monkeypatch):
     monkeypatch.setattr(backends, "SHARED_MEMORY", shared)
     path = shared / f"pamctl-{DEVICE}.lock"
     put_link_to_nothing(path)
@@ -162,7 +155,7 @@ def test_a_run_refuses_a_lock_that_pamctl_did_not_make(
     assert_untouched(path)
 
 
-def test_no_ring_that_pamctl_did_not_make_stops_a_start(shared: Path) -> None:
+def test_no_ring_that_pamctl_did_not_make_stops_a_start(shared):
     for put in (put_pipe, put_link, put_link_to_nothing):
         put(shared / f"pamctl-1-{put.__name__}.ring")
     finish_orphans(shared, quiet=True)
@@ -171,9 +164,7 @@ def test_no_ring_that_pamctl_did_not_make_stops_a_start(shared: Path) -> None:
 
 @pytest.mark.parametrize("put", TRICKS)
 @pytest.mark.parametrize("open_ring", [Ring.attach, Ring.watch])
-def test_a_ring_is_never_a_pipe_a_link_or_another_users(
-    shared: Path, put: Trick, open_ring: Callable[[Path], Ring]
-) -> None:
+def test_a_ring_is_never_a_pipe_a_link_or_another_users(shared, put, open_ring):
     put(shared / "a.ring")
     with pytest.raises(RingError):
         open_ring(shared / "a.ring")
@@ -211,19 +202,19 @@ def judge_after(pid: int, seconds: float) -> bool:
     return books.is_starved(time.monotonic_ns())
 
 
-def test_a_process_that_wants_to_run_and_cannot_is_starved() -> None:
+def test_a_process_that_wants_to_run_and_cannot_is_starved():
     with starved() as pid:
         await_true(lambda: judge_after(pid, 0.05))
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may run a process as SCHED_FIFO")
-def test_a_process_that_computes_for_ever_is_not_starved() -> None:
+def test_a_process_that_computes_for_ever_is_not_starved():
     first = "os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))"
     with process(BUSY.format(setup=first)) as pid:
         await_true(lambda: not judge_after(pid, 0.05))
 
 
-def test_a_process_that_sleeps_or_is_stopped_is_not_starved() -> None:
+def test_a_process_that_sleeps_or_is_stopped_is_not_starved():
     with process("import time; print(flush=True); time.sleep(600)") as pid:
         assert not judge_after(pid, 0.02)
     with starved() as pid:
@@ -232,7 +223,7 @@ def test_a_process_that_sleeps_or_is_stopped_is_not_starved() -> None:
         assert not judge_after(pid, 0.02)
 
 
-def test_a_process_that_is_gone_is_not_starved() -> None:
+def test_a_process_that_is_gone_is_not_starved():
     with process("print(flush=True)") as pid:
         pass
     assert not judge_after(pid, 0.0)
@@ -250,7 +241,7 @@ def find_fault(silence: Silence) -> str:
     return await_true(silence.find_fault, every_s=5e-3)
 
 
-def test_a_starved_loop_is_given_time_and_then_called_starved(silent_ring: Ring) -> None:
+def test_a_starved_loop_is_given_time_and_then_called_starved(silent_ring):
     with starved() as pid:
         fault = find_fault(Silence(silent_ring, pid, 20 * MS, 200 * MS))
     if "starved" in fault:
@@ -259,7 +250,7 @@ def test_a_starved_loop_is_given_time_and_then_called_starved(silent_ring: Ring)
         assert "silent" in fault
 
 
-def test_a_loop_that_is_stopped_is_given_no_more_time_than_before(silent_ring: Ring) -> None:
+def test_a_loop_that_is_stopped_is_given_no_more_time_than_before(silent_ring):
     with process("import time; print(flush=True); time.sleep(600)") as pid:
         os.kill(pid, signal.SIGSTOP)
         fault = find_fault(Silence(silent_ring, pid, 20 * MS, 3600_000 * MS))

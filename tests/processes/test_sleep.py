@@ -9,7 +9,6 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from standin.standin import Card
 from support.made_up import meta
 from support.patience import BUSY_PC, PATIENCE_S, await_true
 from support.processes.card_runs import AT_ONCE, OWN_SAFE_V, await_writes, log_of, own, start
@@ -57,7 +56,7 @@ def start_run(folder: Path, environment: dict[str, str]) -> subprocess.Popen[str
 
 
 @pytest.mark.long
-def test_a_card_is_at_its_safe_voltage_after_the_pc_slept(pc: SleepingPc, own: Card) -> None:
+def test_a_card_is_at_its_safe_voltage_after_the_pc_slept(pc, own):
     timed = ("--set", "rig.nidaq.timing=hardware_timed", "--rt", "off")
     front = start(own, *AT_ONCE, *timed, **pc.environment)
     await_writes(own, front, 300)
@@ -73,8 +72,8 @@ def test_a_card_is_at_its_safe_voltage_after_the_pc_slept(pc: SleepingPc, own: C
 
 @pytest.mark.long
 def test_a_daemon_forbids_sleep_while_it_holds_and_a_sleep_is_a_fault_to_acknowledge(
-    pc: SleepingPc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    pc, tmp_path, monkeypatch
+):
     monkeypatch.setenv("PATH", put_inhibit(tmp_path, "exec cat")["PATH"])
     for name, value in pc.environment.items():
         monkeypatch.setenv(name, value)
@@ -100,8 +99,8 @@ def test_a_daemon_forbids_sleep_while_it_holds_and_a_sleep_is_a_fault_to_acknowl
 
 @pytest.mark.parametrize("lead_ms", [0, 40], ids=["guardian", "front"])
 def test_a_loop_that_goes_on_after_the_pc_slept_is_killed_once_it_had_its_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lead_ms: int
-) -> None:
+    tmp_path, monkeypatch, lead_ms
+):
     """The loop trips within a heartbeat; the front leaves it to the guardian for longer."""
     now_ns, looked_ms = 10**9, []
     monkeypatch.setattr(SleepWatch, "slept_ns", lambda watch: 20_000_000_000)
@@ -118,7 +117,7 @@ def test_a_loop_that_goes_on_after_the_pc_slept_is_killed_once_it_had_its_time(
     assert looked_ms[-1] == 20 + lead_ms + 1
 
 
-def test_a_calibration_over_which_the_pc_slept_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_calibration_over_which_the_pc_slept_ends(monkeypatch):
     settings = resolve(overrides=[f"rig.sim.device={DEVICE}"])
     with open_workplace(settings) as bench:
         bench.step(1.0)
@@ -128,7 +127,7 @@ def test_a_calibration_over_which_the_pc_slept_ends(monkeypatch: pytest.MonkeyPa
     assert peek_v(ao_path(DEVICE)) == SAFE_V
 
 
-def test_a_pc_that_did_not_sleep_did_not() -> None:
+def test_a_pc_that_did_not_sleep_did_not():
     watch = SleepWatch()
     assert max(watch.slept_ns() for _ in range(100_000)) < 1_000_000
 
@@ -145,7 +144,7 @@ def put_inhibit(folder: Path, then: str) -> dict[str, str]:
     return {**os.environ, "PATH": f"{program.parent}:{os.environ['PATH']}"}
 
 
-def test_a_run_forbids_sleep_until_it_ends_however_it_ends(tmp_path: Path) -> None:
+def test_a_run_forbids_sleep_until_it_ends_however_it_ends(tmp_path):
     environment = put_inhibit(tmp_path, "cat")
     with start_run(tmp_path, environment) as front:
         await_tick(front.pid, lambda tick: tick["tick"] > 10)
@@ -175,9 +174,7 @@ def sleepy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (None, "No such"),
     ],
 )
-def test_one_line_says_that_nothing_keeps_the_pc_awake(
-    sleepy: Path, monkeypatch: pytest.MonkeyPatch, then: str | None, why: str
-) -> None:
+def test_one_line_says_that_nothing_keeps_the_pc_awake(sleepy, monkeypatch, then, why):
     path = str(sleepy / "none") if then is None else put_inhibit(sleepy, then)["PATH"]
     monkeypatch.setenv("PATH", path)
     with keep_awake.keep_awake() as risk:
@@ -189,9 +186,7 @@ def test_one_line_says_that_nothing_keeps_the_pc_awake(
     assert "systemctl mask" in finding.fix
 
 
-def test_the_doctor_is_content_where_runs_forbid_sleep_or_the_pc_cannot(
-    sleepy: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_doctor_is_content_where_runs_forbid_sleep_or_the_pc_cannot(sleepy, monkeypatch):
     monkeypatch.setenv("PATH", put_inhibit(sleepy, "exec cat")["PATH"])
     assert check_sleep().message == "may be suspended, but not during a run"
     (sleepy / "sleep.target").symlink_to("/dev/null")

@@ -70,18 +70,14 @@ DOCUMENT: dict[str, Any] = {
         ({"gap": {"channel": "position_m"}}, "no gap"),
     ],
 )
-def test_an_expectation_is_checked(
-    tmp_path: Path, expect: dict[str, Any], words: str | None
-) -> None:
+def test_an_expectation_is_checked(tmp_path, expect, words):
     measured = read_set(make_set(tmp_path / "set", expect=expect), None)
     failed = find_failures(measured, DOCUMENT)
     assert failed == [] if words is None else words in failed[0]
 
 
 @pytest.mark.long
-def test_an_error_of_one_set_is_reported_and_the_others_go_on(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_error_of_one_set_is_reported_and_the_others_go_on(tmp_path, capsys, monkeypatch):
     for name in ("bad", "good", "lacking"):
         make_set(tmp_path / "sets" / name)
     (tmp_path / "sets" / "bad" / "a.txt").write_text("no numbers\n" * 9)
@@ -116,7 +112,7 @@ def test_an_error_of_one_set_is_reported_and_the_others_go_on(
 
 
 @pytest.mark.parametrize("folder", SHIPPED, ids=lambda path: path.name)
-def test_a_shipped_set_is_readable(folder: Path) -> None:
+def test_a_shipped_set_is_readable(folder):
     measured = read_set(folder, Path("nowhere"))
     plant = yaml.safe_load((folder / "plant.yaml").read_text())
     assert scale_guesses(plant, measured.guessed, 2.0) != plant

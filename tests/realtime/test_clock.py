@@ -68,9 +68,7 @@ def fake() -> FakeTime:
 @given(
     time_ns=st.integers(0, 10**12), point_ns=st.integers(0, 10**12), period_ns=st.integers(1, 10**9)
 )
-def test_the_grid_points_before_and_after_a_time_enclose_it(
-    time_ns: int, point_ns: int, period_ns: int
-) -> None:
+def test_the_grid_points_before_and_after_a_time_enclose_it(time_ns, point_ns, period_ns):
     after_ns = grid_point_from(time_ns, point_ns, period_ns)
     before_ns = grid_point_until(time_ns, point_ns, period_ns)
     assert before_ns <= time_ns <= after_ns
@@ -88,8 +86,8 @@ durations_ns = st.one_of(st.integers(0, 2 * MS), st.sampled_from([MS - 50, MS, 7
     disturbances=st.lists(st.tuples(durations_ns, durations_ns), min_size=1, max_size=60),
 )
 def test_whatever_work_and_sleep_take_every_tick_keeps_to_the_grid(
-    start_ns: int, phase_ns: int, spin_ns: int, disturbances: list[tuple[int, int]]
-) -> None:
+    start_ns, phase_ns, spin_ns, disturbances
+):
     fake = FakeTime(start_ns, read_ns=500)
     clock = fake.clock(MS, phase_ns, spin_ns)
     wakes: list[Wake] = []
@@ -109,25 +107,21 @@ def test_whatever_work_and_sleep_take_every_tick_keeps_to_the_grid(
     assert wakes[0].tick == wakes[0].missed == 0
 
 
-def test_the_first_deadline_is_the_next_whole_period_plus_the_phase(fake: FakeTime) -> None:
+def test_the_first_deadline_is_the_next_whole_period_plus_the_phase(fake):
     assert fake.clock(MS).wait().deadline_ns == 13 * MS + PHASE_NS
 
 
-def test_the_grid_is_laid_at_the_first_wait_and_not_before(fake: FakeTime) -> None:
+def test_the_grid_is_laid_at_the_first_wait_and_not_before(fake):
     clock = fake.clock()
     fake.work(500 * MS)
     assert clock.wait() == Wake(0, 513 * MS + PHASE_NS, 513 * MS + PHASE_NS + 50, 0)
 
 
-def test_the_default_phase_stays_within_a_short_period_and_off_the_kernel_tick(
-    fake: FakeTime,
-) -> None:
+def test_the_default_phase_stays_within_a_short_period_and_off_the_kernel_tick(fake):
     assert fake.clock(MS // 10).wait().deadline_ns % (MS // 10) == 30_000
 
 
-def test_a_tick_that_overruns_its_period_makes_the_next_one_skip_to_the_future(
-    fake: FakeTime,
-) -> None:
+def test_a_tick_that_overruns_its_period_makes_the_next_one_skip_to_the_future(fake):
     clock = fake.clock()
     first = clock.wait()
     fake.work(int(2.4 * MS))
@@ -137,7 +131,7 @@ def test_a_tick_that_overruns_its_period_makes_the_next_one_skip_to_the_future(
     assert clock.wait()[0::3] == (4, 0), "no burst to catch up"
 
 
-def test_a_tick_that_ends_exactly_on_its_deadline_is_not_an_overrun() -> None:
+def test_a_tick_that_ends_exactly_on_its_deadline_is_not_an_overrun():
     fake = FakeTime(read_ns=0)
     clock = fake.clock()
     clock.wait()
@@ -145,13 +139,13 @@ def test_a_tick_that_ends_exactly_on_its_deadline_is_not_an_overrun() -> None:
     assert clock.wait()[0::3] == (1, 0)
 
 
-def test_the_sleep_ends_early_by_the_spin_and_the_tick_does_not(fake: FakeTime) -> None:
+def test_the_sleep_ends_early_by_the_spin_and_the_tick_does_not(fake):
     wake = fake.clock(spin_ns=100_000).wait()
     assert fake.alarms_ns == [wake.deadline_ns - 100_000]
     assert 0 <= wake.now_ns - wake.deadline_ns <= fake.read_ns
 
 
-def test_no_sleep_is_begun_within_the_spin(fake: FakeTime) -> None:
+def test_no_sleep_is_begun_within_the_spin(fake):
     clock = fake.clock(spin_ns=100_000)
     clock.wait()
     fake.alarms_ns.clear()
@@ -170,9 +164,7 @@ def test_no_sleep_is_begun_within_the_spin(fake: FakeTime) -> None:
         ((MS // 10, None, MS // 10), "spin_ns must be >= 0 and below the period"),
     ],
 )
-def test_a_grid_out_of_bounds_is_refused_with_its_bounds(
-    arguments: tuple[int, ...], message: str
-) -> None:
+def test_a_grid_out_of_bounds_is_refused_with_its_bounds(arguments, message):
     with pytest.raises(ValueError, match=message):
         GridClock(*arguments)
 
@@ -181,7 +173,7 @@ def test_a_grid_out_of_bounds_is_refused_with_its_bounds(
 
 
 @linux_only
-def test_the_real_grid_keeps_its_mean_rate() -> None:
+def test_the_real_grid_keeps_its_mean_rate():
     clock: Clock = GridClock(2 * MS, spin_ns=50_000)
     first, *wakes = [clock.wait() for _ in range(150)]
     for wake in wakes:
@@ -191,14 +183,14 @@ def test_the_real_grid_keeps_its_mean_rate() -> None:
 
 
 @linux_only
-def test_the_wall_offset_turns_monotonic_into_unix_time() -> None:
+def test_the_wall_offset_turns_monotonic_into_unix_time():
     clock = GridClock(MS)
     unix_ns = clock.now_ns() + clock.wall_offset_ns()
     assert math.isclose(unix_ns, time.time_ns(), rel_tol=0.0, abs_tol=1e9)
 
 
 @linux_only
-def test_an_impossible_sleep_is_an_error_and_not_a_busy_loop() -> None:
+def test_an_impossible_sleep_is_an_error_and_not_a_busy_loop():
     with pytest.raises(OSError, match="clock_nanosleep: Invalid argument"):
         make_monotonic_sleeper()(-1)
 
@@ -218,7 +210,7 @@ def interrupted(
 
 
 @linux_only
-def test_signals_are_handled_within_the_wait_and_do_not_bring_the_tick_forward() -> None:
+def test_signals_are_handled_within_the_wait_and_do_not_bring_the_tick_forward():
     handled_ns: list[int] = []
     clock = GridClock(300 * MS, spin_ns=0)
     clock.wait()
@@ -230,7 +222,7 @@ def test_signals_are_handled_within_the_wait_and_do_not_bring_the_tick_forward()
 
 
 @linux_only
-def test_an_interrupted_sleep_is_slept_to_its_end() -> None:
+def test_an_interrupted_sleep_is_slept_to_its_end():
     alarm_ns = time.monotonic_ns() + 50 * MS
     with interrupted(lambda *_: None, 0.005, 0.005):
         make_monotonic_sleeper()(alarm_ns)
@@ -238,7 +230,7 @@ def test_an_interrupted_sleep_is_slept_to_its_end() -> None:
 
 
 @linux_only
-def test_a_handler_that_raises_ends_the_wait_and_leaves_the_grid_valid() -> None:
+def test_a_handler_that_raises_ends_the_wait_and_leaves_the_grid_valid():
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
@@ -254,14 +246,14 @@ def test_a_handler_that_raises_ends_the_wait_and_leaves_the_grid_valid() -> None
 # No clock at all.
 
 
-def test_the_virtual_clock_misses_what_a_test_wants_missed() -> None:
+def test_the_virtual_clock_misses_what_a_test_wants_missed():
     clock = VirtualClock(MS, missed={2: 3})
     wakes = [clock.wait() for _ in range(4)]
     assert [(wake.tick, wake.missed) for wake in wakes] == [(0, 0), (1, 0), (5, 3), (6, 0)]
     assert wakes[2].now_ns == wakes[2].deadline_ns == 5 * MS
 
 
-def test_a_virtual_clock_without_a_period_is_refused() -> None:
+def test_a_virtual_clock_without_a_period_is_refused():
     with pytest.raises(ValueError, match="period_ns must be positive, got -1"):
         VirtualClock(-1)
 
@@ -269,7 +261,7 @@ def test_a_virtual_clock_without_a_period_is_refused() -> None:
 # The rehearsal.
 
 
-def test_a_rehearsal_runs_in_every_spin_and_moves_no_tick(fake: FakeTime) -> None:
+def test_a_rehearsal_runs_in_every_spin_and_moves_no_tick(fake):
     clock = fake.clock(spin_ns=100_000)
     ran_at_ns: list[int] = []
 
@@ -284,9 +276,7 @@ def test_a_rehearsal_runs_in_every_spin_and_moves_no_tick(fake: FakeTime) -> Non
         assert at_ns < wake.deadline_ns <= wake.now_ns <= wake.deadline_ns + 2 * fake.read_ns
 
 
-def test_a_rehearsal_that_would_not_end_in_time_is_left_out_until_it_is_short(
-    fake: FakeTime,
-) -> None:
+def test_a_rehearsal_that_would_not_end_in_time_is_left_out_until_it_is_short(fake):
     clock = fake.clock(spin_ns=100_000)
     long_ns, ran = 400_000, []
 

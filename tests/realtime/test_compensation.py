@@ -63,7 +63,7 @@ def opening_v(effects: Effects, memory: Any, command_v: float) -> float:
 
 
 @pytest.mark.parametrize("valve", VALVES)
-def test_a_compensated_valve_opens_as_an_ideal_one(valve: str) -> None:
+def test_a_compensated_valve_opens_as_an_ideal_one(valve):
     parameters = plant_parameters(PlantSettings.model_validate({"effects": VALVES[valve]}))
     memory = vented_state(parameters).valve.memory
     table = compensation_of(VALVES[valve])
@@ -74,7 +74,7 @@ def test_a_compensated_valve_opens_as_an_ideal_one(valve: str) -> None:
         assert opened == pytest.approx(wanted_v, abs=6e-3), wanted_v
 
 
-def test_the_inverse_of_a_dead_band_is_its_width_added_and_steep_only_at_null() -> None:
+def test_the_inverse_of_a_dead_band_is_its_width_added_and_steep_only_at_null():
     table = compensation_of(VALVES["dead band"])
     assert find_command_v(table, 1.0) == pytest.approx(1.25, abs=1e-9)
     assert find_command_v(table, -1.0) == pytest.approx(-1.15, abs=1e-9)
@@ -87,9 +87,7 @@ TABLES = {name: compensation_of(effects) for name, effects in VALVES.items()}
 
 
 @given(st.sampled_from(sorted(VALVES)), st.floats(-12.0, 12.0), st.floats(-12.0, 12.0))
-def test_the_command_is_bounded_continuous_and_never_falls(
-    valve: str, one_v: float, other_v: float
-) -> None:
+def test_the_command_is_bounded_continuous_and_never_falls(valve, one_v, other_v):
     table = TABLES[valve]
     low_v, high_v = sorted((one_v, other_v))
     low, high = find_command_v(table, low_v), find_command_v(table, high_v)
@@ -97,7 +95,7 @@ def test_the_command_is_bounded_continuous_and_never_falls(
     assert high - low <= STEEPEST * (high_v - low_v) + 1e-9
 
 
-def test_what_is_not_a_number_and_what_is_open_loop_pass_unchanged() -> None:
+def test_what_is_not_a_number_and_what_is_open_loop_pass_unchanged():
     table = compensation_of(VALVES["dead band"])
     tracking = Reference(int(Phase.TRACK), 0.0, 0.0, 0.0, 0.0, np.nan)
     lost = Command(np.nan, 0.0, 0.0, 0.0, False)
@@ -107,7 +105,7 @@ def test_what_is_not_a_number_and_what_is_open_loop_pass_unchanged() -> None:
     assert compensate_command(None, tracking, wanted) is wanted
 
 
-def test_sensors_are_corrected_by_a_line() -> None:
+def test_sensors_are_corrected_by_a_line():
     effects = {
         "encoder_scale": {"scale": 1.02},
         "pressure_sensor_gain": {"gain": 0.95},
@@ -134,9 +132,7 @@ def test_sensors_are_corrected_by_a_line() -> None:
         (("valve_curve",), {"valve_curve": {"curvature_per_v": -0.15, "exponent": 0.5}}, ""),
     ],
 )
-def test_what_cannot_be_undone_is_refused_with_the_reason(
-    names: tuple[str, ...], plant: dict[str, Any], said: str
-) -> None:
+def test_what_cannot_be_undone_is_refused_with_the_reason(names, plant, said):
     base = resolve()
     rig = base.rig.model_copy(update={"compensate": names})
     given = PlantSettings.model_validate({"effects": plant})
@@ -149,7 +145,7 @@ def test_what_cannot_be_undone_is_refused_with_the_reason(
         resolve(overrides=[f"rig.compensate={list(names)}"])
 
 
-def test_a_valve_that_closes_again_at_a_larger_command_has_no_inverse(monkeypatch) -> None:
+def test_a_valve_that_closes_again_at_a_larger_command_has_no_inverse(monkeypatch):
     def turn_back(_: Any, names: Any, wanted_v: float) -> float:
         """An effect of a user's own: 0.1 V less for each volt beyond 2."""
         return math.copysign(min(abs(wanted_v), 2.2 - 0.1 * abs(wanted_v)), wanted_v)
@@ -159,7 +155,7 @@ def test_a_valve_that_closes_again_at_a_larger_command_has_no_inverse(monkeypatc
         compensation_of(VALVES["dead band"])
 
 
-def test_all_static_effects_of_valve_and_sensors_can_be_undone() -> None:
+def test_all_static_effects_of_valve_and_sensors_can_be_undone():
     assert set(list_undoable()) >= {
         "valve_deadband", "valve_asymmetry", "valve_curve", "valve_saturation",
         "encoder_scale", "pressure_sensor_gain", "pressure_sensor_offset",
@@ -198,13 +194,13 @@ def true_rms_um(settings: RunSettings) -> float:
 
 
 @pytest.mark.long
-def test_a_compensated_run_tracks_the_truth_better(tmp_path: Path) -> None:
+def test_a_compensated_run_tracks_the_truth_better(tmp_path):
     without = true_rms_um(settings_with(tmp_path))
     with_both = true_rms_um(settings_with(tmp_path, COMPENSATE))
     assert with_both < 0.2 * without  # 2 % of 12 mm are gone
 
 
-def test_a_run_without_compensation_has_the_columns_and_keyframes_of_before(tmp_path: Path) -> None:
+def test_a_run_without_compensation_has_the_columns_and_keyframes_of_before(tmp_path):
     done = run(settings_with(tmp_path))
     assert all(record.compensation is None for record in done.journal.ticks)
     setup = build_tick_setup(settings_with(tmp_path))
@@ -214,7 +210,7 @@ def test_a_run_without_compensation_has_the_columns_and_keyframes_of_before(tmp_
     assert len(freeze_state(state)) == len(keyframe_fields(state))
 
 
-def test_the_frozen_state_of_a_compensated_tick_thaws_to_itself(tmp_path: Path) -> None:
+def test_the_frozen_state_of_a_compensated_tick_thaws_to_itself(tmp_path):
     setup = build_tick_setup(settings_with(tmp_path, COMPENSATE))
     nowhere = first_state(setup, Zero(0.2, 0.0))
     state = nowhere._replace(compensated=Compensated(0.1, 0.2, 0.3))
@@ -223,7 +219,7 @@ def test_the_frozen_state_of_a_compensated_tick_thaws_to_itself(tmp_path: Path) 
 
 
 @pytest.mark.long
-def test_a_compensated_run_is_logged_checked_and_replayed_to_the_bit(tmp_path: Path) -> None:
+def test_a_compensated_run_is_logged_checked_and_replayed_to_the_bit(tmp_path):
     settings_with(tmp_path)
     log = tmp_path / "run.mcap"
     settings = ["--set", COMPENSATE, *(part for o in SHORT for part in ("--set", o))]

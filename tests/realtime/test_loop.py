@@ -78,7 +78,7 @@ def undisturbed() -> Run:
     return run(short())
 
 
-def test_every_tick_is_on_record_once_and_in_order(undisturbed: Run) -> None:
+def test_every_tick_is_on_record_once_and_in_order(undisturbed):
     ticks = [record.timing.tick for record in undisturbed.journal.ticks]
     assert ticks == list(range(APPROACH_TICKS + TRACK_TICKS + STOP_TICKS))
     phases = [record.reference.phase for record in undisturbed.journal.ticks]
@@ -90,14 +90,14 @@ def test_every_tick_is_on_record_once_and_in_order(undisturbed: Run) -> None:
     )
 
 
-def test_a_record_says_what_was_applied_to_the_code(undisturbed: Run) -> None:
+def test_a_record_says_what_was_applied_to_the_code(undisturbed):
     for record in undisturbed.journal.ticks:
         asked_v = 5.0 + record.decision.valve_v
         assert abs(record.outcome.applied_v - asked_v) <= AO_STEP_V / 2 * (1 + 1e-9)
         assert (record.outcome.applied_v / AO_STEP_V).is_integer()
 
 
-def test_without_a_clock_all_durations_are_zero_and_all_ticks_one_period(undisturbed: Run) -> None:
+def test_without_a_clock_all_durations_are_zero_and_all_ticks_one_period(undisturbed):
     for record in undisturbed.journal.ticks:
         assert record.outcome[1:] == (0.0, 0.0, 0.0)
         assert record.timing.dt_s == pytest.approx(1e-3, abs=1e-15)
@@ -105,7 +105,7 @@ def test_without_a_clock_all_durations_are_zero_and_all_ticks_one_period(undistu
         assert (record.timing.late_s, record.timing.missed) == (0.0, 0)
 
 
-def test_the_muscle_followed_its_reference(undisturbed: Run) -> None:
+def test_the_muscle_followed_its_reference(undisturbed):
     settled = undisturbed.journal.phase(Phase.TRACK)
     true_m = [record.truth.true_position_m - record.reference.reference_m for record in settled]
     assert max(map(abs, true_m)) < 1.5e-3
@@ -113,7 +113,7 @@ def test_the_muscle_followed_its_reference(undisturbed: Run) -> None:
     assert max(reached) == pytest.approx(17.2e-3, abs=1.5e-3)
 
 
-def test_the_stop_is_a_ramp_from_the_last_command_to_the_safe_one(undisturbed: Run) -> None:
+def test_the_stop_is_a_ramp_from_the_last_command_to_the_safe_one(undisturbed):
     last = undisturbed.journal.phase(Phase.TRACK)[-1].decision.valve_v
     ramp = [record.decision.valve_v for record in undisturbed.journal.phase(Phase.STOPPING)]
     safe_v = SAFE_OUTPUT_V - 5.0
@@ -125,7 +125,7 @@ def test_the_stop_is_a_ramp_from_the_last_command_to_the_safe_one(undisturbed: R
     ]
 
 
-def test_once_a_second_a_keyframe_holds_the_state_after_its_tick(undisturbed: Run) -> None:
+def test_once_a_second_a_keyframe_holds_the_state_after_its_tick(undisturbed):
     assert [tick for tick, _ in undisturbed.journal.keyframes] == [999, 1999, 2999, 3999]
     names = keyframe_fields(loop.first_state(build_tick_setup(short()), loop.Zero(0.0, 0.0)))
     for tick, state in undisturbed.journal.keyframes:
@@ -137,7 +137,7 @@ def test_once_a_second_a_keyframe_holds_the_state_after_its_tick(undisturbed: Ru
     assert KEYFRAME_TICKS == 1000
 
 
-def test_with_an_output_delay_the_run_ends_as_well() -> None:
+def test_with_an_output_delay_the_run_ends_as_well():
     delayed = run(short("rig.sim.output_delay_ticks=1"))
     assert delayed.ending.code == ExitCode.OK
     assert_left_safe(delayed)
@@ -150,7 +150,7 @@ def homing(*overrides: str, **changes: Any) -> Run:
     return run(run_settings(*SHORT, *BENCH, *overrides), **changes)
 
 
-def test_homing_comes_first_and_its_zeros_are_on_record() -> None:
+def test_homing_comes_first_and_its_zeros_are_on_record():
     homed = homing("duration_s=0.5")
     assert homed.ending.code == ExitCode.OK
     nominal, found = homed.journal.named("zeroed")
@@ -175,7 +175,7 @@ def test_homing_comes_first_and_its_zeros_are_on_record() -> None:
         (("rig.homing.timeout_s=0.3", "rig.homing.steady_v=1e-6"), "still moving 0.3 s"),
     ],
 )
-def test_a_rig_that_cannot_be_homed_ends_with_code_4_and_the_reason(overrides, said) -> None:
+def test_a_rig_that_cannot_be_homed_ends_with_code_4_and_the_reason(overrides, said):
     failed = homing(*overrides)
     assert failed.ending.code == ExitCode.SAFETY_TRIP == 4
     assert said in failed.ending.reason
@@ -187,7 +187,7 @@ def test_a_rig_that_cannot_be_homed_ends_with_code_4_and_the_reason(overrides, s
 
 
 @pytest.mark.parametrize("kind", ["read_error", "device_lost"])
-def test_a_failing_read_ends_with_code_69_at_the_safe_voltage(kind: str) -> None:
+def test_a_failing_read_ends_with_code_69_at_the_safe_voltage(kind):
     ran = run(short(), fault(kind))
     assert ran.ending.code == ExitCode.UNAVAILABLE == 69
     assert f"{kind} injected at tick 2000" in ran.ending.reason
@@ -196,7 +196,7 @@ def test_a_failing_read_ends_with_code_69_at_the_safe_voltage(kind: str) -> None
     assert all(math.isfinite(record.outcome.applied_v) for record in ran.journal.ticks)
 
 
-def test_a_failing_write_ends_with_code_69_and_its_tick_is_on_record() -> None:
+def test_a_failing_write_ends_with_code_69_and_its_tick_is_on_record():
     ran = run(short(), fault("write_error"))
     assert ran.ending.code == ExitCode.UNAVAILABLE
     assert "write_error injected at tick 2000" in ran.ending.reason
@@ -210,13 +210,13 @@ def test_a_failing_write_ends_with_code_69_and_its_tick_is_on_record() -> None:
 
 
 @pytest.mark.parametrize("kind", ["read_error", "write_error", "device_lost"])
-def test_a_device_that_fails_in_the_first_tick_ends_safe_too(kind: str) -> None:
+def test_a_device_that_fails_in_the_first_tick_ends_safe_too(kind):
     ran = run(short(), fault(kind, from_tick=0))
     assert ran.ending.code == ExitCode.UNAVAILABLE
     assert_left_safe(ran)
 
 
-def test_the_ending_is_told_once_the_valve_is_safe_and_before_the_device_is_released() -> None:
+def test_the_ending_is_told_once_the_valve_is_safe_and_before_the_device_is_released():
     settings = short()
     made, told = parts(settings, [fault("read_error", from_tick=5)]), []
     ending = loop.ControlLoop(
@@ -244,7 +244,7 @@ class Shut:
         raise RigError("no such device Dev1", fix="check the name", code=-200220)
 
 
-def test_a_device_that_does_not_open_ends_with_code_69_and_its_own_words() -> None:
+def test_a_device_that_does_not_open_ends_with_code_69_and_its_own_words():
     ran = run(short(), wrap=Shut)
     assert ran.ending.code == ExitCode.UNAVAILABLE
     assert ran.ending.reason == "no such device Dev1 (device error -200220); check the name"
@@ -263,7 +263,7 @@ TRIPS = {
 
 
 @pytest.mark.parametrize("kind", TRIPS)
-def test_a_sensor_gone_bad_ends_with_code_4_and_the_reason(kind) -> None:
+def test_a_sensor_gone_bad_ends_with_code_4_and_the_reason(kind):
     bit, within = TRIPS[kind]
     ran = run(short(), fault(kind, from_tick=1600, size=-20_000))
     last = ran.journal.ticks[-1]
@@ -284,7 +284,7 @@ def test_a_sensor_gone_bad_ends_with_code_4_and_the_reason(kind) -> None:
 
 
 @pytest.mark.parametrize("kind", ["stale_sample", "broken_wire"])
-def test_a_sensor_that_is_bad_while_homing_trips_too(kind: str) -> None:
+def test_a_sensor_that_is_bad_while_homing_trips_too(kind):
     ran = run(run_settings(*SHORT, *BENCH), fault(kind, from_tick=300))
     assert ran.ending.code == ExitCode.SAFETY_TRIP
     assert ran.journal.ticks[-1].reference.phase == Phase.HOMING
@@ -299,7 +299,7 @@ class Bug(Exception):
 
 
 @pytest.mark.parametrize("raised", [Bug, KeyboardInterrupt])
-def test_an_error_in_the_tick_is_raised_with_the_rig_already_safe(monkeypatch, raised) -> None:
+def test_an_error_in_the_tick_is_raised_with_the_rig_already_safe(monkeypatch, raised):
     right, calls = run_ticks.step, []
 
     def wrong(*arguments: Any) -> Any:
@@ -325,7 +325,7 @@ class FullJournal(MemoryJournal):
         super().put_row(row, late_s, missed)
 
 
-def test_a_tick_that_cannot_be_kept_ends_the_run_safe() -> None:
+def test_a_tick_that_cannot_be_kept_ends_the_run_safe():
     rigs: list[Any] = []
     with pytest.raises(OverflowError, match="ring is full"):
         run(short(), journal=FullJournal(), wrap=lambda rig: rigs.append(rig) or rig)
@@ -337,7 +337,7 @@ def test_a_tick_that_cannot_be_kept_ends_the_run_safe() -> None:
 INTERRUPTED = Ending(ExitCode.SIGINT, "stopped by SIGINT")
 
 
-def test_the_first_signal_stops_smoothly_and_gives_its_exit_code() -> None:
+def test_the_first_signal_stops_smoothly_and_gives_its_exit_code():
     ran = run(short(), supervisor=ScriptedSupervisor(INTERRUPTED, stop_at=2000))
     assert ran.ending == INTERRUPTED
     assert ran.ending.code == 130
@@ -351,7 +351,7 @@ def test_the_first_signal_stops_smoothly_and_gives_its_exit_code() -> None:
     assert_left_safe(ran)
 
 
-def test_the_second_signal_stops_at_once() -> None:
+def test_the_second_signal_stops_at_once():
     ran = run(short(), supervisor=ScriptedSupervisor(INTERRUPTED, stop_at=2000, abort_at=2030))
     assert ran.ending == INTERRUPTED
     assert ran.journal.ticks[-1].timing.tick == 2030
@@ -381,14 +381,14 @@ class TwoSignals(ScriptedSupervisor):
 
 
 @pytest.mark.parametrize("after", ["stop_wanted", "abort_wanted"])
-def test_two_signals_within_one_tick_are_no_success(after: str) -> None:
+def test_two_signals_within_one_tick_are_no_success(after):
     ran = run(short(), supervisor=TwoSignals(after))
     assert ran.ending == INTERRUPTED
     assert ran.journal.ticks[-1].timing.tick in (2000, 2001, 2002)
     assert_left_safe(ran)
 
 
-def test_a_stop_while_homing_ends_smoothly_too() -> None:
+def test_a_stop_while_homing_ends_smoothly_too():
     ran = homing(supervisor=ScriptedSupervisor(INTERRUPTED, stop_at=100))
     assert ran.ending == INTERRUPTED
     assert {record.reference.phase for record in ran.journal.ticks} == {
@@ -398,7 +398,7 @@ def test_a_stop_while_homing_ends_smoothly_too() -> None:
     assert_left_safe(ran)
 
 
-def test_a_fault_during_the_stop_still_trips() -> None:
+def test_a_fault_during_the_stop_still_trips():
     supervisor = ScriptedSupervisor(INTERRUPTED, stop_at=2000)
     ran = run(short(), fault("pressure_nan", from_tick=2050), supervisor=supervisor)
     assert ran.ending.code == ExitCode.SAFETY_TRIP
@@ -408,7 +408,7 @@ def test_a_fault_during_the_stop_still_trips() -> None:
 # --- missed ticks ----------------------------------------------------------------------
 
 
-def test_missed_ticks_are_counted_and_the_measured_dt_is_used_and_tracking_goes_on() -> None:
+def test_missed_ticks_are_counted_and_the_measured_dt_is_used_and_tracking_goes_on():
     gaps = {at: 1 + n % 4 for n, at in enumerate(range(150, 4000, 170))}
     late = run(short(), missed=gaps)
     assert late.ending.code == ExitCode.OK
@@ -426,14 +426,14 @@ def test_missed_ticks_are_counted_and_the_measured_dt_is_used_and_tracking_goes_
     assert max(map(abs, true_m)) < 1.5e-3
 
 
-def test_too_many_missed_ticks_end_with_code_5() -> None:
+def test_too_many_missed_ticks_end_with_code_5():
     ran = run(short(), missed=dict.fromkeys(range(1500, 4000), 1))
     assert ran.ending.code == ExitCode.OVERRUNS == 5
     assert ran.journal.ticks[-1].decision.verdicts == OVERRUNS
     assert_left_safe(ran)
 
 
-def test_a_gap_longer_than_a_sample_may_be_old_is_a_stale_sample() -> None:
+def test_a_gap_longer_than_a_sample_may_be_old_is_a_stale_sample():
     ran = run(short(), missed={1500: 51})
     assert ran.ending.code == ExitCode.SAFETY_TRIP
     assert ran.journal.ticks[-1].decision.verdicts & STALE_SAMPLE
@@ -465,7 +465,7 @@ class SlowClock:
         return loop.Wake(self._tick, deadline_ns, self._now_ns, 0)
 
 
-def test_a_record_says_how_late_the_tick_was_and_how_long_its_parts_took() -> None:
+def test_a_record_says_how_late_the_tick_was_and_how_long_its_parts_took():
     settings = short(duration_s=0.1)
     made, journal, clock = parts(settings), MemoryJournal(), SlowClock()
     made.rig._now_ns = clock.now_ns

@@ -26,7 +26,7 @@ def orders(slot: memoryview) -> Orders:
     return Orders(slot)
 
 
-def test_an_order_is_taken_once(orders: Orders) -> None:
+def test_an_order_is_taken_once(orders):
     orders.send({"do": "mark", "text": "here"})
     assert not orders.is_free
     assert orders.take() == {"do": "mark", "text": "here"}
@@ -34,20 +34,20 @@ def test_an_order_is_taken_once(orders: Orders) -> None:
     assert orders.is_free
 
 
-def test_a_second_order_waits_until_the_first_was_taken(orders: Orders) -> None:
+def test_a_second_order_waits_until_the_first_was_taken(orders):
     orders.send({"do": "stop", "reason": "first"})
     with pytest.raises(OrderError, match="not taken"):
         orders.send({"do": "stop", "reason": "second"})
     assert orders.take() == {"do": "stop", "reason": "first"}
 
 
-def test_what_does_not_fit_is_refused_and_leaves_the_slot_free(orders: Orders) -> None:
+def test_what_does_not_fit_is_refused_and_leaves_the_slot_free(orders):
     with pytest.raises(OrderError, match="exceed"):
         orders.send({"text": "x" * MARK_SLOT_BYTES})
     assert orders.is_free
 
 
-def test_an_order_that_nobody_takes_is_reported_in_time(orders: Orders) -> None:
+def test_an_order_that_nobody_takes_is_reported_in_time(orders):
     orders.send({"do": "mark", "text": ""})
     with pytest.raises(OrderError, match="within"):
         orders.wait_until_taken(0.02)
@@ -55,7 +55,7 @@ def test_an_order_that_nobody_takes_is_reported_in_time(orders: Orders) -> None:
         orders.wait_until_taken(10.0, lambda: False)
 
 
-def test_the_emergency_stop_needs_no_free_slot(orders: Orders) -> None:
+def test_the_emergency_stop_needs_no_free_slot(orders):
     orders.send({"do": "mark", "text": ""})
     assert not orders.emergency
     orders.stop_now()
@@ -63,7 +63,7 @@ def test_the_emergency_stop_needs_no_free_slot(orders: Orders) -> None:
 
 
 @given(st.lists(st.dictionaries(st.text(), st.floats() | st.integers() | st.text()), max_size=5))
-def test_orders_arrive_as_they_were_sent(sent: list[dict[str, object]]) -> None:
+def test_orders_arrive_as_they_were_sent(sent):
     orders = Orders(memoryview(bytearray(SESSION_SLOT_BYTES)))
     for order in sent:
         orders.send(order)
@@ -78,7 +78,7 @@ def expected(order: dict[str, object]) -> dict[str, object]:
     return {k: spelled.get(v, v) if isinstance(v, str) else v for k, v in order.items()}
 
 
-def test_two_processes_share_it(slot: memoryview, orders: Orders) -> None:
+def test_two_processes_share_it(slot, orders):
     """A thread stands for the loop: the slot knows processes only by their memory."""
     other = Orders(slot)
     taken = []
@@ -116,7 +116,7 @@ def tuning() -> GainRamp:
     return GainRamp(build_tick_setup(SETTINGS), SETTINGS.controller)
 
 
-def test_a_gain_goes_from_old_to_new_in_equal_steps_and_stays_there() -> None:
+def test_a_gain_goes_from_old_to_new_in_equal_steps_and_stays_there():
     tuned = tuning()
     new = controller("controller.lambda_per_s=40")
     (old_pole,) = poles(tuned, [1.0])
@@ -128,7 +128,7 @@ def test_a_gain_goes_from_old_to_new_in_equal_steps_and_stays_there() -> None:
     assert found[3:] == [new_pole, new_pole]
 
 
-def test_no_ramp_is_shorter_than_fifty_ticks() -> None:
+def test_no_ramp_is_shorter_than_fifty_ticks():
     tuned = tuning()
     (old,) = poles(tuned, [1.0])
     tuned.change(controller("controller.lambda_per_s=40"), 1.0, 0.0)
@@ -136,7 +136,7 @@ def test_no_ramp_is_shorter_than_fifty_ticks() -> None:
     assert first - old == pytest.approx((40.0**1.75 - old) * 1e-3 / SHORTEST_RAMP_S)
 
 
-def test_a_change_on_the_way_goes_on_from_the_gains_of_the_moment() -> None:
+def test_a_change_on_the_way_goes_on_from_the_gains_of_the_moment():
     tuned = tuning()
     tuned.change(controller("controller.lambda_per_s=40"), 1.0, 1.0)
     (halfway,) = poles(tuned, [1.5])
@@ -156,9 +156,7 @@ def test_a_change_on_the_way_goes_on_from_the_gains_of_the_moment() -> None:
         (("qsmc", ["controller.reaching_law=eta"]), "reaching_law"),
     ],
 )
-def test_what_is_another_law_is_refused_and_changes_nothing(
-    other: tuple[str, list[str]], said: str
-) -> None:
+def test_what_is_another_law_is_refused_and_changes_nothing(other, said):
     tuned = tuning()
     before = tuned.at(1.0)
     with pytest.raises(GainRampError, match=said):
@@ -166,7 +164,7 @@ def test_what_is_another_law_is_refused_and_changes_nothing(
     assert tuned.at(2.0) is before
 
 
-def test_between_runs_another_law_is_taken_at_once() -> None:
+def test_between_runs_another_law_is_taken_at_once():
     tuned = tuning()
     pid = controller(name="pid")
     tuned.replace(pid)
@@ -174,7 +172,7 @@ def test_between_runs_another_law_is_taken_at_once() -> None:
 
 
 @given(share=st.floats(0, 1), low=st.floats(1, 60), high=st.floats(1, 60))
-def test_gains_on_the_way_lie_between_the_two_ends(share: float, low: float, high: float) -> None:
+def test_gains_on_the_way_lie_between_the_two_ends(share, low, high):
     ends: list[TickSetup] = [
         build_tick_setup(resolve(overrides=[f"controller.lambda_per_s={value!r}"]))
         for value in (low, high)

@@ -169,7 +169,7 @@ def bits(verdicts: int) -> list[int]:
 
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("dt_s", [1e-3, 4e-3])
-def test_a_law_changes_the_valve_no_faster_than_the_slew_limit(sign: int, dt_s: float) -> None:
+def test_a_law_changes_the_valve_no_faster_than_the_slew_limit(sign, dt_s):
     lim = limited(slew_v_per_s=100.0)
     reach_v = 100.0 * dt_s
     _, slow, fast = decisions(
@@ -180,7 +180,7 @@ def test_a_law_changes_the_valve_no_faster_than_the_slew_limit(sign: int, dt_s: 
     assert fast.valve_v == pytest.approx(sign * 1.999 * reach_v)
 
 
-def test_a_law_that_takes_over_is_slowed_from_the_open_loop_command() -> None:
+def test_a_law_that_takes_over_is_slowed_from_the_open_loop_command():
     lim = limited(slew_v_per_s=100.0)
     _, taken_over = decisions(lim, Seen(2.0, open_loop=True), Seen(0.0))
     assert taken_over == Decision(pytest.approx(1.9), SLEW, False)
@@ -231,7 +231,7 @@ AT_ONCE_LIMITS = limited(pressure_pa=250e3, speed_mm_per_s=20.0)._replace(
 
 
 @pytest.mark.parametrize("case", AT_ONCE)
-def test_a_rule_without_patience_trips_at_its_limit_and_not_below(case: str) -> None:
+def test_a_rule_without_patience_trips_at_its_limit_and_not_below(case):
     bit, below, beyond = AT_ONCE[case]
     allowed = decisions(AT_ONCE_LIMITS, Seen(), below)[-1]
     tripped = decisions(AT_ONCE_LIMITS, Seen(), beyond)[-1]
@@ -239,11 +239,11 @@ def test_a_rule_without_patience_trips_at_its_limit_and_not_below(case: str) -> 
     assert tripped == Decision(SAFE_V, bit, True)
 
 
-def test_the_first_tick_has_no_previous_position_to_jump_from() -> None:
+def test_the_first_tick_has_no_previous_position_to_jump_from():
     assert decisions(limited(), Seen(position_m=0.025))[0].verdicts == 0
 
 
-def test_an_encoder_may_move_as_far_as_the_time_it_had() -> None:
+def test_an_encoder_may_move_as_far_as_the_time_it_had():
     far = Seen(position_m=0.010 + 2.0 * 5e-3, dt_s=5e-3)
     assert decisions(limited(), Seen(), far)[-1].verdicts == 0
     assert decisions(limited(), Seen(), far._replace(dt_s=4e-3))[-1].verdicts == ENCODER_JUMP
@@ -259,7 +259,7 @@ PATIENT = {
 
 @pytest.mark.parametrize("case", PATIENT)
 @pytest.mark.parametrize("dt_s", [1e-3, 3e-3])
-def test_a_rule_with_patience_trips_when_it_is_over(case: str, dt_s: float) -> None:
+def test_a_rule_with_patience_trips_when_it_is_over(case, dt_s):
     bit, below, beyond = PATIENT[case]
     assert decisions(limited(), *held_ticks(below, 200))[-1].verdicts == 0
     found = decisions(limited(), *held_ticks(beyond._replace(dt_s=dt_s), 30))
@@ -269,25 +269,25 @@ def test_a_rule_with_patience_trips_when_it_is_over(case: str, dt_s: float) -> N
 
 
 @pytest.mark.parametrize("case", PATIENT)
-def test_a_glitch_shorter_than_the_patience_is_forgiven_every_time(case: str) -> None:
+def test_a_glitch_shorter_than_the_patience_is_forgiven_every_time(case):
     _, _, beyond = PATIENT[case]
     ticks = ([beyond] * 19 + [Seen()]) * 20
     assert all(d.verdicts == 0 for d in decisions(limited(), *ticks))
 
 
-def test_without_patience_a_broken_wire_trips_in_its_first_tick() -> None:
+def test_without_patience_a_broken_wire_trips_in_its_first_tick():
     lim = limited(patience_s=0.0)
     assert decisions(lim, Seen(), Seen(sensor_v=0.0))[-1].verdicts == SENSOR_RANGE
 
 
-def test_missed_ticks_are_forgotten_within_a_few_seconds() -> None:
+def test_missed_ticks_are_forgotten_within_a_few_seconds():
     rest = [Seen()] * 3000
     lim = limited()
     assert decisions(lim, Seen(missed=90), *rest, Seen(missed=90))[-1].verdicts == 0
     assert decisions(lim, Seen(missed=90), *rest[:50], Seen(missed=90))[-1].verdicts == OVERRUNS
 
 
-def test_every_verdict_has_its_own_bit_and_words() -> None:
+def test_every_verdict_has_its_own_bit_and_words():
     assert explain_verdicts(0) == []
     for bit, meaning in VERDICTS.items():
         assert bits(bit) == [bit]
@@ -296,7 +296,7 @@ def test_every_verdict_has_its_own_bit_and_words() -> None:
     assert len(set(VERDICTS.values())) == len(VERDICTS) == 14
 
 
-def test_limits_that_exclude_each_other_are_refused() -> None:
+def test_limits_that_exclude_each_other_are_refused():
     with pytest.raises(ValueError, match="below sensor_high_v"):
         LimitSettings(sensor_low_v=2.0, sensor_high_v=2.0)
 
@@ -378,7 +378,7 @@ STUCK = {
 
 @pytest.mark.parametrize("case", STUCK)
 @pytest.mark.parametrize("delay", [0, 1])
-def test_a_stuck_valve_is_noticed_within_a_fifth_of_a_second(case: str, delay: int) -> None:
+def test_a_stuck_valve_is_noticed_within_a_fifth_of_a_second(case, delay):
     bit, start, before_v, then_v, stuck_v = STUCK[case]
     found = driven(
         lambda t_s: before_v if t_s < STUCK_FROM_S else then_v,
@@ -391,7 +391,7 @@ def test_a_stuck_valve_is_noticed_within_a_fifth_of_a_second(case: str, delay: i
     assert STUCK_FROM_S < found.t_s < STUCK_FROM_S + 0.2
 
 
-def test_a_burst_hose_is_noticed_while_filling() -> None:
+def test_a_burst_hose_is_noticed_while_filling():
     """Half of the valve's flow escapes: the muscle never gets beyond some 200 kPa."""
     found = driven(square(0.25), 1.0, really=lambda t_s, command_v: 0.1 * command_v)
     assert found.decision.verdicts == PRESSURE_TOO_LOW
@@ -400,9 +400,7 @@ def test_a_burst_hose_is_noticed_while_filling() -> None:
 
 @pytest.mark.parametrize("late_s", [10e-3, 25e-3, 45e-3])
 @pytest.mark.parametrize("command_v", [5.0, 2.0, -5.0])
-def test_a_tick_that_comes_late_while_the_muscle_fills_or_empties_trips_nothing(
-    command_v: float, late_s: float
-) -> None:
+def test_a_tick_that_comes_late_while_the_muscle_fills_or_empties_trips_nothing(command_v, late_s):
     """The measured pressure is that of the paper's equations, solved by scipy."""
     instants_s = np.cumsum([0.0, 1e-3, 1e-3, late_s, 1e-3, late_s, *[1e-3] * 40])
     start_pa = 120e3 if command_v > 0.0 else 420e3
@@ -457,7 +455,7 @@ NEAR = {
 
 
 @pytest.mark.parametrize("name", NEAR)
-def test_squares_at_full_scale_never_trip_a_muscle_near_the_model(name: str) -> None:
+def test_squares_at_full_scale_never_trip_a_muscle_near_the_model(name):
     plant = plant_with(**NEAR[name])
     for frequency_hz, delay in ((0.25, 1), (0.5, 0), (1.0, 1), (2.0, 0), (2.0, 1)):
         found = driven(square(frequency_hz), max(1.0, 1.0 / frequency_hz), plant=plant, delay=delay)
@@ -466,7 +464,7 @@ def test_squares_at_full_scale_never_trip_a_muscle_near_the_model(name: str) -> 
 
 
 @pytest.mark.parametrize("name", ["paper", "60 Hz valve", "stiffness_n_per_m -20%", "all of it"])
-def test_tracking_never_trips_a_muscle_near_the_model(name: str) -> None:
+def test_tracking_never_trips_a_muscle_near_the_model(name):
     """Whatever the law makes of such a muscle: the pressure still follows its command."""
     run = run_settings(plant="paper")
     setup = build_tick_setup(run)
@@ -495,7 +493,7 @@ def test_tracking_never_trips_a_muscle_near_the_model(name: str) -> None:
     assert muscle.position_m > 5e-3
 
 
-def test_a_model_pressure_from_nowhere_cannot_raise() -> None:
+def test_a_model_pressure_from_nowhere_cannot_raise():
     """Where the encoder says there is no muscle left, the other rules decide."""
     away = Seen(
         position_m=MODEL.paper.rest_length_m, phase=Phase.HOMING, open_loop=True, command_v=5.0

@@ -66,7 +66,7 @@ def become_nobody():
 
 
 @root_only
-def test_what_is_permitted_is_done_and_release_undoes_it() -> None:
+def test_what_is_permitted_is_done_and_release_undoes_it():
     seen = in_fresh_process(
         """
 before = state()
@@ -98,7 +98,7 @@ print(json.dumps([steps, before, during, state(), int(child)]))
 
 
 @linux_only
-def test_the_loop_runs_on_the_cpu_asked_for() -> None:
+def test_the_loop_runs_on_the_cpu_asked_for():
     cpus = sorted(os.sched_getaffinity(0))
     if len(cpus) < 2:
         pytest.skip("needs two CPUs")
@@ -115,7 +115,7 @@ with prepare("auto", cpu={cpus[0]}):
 
 
 @root_only
-def test_auto_goes_on_with_a_clear_line_where_a_user_is_refused_and_takes_what_is_left() -> None:
+def test_auto_goes_on_with_a_clear_line_where_a_user_is_refused_and_takes_what_is_left():
     seen = in_fresh_process(
         """
 become_nobody()
@@ -143,7 +143,7 @@ print(json.dumps([*told, before_ns, during_ns, state_ns()]))
 
 
 @root_only
-def test_require_fails_with_every_refused_step_and_undoes_the_others() -> None:
+def test_require_fails_with_every_refused_step_and_undoes_the_others():
     seen = in_fresh_process(
         """
 become_nobody()
@@ -162,9 +162,7 @@ except SchedulingError as refusal:
 
 
 @linux_only
-def test_a_process_that_is_confined_to_one_cpu_does_not_spin(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_process_that_is_confined_to_one_cpu_does_not_spin(monkeypatch):
     """The PC has several; a spinning loop would leave none to the others of its run."""
     monkeypatch.setattr(os, "cpu_count", lambda: 64)
     for step in ("_lock_memory", "_keep_cpu_awake", "_run_as_fifo"):
@@ -195,7 +193,7 @@ def state_of(threads):
 
 
 @root_only
-def test_the_threads_of_a_driver_are_raised_and_unpinned() -> None:
+def test_the_threads_of_a_driver_are_raised_and_unpinned():
     seen = in_fresh_process(
         DRIVER_THREADS
         + """
@@ -226,7 +224,7 @@ with prepare("auto") as preparation:
 
 
 @root_only
-def test_threads_of_a_driver_that_may_not_be_raised_are_unpinned_and_named() -> None:
+def test_threads_of_a_driver_that_may_not_be_raised_are_unpinned_and_named():
     seen = in_fresh_process(
         DRIVER_THREADS
         + """
@@ -259,7 +257,7 @@ def nothing_is_permitted(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @linux_only
 @pytest.mark.usefixtures("nothing_is_permitted")
-def test_where_nothing_is_permitted_every_step_says_why() -> None:
+def test_where_nothing_is_permitted_every_step_says_why():
     with prepare("auto") as preparation:
         refused = [step.name for step in preparation.refused]
         lines = [str(step) for step in preparation.refused]
@@ -269,7 +267,7 @@ def test_where_nothing_is_permitted_every_step_says_why() -> None:
 
 @linux_only
 @pytest.mark.usefixtures("nothing_is_permitted")
-def test_require_leaves_the_process_as_it_was() -> None:
+def test_require_leaves_the_process_as_it_was():
     with pytest.raises(SchedulingError):
         prepare("require")
     assert gc.isenabled()
@@ -277,7 +275,7 @@ def test_require_leaves_the_process_as_it_was() -> None:
 
 
 @linux_only
-def test_a_single_cpu_is_not_pinned_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_single_cpu_is_not_pinned_and_says_so(monkeypatch):
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})
     for step in ("_lock_memory", "_keep_cpu_awake", "_run_as_fifo"):
         monkeypatch.setattr(scheduling, step, lambda _: "pretended")
@@ -286,7 +284,7 @@ def test_a_single_cpu_is_not_pinned_and_says_so(monkeypatch: pytest.MonkeyPatch)
     assert affinity.detail.startswith("only one CPU to run on")
 
 
-def test_off_touches_nothing_but_the_garbage_collector() -> None:
+def test_off_touches_nothing_but_the_garbage_collector():
     with prepare("off") as preparation:
         assert [step.name for step in preparation.steps] == ["gc"]
         assert not preparation.fifo
@@ -295,7 +293,7 @@ def test_off_touches_nothing_but_the_garbage_collector() -> None:
     assert gc.get_freeze_count() == 0
 
 
-def test_a_collector_that_was_off_stays_off() -> None:
+def test_a_collector_that_was_off_stays_off():
     gc.disable()
     try:
         prepare("off").release()
@@ -304,7 +302,7 @@ def test_a_collector_that_was_off_stays_off() -> None:
         gc.enable()
 
 
-def test_elsewhere_than_on_linux_every_step_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_elsewhere_than_on_linux_every_step_says_so(monkeypatch):
     monkeypatch.setattr(sys, "platform", "darwin")
     with prepare("auto") as preparation:
         refused = preparation.refused
@@ -316,7 +314,7 @@ def test_elsewhere_than_on_linux_every_step_says_so(monkeypatch: pytest.MonkeyPa
 
 
 @root_only
-def test_a_front_preempts_ordinary_processes_while_it_watches_and_not_afterwards() -> None:
+def test_a_front_preempts_ordinary_processes_while_it_watches_and_not_afterwards():
     seen = in_fresh_process(
         """
 seen = [state()["policy"]]
@@ -331,7 +329,7 @@ print(json.dumps(seen))
 
 
 @root_only
-def test_a_front_without_privileges_watches_as_it_may() -> None:
+def test_a_front_without_privileges_watches_as_it_may():
     seen = in_fresh_process(
         """
 become_nobody()

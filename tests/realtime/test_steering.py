@@ -117,7 +117,7 @@ def ticks_in(ring: Ring) -> list[int]:
     return [entry.tick for entry in entries if entry.kind == RowKind.TICK]
 
 
-def test_a_ring_is_attached_over_many_ticks_and_not_in_one(tmp_path, session, monkeypatch) -> None:
+def test_a_ring_is_attached_over_many_ticks_and_not_in_one(tmp_path, session, monkeypatch):
     touched: list[int] = []
     populate = Ring.populate_in_steps
 
@@ -137,7 +137,7 @@ def test_a_ring_is_attached_over_many_ticks_and_not_in_one(tmp_path, session, mo
         assert ring.loop_stage == LoopStage.TICKING
 
 
-def test_the_ticks_of_two_runs_in_a_row_are_all_recorded(tmp_path, session) -> None:
+def test_the_ticks_of_two_runs_in_a_row_are_all_recorded(tmp_path, session):
     """The first run goes on while the ring of the second is attached."""
     with make_ring(tmp_path, "one.ring") as one, make_ring(tmp_path, "two.ring") as two:
         session.slot.orders.append(order_run(one))
@@ -155,7 +155,7 @@ def test_the_ticks_of_two_runs_in_a_row_are_all_recorded(tmp_path, session) -> N
 
 def test_the_ring_of_a_run_that_is_over_is_given_back_in_pieces_with_its_rows_intact(
     tmp_path, session
-) -> None:
+):
     def resident_bytes(name: str) -> int:
         """Return how much of a mapping of this process is in its memory."""
         parts = Path("/proc/self/smaps").read_text().split(name)[1:]
@@ -179,7 +179,7 @@ def test_the_ring_of_a_run_that_is_over_is_given_back_in_pieces_with_its_rows_in
         assert ticks_in(one)[0] == first
 
 
-def test_an_order_that_follows_a_run_holds_for_that_run(tmp_path, session) -> None:
+def test_an_order_that_follows_a_run_holds_for_that_run(tmp_path, session):
     stop: Mapping[str, Any] = {"do": "stop", "reason": "stopped by a client"}
     with make_ring(tmp_path, "run.ring") as ring:
         session.slot.orders += [order_run(ring), dict(stop)]
@@ -189,7 +189,7 @@ def test_an_order_that_follows_a_run_holds_for_that_run(tmp_path, session) -> No
         assert b"stopped by a client" in events[-1].payload
 
 
-def test_a_motion_that_would_go_on_in_a_log_that_has_just_ended_does_not_begin(session) -> None:
+def test_a_motion_that_would_go_on_in_a_log_that_has_just_ended_does_not_begin(session):
     """No log would have its ticks, and nobody could stop it: nothing runs any more."""
     hold = {"kind": "hold", "position_mm": 5.0}
     session.slot.orders.append({"do": "run", "ring": None, "experiment": hold, "duration_s": None})

@@ -72,7 +72,7 @@ def run(
     return state, found
 
 
-def test_a_tick_is_calibrated_estimated_commanded_and_admitted() -> None:
+def test_a_tick_is_calibrated_estimated_commanded_and_admitted():
     state, decision = step(SETUP, first_state(SETUP, ZERO), sample(0), track(), timing(0))
     assert state.measurement == measure(SETUP.calibration, ZERO, sample(0))
     assert state.measurement.position_m == pytest.approx(2016 * 3.175e-6)
@@ -84,7 +84,7 @@ def test_a_tick_is_calibrated_estimated_commanded_and_admitted() -> None:
     assert state.zero == ZERO
 
 
-def test_every_stage_remembers_the_tick_before() -> None:
+def test_every_stage_remembers_the_tick_before():
     before, _ = step(SETUP, first_state(SETUP, ZERO), sample(0), track(), timing(0))
     after, _ = step(SETUP, before, sample(1, counts=3116), track(), timing(1))
     passed = after.estimate.position_filtered_m - before.estimate.position_filtered_m
@@ -109,7 +109,7 @@ def test_every_stage_remembers_the_tick_before() -> None:
         max_size=8,
     )
 )
-def test_whatever_the_sensors_say_the_valve_gets_a_number_it_may_have(controller, samples) -> None:
+def test_whatever_the_sensors_say_the_valve_gets_a_number_it_may_have(controller, samples):
     setup = LAWS[controller]
     state, tripped = first_state(setup, ZERO), False
     for tick, (counts, volts, dt_s, open_loop) in enumerate(samples):
@@ -154,7 +154,7 @@ def _laws(tmp_path_factory: pytest.TempPathFactory) -> None:
 LAWS: dict[str, TickSetup] = {}
 
 
-def test_a_broken_wire_is_noticed_in_raw_volts_whatever_the_zero() -> None:
+def test_a_broken_wire_is_noticed_in_raw_volts_whatever_the_zero():
     state, decision = first_state(SETUP, Zero(0.0, 1000.0)), None
     for tick in range(30):
         state, decision = step(SETUP, state, sample(tick, volts=0.05), track(), timing(tick))
@@ -165,7 +165,7 @@ def test_a_broken_wire_is_noticed_in_raw_volts_whatever_the_zero() -> None:
 # --- the record ------------------------------------------------------------------------
 
 
-def test_every_column_of_the_log_has_its_own_name_and_a_plain_type() -> None:
+def test_every_column_of_the_log_has_its_own_name_and_a_plain_type():
     names = [field.name for field in TICK_FIELDS]
     assert len(names) == len(set(names))
     assert {field.kind for field in TICK_FIELDS} <= {int, float, bool}
@@ -174,7 +174,7 @@ def test_every_column_of_the_log_has_its_own_name_and_a_plain_type() -> None:
     )
 
 
-def test_every_physical_column_says_its_unit() -> None:
+def test_every_physical_column_says_its_unit():
     without = {field.name for field in TICK_FIELDS if not field.name.endswith(UNITS)}
     assert without == {"tick", "missed", "phase", "saturated", "verdicts", "tripped"}
 
@@ -185,7 +185,7 @@ UNITS = ("_s", "_s2", "_s3", "_v", "_m", "_pa", "_counts", "_ns")
 # --- keyframes -------------------------------------------------------------------------
 
 
-def test_a_keyframe_names_each_of_its_numbers_once() -> None:
+def test_a_keyframe_names_each_of_its_numbers_once():
     names = keyframe_fields(first_state(SETUP, ZERO))
     assert len(names) == len(set(names)) == len(freeze_state(first_state(SETUP, ZERO)))
     for expected in (
@@ -199,7 +199,7 @@ def test_a_keyframe_names_each_of_its_numbers_once() -> None:
 
 
 @pytest.mark.parametrize("law", ["paper-table3-qsmc", "smc", "pid"])
-def test_a_thawed_state_goes_on_bit_for_bit(law: str) -> None:
+def test_a_thawed_state_goes_on_bit_for_bit(law):
     setup = LAWS[law]
     middle, _ = run(range(200), setup=setup)
     frozen = dict(zip(keyframe_fields(middle), freeze_state(middle), strict=True))
@@ -213,15 +213,13 @@ def test_a_thawed_state_goes_on_bit_for_bit(law: str) -> None:
 # --- its cost ------------------------------------------------------------------------------------
 
 
-def test_a_rehearsal_takes_the_median_of_the_times_that_its_clock_shows() -> None:
+def test_a_rehearsal_takes_the_median_of_the_times_that_its_clock_shows():
     clock = count(0, 20_000)
     assert rehearse_tick_s(SETUP, 1e-3, lambda: next(clock)) == pytest.approx(20e-6)
 
 
 @pytest.mark.parametrize("law", ["qsmc", "smc", "pid"])
-def test_a_rehearsed_tick_computes_the_law_and_is_admitted(
-    law: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_rehearsed_tick_computes_the_law_and_is_admitted(law, monkeypatch):
     """A tripped tick is shorter: the estimate would promise too much."""
     seen = []
 
@@ -237,7 +235,7 @@ def test_a_rehearsed_tick_computes_the_law_and_is_admitted(
     assert all(math.isfinite(state.command.command_v) for state, _ in seen[1:])
 
 
-def test_a_rate_is_held_up_to_half_of_the_period_and_named_beyond() -> None:
+def test_a_rate_is_held_up_to_half_of_the_period_and_named_beyond():
     cost = TickCost.estimate(10e-6)
     assert cost.live_s == pytest.approx(LIVE_FACTOR * 10e-6)
     assert cost.held_hz == pytest.approx(BUSY_SHARE / cost.live_s)
@@ -247,13 +245,11 @@ def test_a_rate_is_held_up_to_half_of_the_period_and_named_beyond() -> None:
     assert "About 8333 Hz can be held" in warning
 
 
-def test_the_calls_of_a_slow_card_lower_the_rate() -> None:
+def test_the_calls_of_a_slow_card_lower_the_rate():
     assert TickCost.estimate(10e-6, calls_s=190e-6).held_hz == pytest.approx(2000.0)
 
 
-def test_a_run_that_cannot_hold_its_rate_says_so_in_one_line_and_in_its_log(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_that_cannot_hold_its_rate_says_so_in_one_line_and_in_its_log(monkeypatch, capsys):
     settings = run_settings()
     monkeypatch.setattr(loop_main, "rehearse_tick_s", lambda *_, **__: 1e-3)
     (event,) = loop_main.check_rate(settings, SETUP)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
@@ -109,7 +108,7 @@ RUNS: dict[str, tuple[Sequence[str], Sequence[FaultSettings], dict[int, int]]] =
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", RUNS)
-def test_a_run_has_the_same_rows_events_and_frozen_states(name: str) -> None:
+def test_a_run_has_the_same_rows_events_and_frozen_states(name):
     overrides, faults, missed = RUNS[name]
     settings = run_settings(*overrides)
     setup = build_tick_setup(settings)
@@ -122,7 +121,7 @@ def test_a_run_has_the_same_rows_events_and_frozen_states(name: str) -> None:
     assert repr(plain.keyframes) == repr(fast.keyframes)
 
 
-def test_gains_that_change_on_a_ramp_are_followed() -> None:
+def test_gains_that_change_on_a_ramp_are_followed():
     settings = run_settings(*SHORT, "rig.homing.enabled=false")
     softened = run_both(
         settings, make_helm=lambda setup, *others: Softening(settings, setup, *others)
@@ -130,7 +129,7 @@ def test_gains_that_change_on_a_ramp_are_followed() -> None:
     assert softened != run_both(settings)
 
 
-def test_another_law_than_the_one_built_runs_in_plain_python() -> None:
+def test_another_law_than_the_one_built_runs_in_plain_python():
     other = run_settings(controller="smc").controller
     rows = run_both(run_settings(*SHORT), make_supervisor=lambda helm: Replacing(helm, other))
     assert len(rows) > 2000
@@ -163,7 +162,7 @@ class Softening(CuedHelm):
         super().finish_tick(done)
 
 
-def test_where_machine_code_fails_plain_python_says_why(compiled: TickRunner) -> None:
+def test_where_machine_code_fails_plain_python_says_why(compiled):
     limits = SETUP.limits._replace(pressure_model_memory_s=0.0)
     broken = SETUP._replace(limits=limits)
     compiled.begin(first_state(SETUP, Zero(0.2, 0.0)), 0, -MS)
@@ -175,7 +174,7 @@ def test_where_machine_code_fails_plain_python_says_why(compiled: TickRunner) ->
     assert compiled.state == before, "a tick that failed changes nothing"
 
 
-def test_a_rehearsal_changes_neither_state_nor_ring(compiled: TickRunner, tmp_path: Path) -> None:
+def test_a_rehearsal_changes_neither_state_nor_ring(compiled, tmp_path):
     from support.made_up import meta
 
     compiled.begin(first_state(SETUP, Zero(0.2, 0.0)), 0, -MS)
@@ -201,7 +200,7 @@ class RingOnly(MemoryJournal):
         self._ring.rehearse_row(row)
 
 
-def test_a_law_that_is_no_kernel_is_refused_with_its_line_and_the_reason() -> None:
+def test_a_law_that_is_no_kernel_is_refused_with_its_line_and_the_reason():
     class Strange(NamedTuple):
         gain: float = 1.0
 

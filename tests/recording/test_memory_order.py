@@ -5,7 +5,6 @@ from __future__ import annotations
 import platform
 import sys
 import threading
-from pathlib import Path
 
 import pytest
 from support.made_up import columns, meta, put, tick
@@ -18,7 +17,7 @@ linux_only = pytest.mark.skipif(sys.platform != "linux", reason="only Linux has 
 
 
 @linux_only
-def test_only_x86_goes_without_a_barrier() -> None:
+def test_only_x86_goes_without_a_barrier():
     in_order = choose_barrier("x86_64")
     assert in_order is choose_barrier("AMD64") is choose_barrier("i686")
     if platform.machine() == "x86_64":
@@ -28,20 +27,20 @@ def test_only_x86_goes_without_a_barrier() -> None:
             assert choose_barrier("aarch64") is not in_order
 
 
-def test_a_machine_without_a_known_barrier_is_refused_by_name(tmp_path, monkeypatch) -> None:
+def test_a_machine_without_a_known_barrier_is_refused_by_name(tmp_path, monkeypatch):
     monkeypatch.setattr(platform, "machine", lambda: "alpha")
     with pytest.raises(RingError, match="no barrier between processes is known for alpha"):
         Ring.create(tmp_path / "a.ring", meta(tmp_path / "a.mcap"), ROWS)
     assert not list(tmp_path.glob("*.ring"))
 
 
-def test_a_big_endian_machine_is_refused() -> None:
+def test_a_big_endian_machine_is_refused():
     with pytest.raises(MemoryOrderError, match="little-endian"):
         choose_barrier("s390x", "big")
 
 
 @linux_only
-def test_a_kernel_that_refuses_the_barrier_is_said_so(monkeypatch) -> None:
+def test_a_kernel_that_refuses_the_barrier_is_said_so(monkeypatch):
     monkeypatch.setitem(ring._MEMBARRIER, "aarch64", 100_000)  # no such system call
     with pytest.raises(MemoryOrderError, match="aarch64 reorders stores, and membarrier failed: "):
         choose_barrier("aarch64")
@@ -65,7 +64,7 @@ def barriers(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return called
 
 
-def test_readers_call_the_barrier_and_the_loop_never_does(tmp_path: Path, barriers) -> None:
+def test_readers_call_the_barrier_and_the_loop_never_does(tmp_path, barriers):
     with Ring.create(tmp_path / "a.ring", meta(tmp_path / "a.mcap"), ROWS) as loop:
         put(loop, range(40))
         assert not barriers, "a system call in every tick"
@@ -78,7 +77,7 @@ def test_readers_call_the_barrier_and_the_loop_never_does(tmp_path: Path, barrie
             assert len(barriers) == 5, "around the copy"
 
 
-def test_a_ring_with_barriers_gives_every_row_once(tmp_path: Path, barriers) -> None:
+def test_a_ring_with_barriers_gives_every_row_once(tmp_path, barriers):
     with Ring.create(tmp_path / "a.ring", meta(tmp_path / "a.mcap"), ROWS) as loop:
         producer = threading.Thread(target=put, args=(loop, range(2000)))
         with Ring.attach(loop.path) as reader:

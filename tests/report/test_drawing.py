@@ -165,7 +165,7 @@ def _heights(outline: str) -> list[int]:
     return np.cumsum(numbers[1::2]).tolist()
 
 
-def test_a_line_over_time_breaks_where_nothing_was_measured() -> None:
+def test_a_line_over_time_breaks_where_nothing_was_measured():
     t_s = np.r_[np.arange(20) * 1e-3, 0.5 + np.arange(20) * 1e-3]
     over, up = break_at_gaps(t_s, np.ones(40))
     assert np.flatnonzero(np.isnan(up)).tolist() == [20]
@@ -178,7 +178,7 @@ def test_a_line_over_time_breaks_where_nothing_was_measured() -> None:
     assert break_at_gaps(few, few)[0] is few
 
 
-def test_lines_that_hide_each_other_get_plots_of_their_own_with_one_y_axis() -> None:
+def test_lines_that_hide_each_other_get_plots_of_their_own_with_one_y_axis():
     t_s = np.linspace(0.0, 10.0, 5000)
     noise = np.random.default_rng(2).normal(size=(2, 5000))
     signals = {"a": noise[0], "b": 2.0 * noise[1], "c": t_s + 20.0}
@@ -196,7 +196,7 @@ def test_lines_that_hide_each_other_get_plots_of_their_own_with_one_y_axis() -> 
     assert [plot.title for plot in plot_apart(draw, ["a"])] == ["a"]
 
 
-def test_names_of_moments_near_each_other_stand_below_each_other() -> None:
+def test_names_of_moments_near_each_other_stand_below_each_other():
     plot = Plot("p", T, Y).line([0.0, 10.0], [0.0, 1.0])
     for at_s in (1.0, 1.2, 1.4, 8.0):
         plot.place(at_s, "a mark that says much")
@@ -204,7 +204,7 @@ def test_names_of_moments_near_each_other_stand_below_each_other() -> None:
     assert heights == ["12", "25", "38", "12"]
 
 
-def test_the_numbers_beside_an_axis_have_the_room_that_they_need() -> None:
+def test_the_numbers_beside_an_axis_have_the_room_that_they_need():
     def measure_room(value: float) -> int:
         y = [value, value * 1.00001]
         plot = Plot("p", PlotAxis("time", "s"), PlotAxis("p", "Pa")).line([0.0, 1.0], y)

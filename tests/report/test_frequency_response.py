@@ -70,7 +70,7 @@ def loop_at(frequency_hz: NDArray[np.float64]) -> NDArray[np.complex128]:
 
 
 @pytest.mark.parametrize("experiment", [MULTISINE, CHIRP], ids=["multisine", "chirp"])
-def test_without_noise_the_responses_are_those_of_the_loop(experiment: dict[str, Any]) -> None:
+def test_without_noise_the_responses_are_those_of_the_loop(experiment):
     found = find_responses(simulate(experiment, 0.0))
     assert found is not None
     assert found.closed_loop is not None
@@ -84,9 +84,7 @@ def test_without_noise_the_responses_are_those_of_the_loop(experiment: dict[str,
 
 
 @pytest.mark.parametrize("experiment", [MULTISINE, CHIRP], ids=lambda e: e["kind"])
-def test_the_truth_lies_in_the_intervals_about_as_often_as_they_say(
-    experiment: dict[str, Any],
-) -> None:
+def test_the_truth_lies_in_the_intervals_about_as_often_as_they_say(experiment):
     inside = []
     for seed in range(4):
         found = find_responses(simulate(experiment, 2e-4, seed))
@@ -99,7 +97,7 @@ def test_the_truth_lies_in_the_intervals_about_as_often_as_they_say(
     assert 0.82 <= np.mean(inside) <= 0.99
 
 
-def test_the_noise_in_a_loop_biases_the_plant_less_than_the_plain_ratio() -> None:
+def test_the_noise_in_a_loop_biases_the_plant_less_than_the_plain_ratio():
     few = {"low_hz": 4, "high_hz": 16, "tones": 8, "periods": 30}
     run = simulate({**MULTISINE, **few}, 2e-4)
     found = find_responses(run)
@@ -120,7 +118,7 @@ def test_the_noise_in_a_loop_biases_the_plant_less_than_the_plain_ratio() -> Non
     assert theirs > 2 * ours
 
 
-def test_in_open_loop_there_is_the_plant_alone() -> None:
+def test_in_open_loop_there_is_the_plant_alone():
     experiment = {
         "kind": "valve_multisine", "amplitude_v": 1, "low_hz": 0.5, "high_hz": 20, "period_s": 2,
         "periods": 1,
@@ -134,7 +132,7 @@ def test_in_open_loop_there_is_the_plant_alone() -> None:
     assert np.abs(found.plant.response / wanted - 1.0).max() < 0.05
 
 
-def test_other_experiments_and_a_run_that_ended_early_have_none() -> None:
+def test_other_experiments_and_a_run_that_ended_early_have_none():
     run = simulate(MULTISINE, 0.0)
     half = {name: column[: len(run) // 2] for name, column in run.log.columns.items()}
     run.log.columns.update(half)
@@ -148,7 +146,7 @@ def test_other_experiments_and_a_run_that_ended_early_have_none() -> None:
 # --- answers in text -----------------------------------------------------------------------------
 
 
-def test_terminal_and_page_say_the_same_and_the_terminal_in_ascii() -> None:
+def test_terminal_and_page_say_the_same_and_the_terminal_in_ascii():
     report = Report("Title", "12.3 µm ± 0.1: good").add(
         Section("Errors"),
         ReportTable(["", "max, µm"], [["measured", "38.5"], ["true", "-"]], "All of it."),
@@ -173,7 +171,7 @@ def test_terminal_and_page_say_the_same_and_the_terminal_in_ascii() -> None:
         assert part in page
 
 
-def test_long_work_says_in_a_file_how_far_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+def test_long_work_says_in_a_file_how_far_it_is(capsys):
     with WorkProgress("compare") as show:
         show(1, 4, "paper, mechanics")
         assert "25%" in show.line()

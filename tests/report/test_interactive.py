@@ -70,7 +70,7 @@ def read_cursor(tab: Tab, selector: str, share: float) -> list[float]:
     return [float(text.split()[0].replace("\N{MINUS SIGN}", "-")) for text in said]
 
 
-def test_a_reader_zooms_to_a_spike_and_reads_it_to_the_sample(tmp_path: Path) -> None:
+def test_a_reader_zooms_to_a_spike_and_reads_it_to_the_sample(tmp_path):
     path = tmp_path / "zoom.html"
     path.write_text(write_html(draw_page(), interactive=True))
     over = "[data-plot='0'] .u-over"
@@ -102,7 +102,7 @@ def test_a_reader_zooms_to_a_spike_and_reads_it_to_the_sample(tmp_path: Path) ->
         assert tab.value("document.documentElement.scrollWidth") <= 390
 
 
-def test_without_the_option_a_page_has_no_script_and_with_it_only_its_own() -> None:
+def test_without_the_option_a_page_has_no_script_and_with_it_only_its_own():
     page = draw_page()
     assert "<script" not in write_html(page)
     assert "script-src" not in write_html(page)
@@ -114,7 +114,7 @@ def test_without_the_option_a_page_has_no_script_and_with_it_only_its_own() -> N
     assert "<script" not in write_html(Report("words"), interactive=True)
 
 
-def test_the_data_in_the_page_are_those_of_the_plot_each_once() -> None:
+def test_the_data_in_the_page_are_those_of_the_plot_each_once():
     plots = [part for part in (_plot(T_S), _plot(T_S)) if part.can_be_zoomed]
     body = embed_plots(plots).body
     (text,) = re.findall(r'id="plots">(.*?)</script>', body)
@@ -129,7 +129,7 @@ def _plot(t_s: np.ndarray) -> Plot:
     return Plot("p", TIME, PlotAxis("y")).line(t_s, np.sin(t_s))
 
 
-def test_a_long_line_keeps_its_extremes_and_its_gaps() -> None:
+def test_a_long_line_keeps_its_extremes_and_its_gaps():
     t_s = np.arange(5 * MOST_POINTS) * 1e-3
     y = np.sin(t_s)
     y[123_456], y[300_000] = 9.0, np.nan
@@ -142,7 +142,7 @@ def test_a_long_line_keeps_its_extremes_and_its_gaps() -> None:
     assert np.frombuffer(b64decode(x), "<f8")[np.isnan(signal)].tolist() == [t_s[300_000]]
 
 
-def test_the_verbs_write_interactive_pages_when_asked(tmp_path: Path) -> None:
+def test_the_verbs_write_interactive_pages_when_asked(tmp_path):
     log, page = str(GOLDEN / "qsmc.mcap"), tmp_path / "page.html"
     for arguments, where in ((["report", log], "--out"), (["compare", log], "--plot")):
         done = CliRunner().invoke(app, [*arguments, where, str(page), "--interactive"])

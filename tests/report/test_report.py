@@ -69,9 +69,7 @@ def page_of(*paths: Path) -> str:
 
 
 @pytest.mark.long
-def test_the_columns_that_a_report_reads_are_all_that_it_shows(
-    minute: Path, tripped: Path, imported: Path
-) -> None:
+def test_the_columns_that_a_report_reads_are_all_that_it_shows(minute, tripped, imported):
     for path in (minute, tripped, imported):
         assert write_html(compose_report([read_some(path, REPORT_FIELDS)])) == page_of(path)
 

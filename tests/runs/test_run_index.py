@@ -61,7 +61,7 @@ def rows_of(folder: Path) -> dict[str, RunRow]:
     return {row.path: row for row in index.select()}
 
 
-def test_every_log_has_a_row_whatever_its_state(folder: Path) -> None:
+def test_every_log_has_a_row_whatever_its_state(folder):
     rows = rows_of(folder)
     assert {name: row.ending for name, row in rows.items()} == {
         "qsmc.mcap": "ok",
@@ -77,7 +77,7 @@ def test_every_log_has_a_row_whatever_its_state(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["qsmc", "pid-delayed"])
-def test_the_figures_are_those_of_the_run_itself(name: str) -> None:
+def test_the_figures_are_those_of_the_run_itself(name):
     row, log = read_row(GOLDEN / f"{name}.mcap"), read(GOLDEN / f"{name}.mcap")
     merit = compute_log_merits(log.columns)["measured"]
     assert merit is not None
@@ -87,7 +87,7 @@ def test_the_figures_are_those_of_the_run_itself(name: str) -> None:
     assert row.gains["controller.law"] == log.config["controller"]["law"] == row.law
 
 
-def test_the_index_is_made_again_from_the_logs_alone(folder: Path) -> None:
+def test_the_index_is_made_again_from_the_logs_alone(folder):
     first = rows_of(folder)
     index = folder / INDEX_NAME
     index.unlink()
@@ -102,14 +102,14 @@ def test_the_index_is_made_again_from_the_logs_alone(folder: Path) -> None:
     assert rows_of(folder) == first
 
 
-def test_an_index_of_another_version_is_made_again(folder: Path) -> None:
+def test_an_index_of_another_version_is_made_again(folder):
     first = rows_of(folder)
     index = folder / INDEX_NAME
     index.write_text(index.read_text().replace('"format": 3', '"format": 99'))
     assert rows_of(folder) == first
 
 
-def test_an_index_that_was_added_to_often_is_written_anew(folder: Path) -> None:
+def test_an_index_that_was_added_to_often_is_written_anew(folder):
     rows = rows_of(folder)
     for _ in range(100):
         append_rows(folder, rows.values())
@@ -118,7 +118,7 @@ def test_an_index_that_was_added_to_often_is_written_anew(folder: Path) -> None:
     assert (folder / INDEX_NAME).stat().st_size < grown / 50
 
 
-def test_new_changed_moved_and_removed_logs_are_seen(folder: Path) -> None:
+def test_new_changed_moved_and_removed_logs_are_seen(folder):
     rows_of(folder)
     (folder / "qsmc.mcap").rename(folder / "moved.mcap")
     (folder / "pid-delayed.mcap").unlink()
@@ -128,7 +128,7 @@ def test_new_changed_moved_and_removed_logs_are_seen(folder: Path) -> None:
     assert rows["imported.mcap"].tags == ("good",)
 
 
-def test_only_what_is_new_is_read(folder: Path) -> None:
+def test_only_what_is_new_is_read(folder):
     rows_of(folder)
     shutil.copy(GOLDEN / "missed.mcap", folder)
     said = []
@@ -149,7 +149,7 @@ for n in range(3):
 """
 
 
-def test_processes_may_use_the_index_at_once(folder: Path) -> None:
+def test_processes_may_use_the_index_at_once(folder):
     users = [
         subprocess.Popen([sys.executable, "-c", A_USER, str(folder)], stderr=subprocess.PIPE)
         for _ in range(3)
@@ -162,12 +162,12 @@ def test_processes_may_use_the_index_at_once(folder: Path) -> None:
     assert set(rows_of(folder)["imported.mcap"].tags) == expected
 
 
-def test_a_missing_folder_is_refused(tmp_path: Path) -> None:
+def test_a_missing_folder_is_refused(tmp_path):
     with pytest.raises(RunsError, match="no folder"):
         RunIndex(tmp_path / "nowhere")
 
 
-def test_all_logs_are_looked_at_before_one_is_changed(folder: Path) -> None:
+def test_all_logs_are_looked_at_before_one_is_changed(folder):
     good = folder / "imported.mcap"
     before = good.read_bytes()
     done = CliRunner().invoke(app, ["runs", "tag", "x", str(good), str(folder / "text.mcap")])
@@ -185,7 +185,7 @@ def invoke(*words: object) -> str:
     return done.stdout
 
 
-def test_runs_are_tagged_noted_found_and_listed(folder: Path) -> None:
+def test_runs_are_tagged_noted_found_and_listed(folder):
     there = ("runs", "--logs", folder)
     qsmc, pid = folder / "qsmc.mcap", folder / "pid-delayed.mcap"
     invoke("runs", "tag", "good", qsmc, pid)
@@ -206,7 +206,7 @@ def test_runs_are_tagged_noted_found_and_listed(folder: Path) -> None:
     assert "controller.law" in csv[0].split(",")
 
 
-def test_a_hostile_log_writes_no_control_character_to_the_terminal(folder: Path) -> None:
+def test_a_hostile_log_writes_no_control_character_to_the_terminal(folder):
     log = folder / "imported.mcap"
     append_metadata(log, "run", {"law": "\x1b[31mlaw", "experiment": "a\u202eb\nc"})
     shown = invoke("runs", "--logs", folder)
@@ -250,7 +250,7 @@ def expected(holds: Callable[[RunRow], bool]) -> list[str]:
     return [row.path for row in ROWS if holds(row)]
 
 
-def test_rows_come_back_as_they_were_put(index: RunIndex) -> None:
+def test_rows_come_back_as_they_were_put(index):
     assert index.select() == ROWS
 
 
@@ -276,9 +276,7 @@ def test_rows_come_back_as_they_were_put(index: RunIndex) -> None:
         ({"since_s": 9 * DAY_S}, lambda r: r.when_s >= 9 * DAY_S),
     ],
 )
-def test_a_condition_selects_what_it_says(
-    index: RunIndex, wanted: dict[str, Any], holds: Callable[[RunRow], bool]
-) -> None:
+def test_a_condition_selects_what_it_says(index, wanted, holds):
     found = expected(lambda row: bool(holds(row)))
     assert found
     assert names(index, **wanted) == found
@@ -297,14 +295,12 @@ def test_a_condition_selects_what_it_says(
         {"where": ["max_um>'; DROP TABLE runs; --"]},
     ],
 )
-def test_a_condition_that_makes_no_sense_is_refused(
-    index: RunIndex, wanted: dict[str, Any]
-) -> None:
+def test_a_condition_that_makes_no_sense_is_refused(index, wanted):
     with pytest.raises(FilterError):
         names(index, **wanted)
 
 
-def test_an_unknown_setting_is_named_with_the_nearest(index: RunIndex) -> None:
+def test_an_unknown_setting_is_named_with_the_nearest(index):
     with pytest.raises(FilterError, match=r"did you mean controller\.lambda_per_s\?"):
         names(index, where=["controller.lamda_per_s>1"])
 
@@ -317,15 +313,15 @@ def test_an_unknown_setting_is_named_with_the_nearest(index: RunIndex) -> None:
         ("2026-11-01T14:30:05", datetime(2026, 11, 1, 14, 30, 5)),
     ],
 )
-def test_a_date_is_that_of_this_pc(text: str, meant: datetime) -> None:
+def test_a_date_is_that_of_this_pc(text, meant):
     assert read_date(text) == meant.timestamp()
 
 
-def test_a_date_with_a_zone_is_that_instant() -> None:
+def test_a_date_with_a_zone_is_that_instant():
     assert read_date("2026-11-01T14:30+00:00") == 1793543400.0
 
 
 @pytest.mark.parametrize("text", ["", "monday", "2026-13-01", "25:00", "9" * 400])
-def test_a_date_that_makes_no_sense_is_refused(text: str) -> None:
+def test_a_date_that_makes_no_sense_is_refused(text):
     with pytest.raises(FilterError, match="write 2026-11-20"):
         read_date(text)

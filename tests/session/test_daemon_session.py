@@ -30,7 +30,7 @@ def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
 
 
 @pytest.mark.long
-def test_positions_runs_gains_and_marks_are_those_of_the_simulation(up: Daemon) -> None:
+def test_positions_runs_gains_and_marks_are_those_of_the_simulation(up):
     with connect(up.socket) as rig:
         rig.goto(4e-3, within_s=0.6)
         assert rig.state == "ready"
@@ -51,7 +51,7 @@ def test_positions_runs_gains_and_marks_are_those_of_the_simulation(up: Daemon) 
     assert up.is_safe()
 
 
-def test_leaving_the_block_stops_what_was_begun_in_it_and_nothing_else(up: Daemon) -> None:
+def test_leaving_the_block_stops_what_was_begun_in_it_and_nothing_else(up):
     with pytest.raises(RuntimeError, match="mine"), connect(up.socket) as rig:
         log = rig.start(SINE)
         up.wait_for("running")
@@ -69,7 +69,7 @@ def test_leaving_the_block_stops_what_was_begun_in_it_and_nothing_else(up: Daemo
     assert pamctl.Run.open(other).ending.code == ExitCode.OK
 
 
-def test_ctrl_c_stops_the_run_and_leaves_the_valve_safe(up: Daemon) -> None:
+def test_ctrl_c_stops_the_run_and_leaves_the_valve_safe(up):
     program = (
         "import pamctl\n"
         f"with pamctl.connect({str(up.socket)!r}) as rig:\n"
@@ -85,7 +85,7 @@ def test_ctrl_c_stops_the_run_and_leaves_the_valve_safe(up: Daemon) -> None:
     assert pamctl.Run.open(status["log"]).ending.reason == "interrupted"
 
 
-def test_a_fault_is_raised_with_its_code_and_its_log_and_acknowledged(up: Daemon) -> None:
+def test_a_fault_is_raised_with_its_code_and_its_log_and_acknowledged(up):
     with connect(up.socket) as rig:
         log = rig.start(SINE)
         up.wait_for("running")
@@ -101,9 +101,7 @@ def test_a_fault_is_raised_with_its_code_and_its_log_and_acknowledged(up: Daemon
         assert rig.state == "idle"
 
 
-def test_an_acknowledgement_does_not_wait_for_the_monitor_to_end(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_acknowledgement_does_not_wait_for_the_monitor_to_end(tmp_path, monkeypatch):
     """The monitor lives as long as the daemon does."""
     with daemon(tmp_path, "watched", options=["--monitor"]) as made, connect(made.socket) as rig:
         rig.estop()
@@ -118,7 +116,7 @@ def test_an_acknowledgement_does_not_wait_for_the_monitor_to_end(
         assert rig.state == "idle"
 
 
-def test_refusals_are_the_shells(up: Daemon, tmp_path: Path) -> None:
+def test_refusals_are_the_shells(up, tmp_path):
     with pytest.raises(pamctl.PamctlError, match="no daemon listens there") as absent:
         connect(tmp_path / "none.sock")
     assert absent.value.exit_code == ExitCode.UNAVAILABLE

@@ -21,7 +21,7 @@ from pamctl.settings.resolve import resolve  # noqa: E402
 SINE = pamctl.Sine(offset_mm=10, amplitude_mm=3, frequency_hz=1, cycles=2)
 
 
-def test_it_passes_gymnasiums_own_checker() -> None:
+def test_it_passes_gymnasiums_own_checker():
     with warnings.catch_warnings():
         # It cannot try another way of drawing, as there is none.
         warnings.filterwarnings("ignore", message=".*render.*")
@@ -29,7 +29,7 @@ def test_it_passes_gymnasiums_own_checker() -> None:
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.0035])
-def test_its_muscle_moves_as_the_simulated_rigs_plant(delay_s: float) -> None:
+def test_its_muscle_moves_as_the_simulated_rigs_plant(delay_s):
     """Plain Python's plant, tick by tick, is the other side; the encoder has steps of 3.2 um."""
     effects = {"command_delay": {"delay_s": delay_s}} if delay_s else {}
     keys = {"base": "paper", "effects": effects}
@@ -49,7 +49,7 @@ def test_its_muscle_moves_as_the_simulated_rigs_plant(delay_s: float) -> None:
     assert plant.position_m > 1e-3
 
 
-def test_an_episode_ends_with_its_reference_and_seeds_repeat_it() -> None:
+def test_an_episode_ends_with_its_reference_and_seeds_repeat_it():
     env = MuscleEnv(duration_s=0.5)
     courses = []
     for seed in (1, 1, 2):
@@ -69,7 +69,7 @@ def test_an_episode_ends_with_its_reference_and_seeds_repeat_it() -> None:
     assert courses[0][1] != courses[2][1]
 
 
-def test_beyond_the_stroke_the_episode_is_over() -> None:
+def test_beyond_the_stroke_the_episode_is_over():
     env = MuscleEnv(reference=SINE, overrides=("rig.limits.stroke_high_mm=5",))
     env.reset(seed=1)
     for _ in range(1000):
@@ -89,12 +89,12 @@ def test_beyond_the_stroke_the_episode_is_over() -> None:
         ({"plant": "papr"}, "did you mean 'paper'"),
     ],
 )
-def test_what_cannot_be_learnt_on_is_refused(options: dict[str, object], line: str) -> None:
+def test_what_cannot_be_learnt_on_is_refused(options, line):
     with pytest.raises(pamctl.PamctlError, match=line):
         MuscleEnv(**options).reset()  # type: ignore[arg-type]
 
 
-def test_the_valve_command_is_what_the_converter_can_output() -> None:
+def test_the_valve_command_is_what_the_converter_can_output():
     env = MuscleEnv(reference=SINE)
     env.reset(seed=0)
     observation, *_ = env.step(np.array([0.123456], np.float32))

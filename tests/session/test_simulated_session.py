@@ -37,9 +37,7 @@ def rig(tmp_path: Path) -> Iterator[pamctl.SimulatedRig]:
         yield made
 
 
-def test_an_afternoon_of_positions_runs_marks_and_gains_replays_to_the_bit(
-    rig: pamctl.SimulatedRig,
-) -> None:
+def test_an_afternoon_of_positions_runs_marks_and_gains_replays_to_the_bit(rig):
     assert rig.state == "idle"
     rig.goto(4e-3, within_s=0.5)
     tick = rig.status()["tick"]
@@ -67,7 +65,7 @@ def test_an_afternoon_of_positions_runs_marks_and_gains_replays_to_the_bit(
         assert replay_log(each.log).is_equal
 
 
-def test_the_motion_is_that_of_the_compiled_batch(tmp_path: Path) -> None:
+def test_the_motion_is_that_of_the_compiled_batch(tmp_path):
     """The batch is composed otherwise, and begins with the experiment at once."""
     quiet = [NOT_HOMED, "rig.sim.sensor_noise_v=0", "rig.sim.encoder_start_counts=1000.4"]
     tracking = pamctl.Tracking(
@@ -88,9 +86,7 @@ def test_the_motion_is_that_of_the_compiled_batch(tmp_path: Path) -> None:
     assert np.ptp(batch["true_position_m"]) > 6e-3
 
 
-def test_an_exception_in_the_block_stops_the_run_smoothly_and_its_log_is_whole(
-    tmp_path: Path,
-) -> None:
+def test_an_exception_in_the_block_stops_the_run_smoothly_and_its_log_is_whole(tmp_path):
     with pytest.raises(KeyboardInterrupt), simulate(logs=tmp_path, overrides=QUICK) as rig:
         log = rig.start(SINE)
         for tick in rig.live():
@@ -108,9 +104,7 @@ def loop_of(rig: pamctl.SimulatedRig) -> InProcessLoop:
     return session.carrier
 
 
-def test_ctrl_c_within_a_tick_is_obeyed_after_it(
-    rig: pamctl.SimulatedRig, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_within_a_tick_is_obeyed_after_it(rig, monkeypatch):
     rig.goto(5e-3, within_s=0.5)
     before = rig.status()["tick"]["tick"]
     with monkeypatch.context() as pressed:
@@ -122,7 +116,7 @@ def test_ctrl_c_within_a_tick_is_obeyed_after_it(
     assert rig.status()["tick"]["tick"] == before + 101
 
 
-def test_ctrl_c_during_a_run_stops_it_and_leaves_the_log(tmp_path: Path) -> None:
+def test_ctrl_c_during_a_run_stops_it_and_leaves_the_log(tmp_path):
     program = f"""
 import os, pathlib, signal, threading, time, pamctl
 def press():
@@ -142,9 +136,7 @@ with pamctl.simulate(logs={str(tmp_path)!r}, overrides={QUICK!r}) as rig:
     assert not list(Path(left).glob("*.ring"))
 
 
-def test_what_is_refused_has_the_shells_line_and_code_and_changes_nothing(
-    rig: pamctl.SimulatedRig,
-) -> None:
+def test_what_is_refused_has_the_shells_line_and_code_and_changes_nothing(rig):
     before = rig.gains
     for wrong, line, code in (
         (lambda: rig.goto(0.2), "goto 200 mm lies outside the stroke", ExitCode.CHECK_FAILED),
@@ -178,9 +170,7 @@ def test_what_is_refused_has_the_shells_line_and_code_and_changes_nothing(
         ({"overrides": ["rig.homing.fills=x"]}, "rig.homing.fills", ExitCode.BAD_CONFIG),
     ],
 )
-def test_settings_that_cannot_be_used_begin_nothing(
-    options: dict[str, str], line: str, code: ExitCode, tmp_path: Path
-) -> None:
+def test_settings_that_cannot_be_used_begin_nothing(options, line, code, tmp_path):
     with pytest.raises(pamctl.PamctlError) as refused:
         simulate(logs=tmp_path / "logs", **options)  # type: ignore[arg-type]
     assert line in str(refused.value)
@@ -188,7 +178,7 @@ def test_settings_that_cannot_be_used_begin_nothing(
     assert not (tmp_path / "logs").exists()
 
 
-def test_a_trip_names_its_reason_its_code_and_the_log_and_is_latched(tmp_path: Path) -> None:
+def test_a_trip_names_its_reason_its_code_and_the_log_and_is_latched(tmp_path):
     limits = [*QUICK, NOT_HOMED, "rig.limits.stroke_high_mm=9"]
     steps = pamctl.Steps(steps=[{"valve_v": 5.0, "hold_s": 3.0}])
     with simulate(logs=tmp_path, overrides=limits) as rig:
@@ -204,9 +194,7 @@ def test_a_trip_names_its_reason_its_code_and_the_log_and_is_latched(tmp_path: P
         rig.goto(5e-3)
 
 
-def test_the_code_of_a_fault_is_not_that_of_the_one_before_it(
-    rig: pamctl.SimulatedRig, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_code_of_a_fault_is_not_that_of_the_one_before_it(rig, monkeypatch):
     rig.goto(5e-3, within_s=0.5)
     late = Ending(ExitCode.OVERRUNS, "too many ticks were missed")
     monkeypatch.setattr(loop_of(rig), "find_stop", lambda tick: late)
@@ -220,7 +208,7 @@ def test_the_code_of_a_fault_is_not_that_of_the_one_before_it(
     assert second.value.exit_code == ExitCode.SAFETY_TRIP
 
 
-def test_a_session_that_does_not_end_well_is_a_fault_and_not_idle(rig: pamctl.SimulatedRig) -> None:
+def test_a_session_that_does_not_end_well_is_a_fault_and_not_idle(rig):
     rig.goto(5e-3, within_s=0.5)
     loop_of(rig).stop_now()
     with pytest.raises(pamctl.PamctlError, match="emergency stop") as ended:
@@ -233,9 +221,7 @@ def test_a_session_that_does_not_end_well_is_a_fault_and_not_idle(rig: pamctl.Si
     assert rig.state == "idle"
 
 
-def test_a_log_whose_loop_ends_before_its_first_tick_says_how_it_ended(
-    rig: pamctl.SimulatedRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_log_whose_loop_ends_before_its_first_tick_says_how_it_ended(rig, tmp_path, monkeypatch):
     begin = InProcessLoop.begin
 
     def begin_after_a_stop(loop: InProcessLoop, *of: Any) -> None:
@@ -250,8 +236,8 @@ def test_a_log_whose_loop_ends_before_its_first_tick_says_how_it_ended(
 
 
 def test_a_wait_for_a_held_position_is_refused_at_once_and_one_with_an_end_returns(
-    rig: pamctl.SimulatedRig, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    rig, monkeypatch
+):
     rig.goto(5e-3, within_s=0.5)
 
     def wait_in_vain(*_: object) -> None:
@@ -268,9 +254,7 @@ def test_a_wait_for_a_held_position_is_refused_at_once_and_one_with_an_end_retur
     assert rig.wait().ending.code == ExitCode.OK
 
 
-def test_a_motion_that_another_thread_stops_has_not_arrived(
-    rig: pamctl.SimulatedRig, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_motion_that_another_thread_stops_has_not_arrived(rig, monkeypatch):
     begin = rig._begin
 
     def begin_and_be_stopped(order: str, /, **params: object) -> Path:
@@ -286,7 +270,7 @@ def test_a_motion_that_another_thread_stops_has_not_arrived(
     assert pamctl.Run.open(stopped.value.log).ending.reason == "stopped by request"
 
 
-def test_the_emergency_stop_ends_the_run_at_once_and_is_latched(rig: pamctl.SimulatedRig) -> None:
+def test_the_emergency_stop_ends_the_run_at_once_and_is_latched(rig):
     log = rig.start(SINE)
     rig.sleep(1.5)
     rig.estop()
@@ -298,9 +282,7 @@ def test_the_emergency_stop_ends_the_run_at_once_and_is_latched(rig: pamctl.Simu
     assert rig.state == "idle"
 
 
-def test_a_run_is_arrays_units_tables_and_pictures(
-    rig: pamctl.SimulatedRig, tmp_path: Path
-) -> None:
+def test_a_run_is_arrays_units_tables_and_pictures(rig, tmp_path):
     run = rig.run(SINE)
     figures = run.metrics
     tracked = np.isin(run["phase"], (2, 3))
@@ -323,7 +305,7 @@ def test_a_run_is_arrays_units_tables_and_pictures(
     assert missing.value.exit_code == ExitCode.BAD_DATA
 
 
-def test_importing_pamctl_loads_nothing() -> None:
+def test_importing_pamctl_loads_nothing():
     program = (
         "import sys, pamctl; heavy = {'numpy', 'pydantic', 'scipy', 'pamctl.session'}\n"
         "assert not heavy & {*sys.modules}, heavy & {*sys.modules}\n"
@@ -335,7 +317,7 @@ def test_importing_pamctl_loads_nothing() -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_gains_are_searched_and_each_generation_is_told() -> None:
+def test_gains_are_searched_and_each_generation_is_told():
     heard: list[tuple[int, float]] = []
     found = pamctl.find_gains("pid", generations=2, progress=lambda *told: heard.append(told))
     assert [generation for generation, _ in heard] == [1, 2]

@@ -42,7 +42,7 @@ GOLDEN = Path(__file__).parents[1] / "golden" / "qsmc.mcap"
 KEY = "controller.lambda_per_s"
 
 
-def test_a_setting_with_several_values_is_swept() -> None:
+def test_a_setting_with_several_values_is_swept():
     request = parse_sweep([f"{KEY}=20,40", "plant.x=[1,2]", "controller.mode=a, b"], 1)
     assert request.fixed == ("plant.x=[1,2]",)
     assert request.list_points() == [
@@ -59,24 +59,24 @@ def test_a_setting_with_several_values_is_swept() -> None:
     [[], [f"{KEY}=20"], [f"{KEY}=1,,2"], [f"{KEY}=1,1"], [f"{KEY}=1,2", f"{KEY}=3,4"],
      [f"{KEY}={','.join(map(str, range(20_000)))}"]],
 )  # fmt: skip
-def test_a_sweep_that_makes_no_sense_is_refused(overrides: list[str]) -> None:
+def test_a_sweep_that_makes_no_sense_is_refused(overrides):
     with pytest.raises(SweepError):
         parse_sweep(overrides, 1)
 
 
-def test_all_points_come_before_the_first_repeat() -> None:
+def test_all_points_come_before_the_first_repeat():
     runs = list_runs([{"a": 1}, {"a": 2}], 2)
     assert [(run.point["a"], run.repeat) for run in runs] == [(1, 0), (2, 0), (1, 1), (2, 1)]
 
 
-def test_the_base_of_a_sweep_is_all_but_what_is_swept_and_the_seed() -> None:
+def test_the_base_of_a_sweep_is_all_but_what_is_swept_and_the_seed():
     request = parse_sweep(["a.b=1,2"], 1)
     mark = request.mark_base({"a": {"b": 1, "c": 2}, "seed": 1})
     assert mark == request.mark_base({"seed": 2, "a": {"c": 2, "b": 5}})
     assert mark != request.mark_base({"a": {"b": 1, "c": 3}})
 
 
-def test_a_run_without_an_end_is_refused(tmp_path: Path) -> None:
+def test_a_run_without_an_end_is_refused(tmp_path):
     hold = tmp_path / "hold.yaml"
     hold.write_text("kind: hold\nposition_mm: 8\ntransition_s: 1\n")
     with pytest.raises(SweepError, match="--duration"):
@@ -119,7 +119,7 @@ def quiet(_line: str) -> None:
     pass
 
 
-def test_an_interrupted_sweep_keeps_what_it_has_and_goes_on(tmp_path: Path) -> None:
+def test_an_interrupted_sweep_keeps_what_it_has_and_goes_on(tmp_path):
     sweep = plan(tmp_path, 20.0, 40.0)
     first = CopyingRunner(tmp_path, interrupt_at=3)
     end = run_sweep(sweep, first, quiet)
@@ -134,7 +134,7 @@ def test_an_interrupted_sweep_keeps_what_it_has_and_goes_on(tmp_path: Path) -> N
     assert [run.point[KEY] for run in more.made] == [80.0, 80.0]
 
 
-def test_a_sweep_is_not_continued_under_other_settings(tmp_path: Path) -> None:
+def test_a_sweep_is_not_continued_under_other_settings(tmp_path):
     run_sweep(plan(tmp_path, 20.0, repeats=1), CopyingRunner(tmp_path), quiet)
     other = CopyingRunner(tmp_path)
     with pytest.raises(SweepError, match="another --name"):
@@ -143,9 +143,7 @@ def test_a_sweep_is_not_continued_under_other_settings(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("goes_on", [True, False])
-def test_a_sweep_of_a_real_muscle_ends_with_the_first_failure(
-    tmp_path: Path, goes_on: bool
-) -> None:
+def test_a_sweep_of_a_real_muscle_ends_with_the_first_failure(tmp_path, goes_on):
     runner = CopyingRunner(tmp_path, fail={20.0: ExitCode.SAFETY_TRIP}, goes_on=goes_on)
     end = run_sweep(plan(tmp_path, 10.0, 20.0, 40.0, repeats=1), runner, quiet)
     assert len(runner.made) == (3 if goes_on else 2)
@@ -153,7 +151,7 @@ def test_a_sweep_of_a_real_muscle_ends_with_the_first_failure(
     assert end.left == (1 if goes_on else 2)
 
 
-def test_of_runs_that_all_failed_the_newest_is_shown(tmp_path: Path) -> None:
+def test_of_runs_that_all_failed_the_newest_is_shown(tmp_path):
     sweep = plan(tmp_path, 20.0, repeats=1)
     (run,) = sweep.runs
     point = json.dumps(run.point, separators=(",", ":"))
@@ -168,7 +166,7 @@ def test_of_runs_that_all_failed_the_newest_is_shown(tmp_path: Path) -> None:
     assert not find_runs(sweep)
 
 
-def test_the_table_is_mean_and_deviation_of_the_runs_that_ended_well() -> None:
+def test_the_table_is_mean_and_deviation_of_the_runs_that_ended_well():
     def row(gain: float, rms_um: float | None, ending: str = "ok") -> RunRow:
         sweep = {"name": "s", "point": {KEY: gain}, "repeat": 0}
         return RunRow("a", 1, 1, ending=ending, rms_um=rms_um, sweep=sweep)
@@ -202,7 +200,7 @@ def sweep_fast(folder: Path, *words: str) -> Any:
 
 
 @pytest.mark.long
-def test_a_sweep_without_a_clock_from_the_command_line(tmp_path: Path) -> None:
+def test_a_sweep_without_a_clock_from_the_command_line(tmp_path):
     folder = tmp_path / "logs"
     code, document = sweep_fast(folder, "--note", "hose 2")
     assert (code, document["left"], len(document["points"])) == (0, 0, 2)

@@ -21,7 +21,7 @@ from pamctl.settings.config_files import list_shipped
 from pamctl.settings.resolve import resolve, settings_to_data
 
 
-def test_every_kind_of_an_experiment_file_has_a_form_that_pamctl_offers() -> None:
+def test_every_kind_of_an_experiment_file_has_a_form_that_pamctl_offers():
     paper = {"tracking", "square", "steps", "hold", "program"}
     parts = {"pause", "mark", "gains", "repeat"}
     assert {*FORMS} == paper | parts | {"sequence"} | {*FORMS_OF_FILES}
@@ -31,7 +31,7 @@ def test_every_kind_of_an_experiment_file_has_a_form_that_pamctl_offers() -> Non
 
 
 @pytest.mark.parametrize("kind", FORMS)
-def test_the_stub_for_editors_has_the_keys_of_each_form(kind: str) -> None:
+def test_the_stub_for_editors_has_the_keys_of_each_form(kind):
     stub = ast.parse((Path(pamctl.__file__).parent / "__init__.pyi").read_text())
     (written,) = (
         node
@@ -48,7 +48,7 @@ def test_the_stub_for_editors_has_the_keys_of_each_form(kind: str) -> None:
 
 
 @pytest.mark.parametrize("name", list_shipped("experiment"))
-def test_a_shipped_experiment_written_as_a_form_is_the_same(name: str) -> None:
+def test_a_shipped_experiment_written_as_a_form_is_the_same(name):
     data = settings_to_data(resolve(experiment=name).experiment)
     keys = {key: value for key, value in data.items() if key != "kind"}
     if data["kind"] == "sequence":
@@ -63,13 +63,13 @@ def write_part(part: dict[str, Any]) -> Any:
     return FORMS[part["kind"]](**keys)
 
 
-def test_a_wrong_value_is_refused_when_the_form_is_made() -> None:
+def test_a_wrong_value_is_refused_when_the_form_is_made():
     with pytest.raises(pamctl.PamctlError, match=r"Sine: experiment.amplitude_mm: ") as refused:
         pamctl.Sine(amplitude_mm=-1, frequency_hz=1)
     assert refused.value.exit_code == ExitCode.BAD_CONFIG
 
 
-def test_numbers_and_arrays_of_numpy_are_taken() -> None:
+def test_numbers_and_arrays_of_numpy_are_taken():
     t_s = np.linspace(0.0, 1.0, 5)
     table = pamctl.Table(t_s=t_s, values_mm=10.0 + np.sin(t_s))  # type: ignore[arg-type]
     assert table.to_data()["t_s"] == [0.0, 0.25, 0.5, 0.75, 1.0]
@@ -77,7 +77,7 @@ def test_numbers_and_arrays_of_numpy_are_taken() -> None:
     assert sine.to_data()["cycles"] == 3
 
 
-def test_a_part_of_a_sequence_is_checked_with_it() -> None:
+def test_a_part_of_a_sequence_is_checked_with_it():
     part = pamctl.Pause(duration_s=-1)
     with pytest.raises(pamctl.PamctlError, match=r"parts\.1\.duration_s"):
         pamctl.MotionSequence(parts=[pamctl.Move(to_mm=9, duration_s=1), part])
@@ -140,7 +140,7 @@ with pamctl.simulate("paper") as rig:
 
 
 @pytest.mark.long
-def test_a_strict_script_has_no_error_and_a_wrong_one_has_each(tmp_path: Path) -> None:
+def test_a_strict_script_has_no_error_and_a_wrong_one_has_each(tmp_path):
     right, wrong = tmp_path / "right.py", tmp_path / "wrong.py"
     right.write_text(SCRIPT)
     wrong.write_text(WRONG)
@@ -166,9 +166,7 @@ NOTEBOOK = list_pages()[0].path.parent / "afternoon.ipynb"
 
 
 @pytest.mark.long
-def test_the_notebook_finds_the_dead_band_and_better_gains(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_notebook_finds_the_dead_band_and_better_gains(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     cells = [c for c in json.loads(NOTEBOOK.read_text())["cells"] if c["cell_type"] == "code"]
     assert not any(cell["outputs"] for cell in cells)

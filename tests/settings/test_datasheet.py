@@ -44,7 +44,7 @@ def make(*options: str) -> Any:
         ("valve_gain_m2_per_v", "1.03 mm2/V", 1.03e-6),
     ],
 )
-def test_a_number_with_its_unit_is_read_in_si(name: str, text: str, value: float) -> None:
+def test_a_number_with_its_unit_is_read_in_si(name, text, value):
     assert read_quantity(name, text, AIR) == pytest.approx(value, rel=1e-12)
 
 
@@ -61,12 +61,12 @@ def test_a_number_with_its_unit_is_read_in_si(name: str, text: str, value: float
         ("heat_capacity_ratio", "1.4 J", "a plain number"),
     ],
 )
-def test_nonsense_is_refused_with_what_would_do(name: str, text: str, words: str) -> None:
+def test_nonsense_is_refused_with_what_would_do(name, text, words):
     with pytest.raises(DatasheetError, match=words):
         read_quantity(name, text, AIR)
 
 
-def test_angle_and_diameter_give_the_braid_of_the_paper() -> None:
+def test_angle_and_diameter_give_the_braid_of_the_paper():
     paper = MuscleParameters()
     angle_deg = math.degrees(math.acos(paper.rest_length_m / paper.braid_length_m))
     known = {"rest_length_m": paper.rest_length_m}
@@ -79,7 +79,7 @@ def test_angle_and_diameter_give_the_braid_of_the_paper() -> None:
     assert turns == pytest.approx(paper.braid_turns)
 
 
-def test_a_nominal_flow_is_that_of_an_isentropic_orifice() -> None:
+def test_a_nominal_flow_is_that_of_an_isentropic_orifice():
     gain = read_quantity("valve_gain_m2_per_v", "350 l/min", AIR)
     # Psi from 7 to 6 bar by its closed form, at the 20 degC of the datasheet.
     ratio, gamma, upstream_pa, energy = 6.0 / 7.0, 1.4, 7e5, 287.1 * 293.15
@@ -90,7 +90,7 @@ def test_a_nominal_flow_is_that_of_an_isentropic_orifice() -> None:
     assert 5.0 * gain * flow == pytest.approx(350e-3 / 60.0 * 1.185, rel=1e-9)
 
 
-def test_every_number_of_the_settings_is_in_the_list_of_a_muscle_with_its_description() -> None:
+def test_every_number_of_the_settings_is_in_the_list_of_a_muscle_with_its_description():
     asked = {question.name: question.meaning for question in list_questions("muscle")}
     shares = {"return_friction.share", "braid_drag.share"}
     effects = {"external_load.force_n", "coulomb_friction.force_n", *shares}
@@ -101,7 +101,7 @@ def test_every_number_of_the_settings_is_in_the_list_of_a_muscle_with_its_descri
     assert not of_axis & {"rest_length_m", "tank_pressure_pa", "valve_gain_m2_per_v"}
 
 
-def test_the_file_says_what_each_number_means_and_how_it_was_given(tmp_path: Path) -> None:
+def test_the_file_says_what_each_number_means_and_how_it_was_given(tmp_path):
     out = tmp_path / "chamber.yaml"
     given = ["chamber_volume_m3=2 l", "atmospheric_pressure_pa=94 kPa"]
     given += ["tank_pressure_pa=6 bar gauge", "temperature_k=25 C"]
@@ -130,18 +130,14 @@ def test_the_file_says_what_each_number_means_and_how_it_was_given(tmp_path: Pat
         ("chamber_volume_m3=-1 l", 78, "chamber_volume_m3: must be at least 1e-12 (got -0.001)"),
     ],
 )
-def test_a_number_that_cannot_be_is_refused_and_nothing_is_written(
-    value: str, code: int, words: str, tmp_path: Path
-) -> None:
+def test_a_number_that_cannot_be_is_refused_and_nothing_is_written(value, code, words, tmp_path):
     out = tmp_path / "no.yaml"
     done = make("--out", str(out), "--actuator", "chamber", "--value", value)
     assert (done.exit_code, out.exists()) == (code, False)
     assert words in done.stderr
 
 
-def test_the_air_of_a_rig_of_ones_own_is_at_room_temperature_and_the_papers_is_not(
-    tmp_path: Path,
-) -> None:
+def test_the_air_of_a_rig_of_ones_own_is_at_room_temperature_and_the_papers_is_not(tmp_path):
     new = tmp_path / "new.yaml"
     for actuator, values in (("chamber", ["--value", "chamber_volume_m3=2 l"]), ("muscle", [])):
         new.unlink(missing_ok=True)
@@ -159,7 +155,7 @@ def test_the_air_of_a_rig_of_ones_own_is_at_room_temperature_and_the_papers_is_n
     assert resolve(plant="paper").plant.parameters.temperature_k == 273.0
 
 
-def test_numbers_without_a_default_must_be_given(tmp_path: Path) -> None:
+def test_numbers_without_a_default_must_be_given(tmp_path):
     out = str(tmp_path / "axis.yaml")
     values = ["--value", "mass_kg=95 kg", "--value", "damping_n_s_per_m=200 N s/m"]
     lacking = make("--out", out, "--actuator", "direct", *values)
@@ -183,7 +179,7 @@ def test_numbers_without_a_default_must_be_given(tmp_path: Path) -> None:
     assert "-2.yaml" in again.stderr
 
 
-def test_numbers_that_do_not_fit_together_or_are_not_there_write_nothing(tmp_path: Path) -> None:
+def test_numbers_that_do_not_fit_together_or_are_not_there_write_nothing(tmp_path):
     out = tmp_path / "no.yaml"
     for options, code, words in (
         (["--value", "braid_length_m=0.1"], 78, "must lie between"),
@@ -195,7 +191,7 @@ def test_numbers_that_do_not_fit_together_or_are_not_there_write_nothing(tmp_pat
         assert words in done.stderr
 
 
-def test_numbers_are_guessed_from_measured_text_and_say_so(tmp_path: Path) -> None:
+def test_numbers_are_guessed_from_measured_text_and_say_so(tmp_path):
     t_s = np.arange(0.0, 6.0, 2e-3)
     motion = 0.02 * np.sin(9.0 * t_s) + 0.01 * np.sin(23.0 * t_s)
     speed = 0.18 * np.cos(9.0 * t_s) + 0.23 * np.cos(23.0 * t_s)
@@ -212,9 +208,7 @@ def test_numbers_are_guessed_from_measured_text_and_say_so(tmp_path: Path) -> No
     assert "guessed, from the balance of forces" in out.read_text()
 
 
-def test_a_file_whose_columns_are_not_clear_is_refused_with_the_way_to_a_map(
-    tmp_path: Path,
-) -> None:
+def test_a_file_whose_columns_are_not_clear_is_refused_with_the_way_to_a_map(tmp_path):
     source = tmp_path / "odd.csv"
     rows = "".join(f"{k},{k % 7},{k % 5}\n" for k in range(200))
     source.write_text("time_ms,Force thing,Way\n" + rows)

@@ -66,9 +66,7 @@ def shorten(data: Any) -> Any:
 @pytest.mark.parametrize(
     "kinds", [PLANTS, CONTROLLERS, RIGS, EXPERIMENTS], ids=["plant", "controller", "rig", "motion"]
 )
-def test_every_number_of_every_section_is_refused_at_the_edge_or_can_be_used(
-    kinds: dict[str, tuple[str, ...]], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_number_of_every_section_is_refused_at_the_edge_or_can_be_used(kinds, monkeypatch):
     monkeypatch.setattr(envelope, "_MOST_SAMPLES", 200)  # each is computed alike
     ((section, names),) = kinds.items()
     seen: set[str] = set()
@@ -116,7 +114,7 @@ def test_every_number_of_every_section_is_refused_at_the_edge_or_can_be_used(
 )
 def test_a_number_that_breaks_the_model_or_switches_a_guard_off_is_refused_with_its_bound(
     change, tmp_path
-) -> None:
+):
     law = ("--controller", "smc") if change.startswith("controller") else ()
     log = tmp_path / "run.mcap"
     done = run_pamctl("run", "--fast", "--duration", 0.01, *law, "--set", change, "--log", log)
@@ -147,7 +145,7 @@ class RunawayPlant:
         RunawayPlant(1e5, 0.0, ValueError("math domain error")),
     ],
 )
-def test_a_simulated_plant_that_runs_away_is_an_error_of_the_rig(plant) -> None:
+def test_a_simulated_plant_that_runs_away_is_an_error_of_the_rig(plant):
     now_ns = iter(range(0, 10**9, 10**6))
     chain = sensor_chain(SimSettings(), CalibrationSettings())
     rig = SimRig(plant, chain, safe_output_v=0.0, now_ns=lambda: next(now_ns))
@@ -158,7 +156,7 @@ def test_a_simulated_plant_that_runs_away_is_an_error_of_the_rig(plant) -> None:
 
 
 @pytest.mark.parametrize("ending", ["lock", "ao"])
-def test_a_pipe_where_a_device_is_locked_is_one_line_and_no_wait(ending, tmp_path) -> None:
+def test_a_pipe_where_a_device_is_locked_is_one_line_and_no_wait(ending, tmp_path):
     device = f"pipe{os.getpid()}"
     pipe = SHARED_MEMORY / f"pamctl-{device}.{ending}"
     os.mkfifo(pipe)

@@ -137,28 +137,26 @@ SLIDING = "controller:\n  law: sliding\n  lambda_per_s: 225\n"
         ("zzz: 1", "zzz: unknown key; there are law, lambda_per_s, limit_v, pressure_pa, taps,"),
     ],
 )
-def test_a_bad_value_is_one_line_with_its_place_and_what_was_expected(
-    line: str, problem: str
-) -> None:
+def test_a_bad_value_is_one_line_with_its_place_and_what_was_expected(line, problem):
     (said,) = toy_problems(f"{SLIDING}  {line}\n")
     assert said.startswith("my.yaml:4:")
     assert f": controller.{problem}" in said
 
 
-def test_a_key_with_another_unit_is_one_problem_not_an_unknown_and_a_missing_one() -> None:
+def test_a_key_with_another_unit_is_one_problem_not_an_unknown_and_a_missing_one():
     assert toy_problems("controller:\n  law: sliding\n  lambda_hz: 35\n") == [
         "my.yaml:3:3: controller.lambda_hz: unknown key; "
         "did you mean 'lambda_per_s'? The unit is part of the name"
     ]
 
 
-def test_a_missing_key_is_placed_at_the_mapping_it_is_missing_from() -> None:
+def test_a_missing_key_is_placed_at_the_mapping_it_is_missing_from():
     assert toy_problems("limits: {}\ncontroller:\n  law: sliding\n") == [
         "my.yaml:2:1: controller.lambda_per_s: missing, and has no default"
     ]
 
 
-def test_an_unknown_or_missing_tag_of_a_union_lists_the_choices() -> None:
+def test_an_unknown_or_missing_tag_of_a_union_lists_the_choices():
     assert toy_problems("controller:\n  law: slidin\n") == [
         "my.yaml:2:3: controller.law: must be 'sliding' or 'pid' (got 'slidin')"
     ]
@@ -170,7 +168,7 @@ def test_an_unknown_or_missing_tag_of_a_union_lists_the_choices() -> None:
     ]
 
 
-def test_all_problems_of_a_file_come_at_once_in_the_order_of_its_lines() -> None:
+def test_all_problems_of_a_file_come_at_once_in_the_order_of_its_lines():
     lines = toy_problems(f"{SLIDING}  cycles: x\n  limit_v: -1\nlimits: 3\nstep: []\n")
     assert [line.split(": ")[0] for line in lines] == [
         "my.yaml:4:3",
@@ -210,7 +208,7 @@ JARGON = ("input", "Input", "extra", "permitted", "instance", "tag", "Field requ
     )
 )
 @examples(max_examples=60, deadline=None)
-def test_pydantics_jargon_never_reaches_the_user(data: Any) -> None:
+def test_pydantics_jargon_never_reaches_the_user(data):
     mapping = data if isinstance(data, dict) else {"controller": data}
     try:
         toy(RawSettings(mapping, {(): "my.yaml:1:1"}))
@@ -225,7 +223,7 @@ def test_pydantics_jargon_never_reaches_the_user(data: Any) -> None:
 # --- overrides ---------------------------------------------------------------------------
 
 
-def test_an_override_takes_a_scalar_or_a_flow_value_and_makes_the_mappings_on_its_way() -> None:
+def test_an_override_takes_a_scalar_or_a_flow_value_and_makes_the_mappings_on_its_way():
     made = toy(
         RawSettings.parse(f"{SLIDING}steps: [{{low_m: 0}}]\n", Path("my.yaml")),
         "controller.lambda_per_s=1e1",
@@ -257,9 +255,7 @@ def test_an_override_takes_a_scalar_or_a_flow_value_and_makes_the_mappings_on_it
         ("controller..x=1", "must read KEY=VALUE, as in controller.lambda_per_s=12"),
     ],
 )
-def test_a_bad_override_is_reported_as_the_override_and_not_as_the_file(
-    override: str, problem: str
-) -> None:
+def test_a_bad_override_is_reported_as_the_override_and_not_as_the_file(override, problem):
     (said,) = toy_problems(f"{SLIDING}steps: []\n", override)
     assert said.startswith(f"--set {override}: {problem}")
 
@@ -273,9 +269,7 @@ def test_a_bad_override_is_reported_as_the_override_and_not_as_the_file(
     st.text(st.characters(exclude_categories=["Cs"])),
 )
 @examples(deadline=None)
-def test_settings_come_back_equal_from_yaml_and_from_json(
-    rate: float, limit: float, notes: str
-) -> None:
+def test_settings_come_back_equal_from_yaml_and_from_json(rate, limit, notes):
     gains = Sliding(law="sliding", lambda_per_s=rate, limit_v=limit, notes=notes)
     made = Toy(controller=gains, steps=[Limits(low_m=1e-05)])
     for text in (settings_to_yaml(made), settings_to_json(made)):
@@ -290,7 +284,7 @@ def shipped() -> Iterator[Path]:
         yield from sorted((config_dir() / section).glob("*.yaml"))
 
 
-def test_every_shipped_file_names_the_schema_and_is_valid() -> None:
+def test_every_shipped_file_names_the_schema_and_is_valid():
     assert list(shipped())
     for path in shipped():
         assert path.read_text().splitlines()[0] == SCHEMA_LINE, path
@@ -300,7 +294,7 @@ def test_every_shipped_file_names_the_schema_and_is_valid() -> None:
     assert kinds == [f"ok ({path.parent.name})" for path in shipped()]
 
 
-def test_the_committed_schema_is_the_printed_one_and_complete() -> None:
+def test_the_committed_schema_is_the_printed_one_and_complete():
     committed = json.loads((config_dir() / "pamctl.schema.json").read_text())
     code, out, _ = config("schema")
     assert code == 0
@@ -326,7 +320,7 @@ def _models(model: type[BaseModel], seen: set[type[BaseModel]]) -> set[type[Base
     return seen
 
 
-def test_every_settings_model_is_strict_and_its_defaults_are_those_of_its_parts() -> None:
+def test_every_settings_model_is_strict_and_its_defaults_are_those_of_its_parts():
     """Otherwise an override of one key of a nested model would silently change the others."""
     for model in _models(RunSettings, set()):
         assert issubclass(model, Configured), model.__name__
@@ -341,7 +335,7 @@ def test_every_settings_model_is_strict_and_its_defaults_are_those_of_its_parts(
 # --- resolving a run ---------------------------------------------------------------------
 
 
-def test_a_run_without_options_is_the_default_run_and_comes_back_equal_from_its_log() -> None:
+def test_a_run_without_options_is_the_default_run_and_comes_back_equal_from_its_log():
     run = resolve()
     assert run == from_resolved(settings_to_yaml(run)) == from_resolved(settings_to_json(run))
     assert run.seed == 0
@@ -354,7 +348,7 @@ def default_run() -> RunSettings:
     return resolve()
 
 
-def test_a_bad_option_is_reported_by_its_name() -> None:
+def test_a_bad_option_is_reported_by_its_name():
     with pytest.raises(ConfigError) as caught:
         resolve(seed=-1, duration_s=0.0, rt="always")
     assert str(caught.value).splitlines() == [
@@ -364,7 +358,7 @@ def test_a_bad_option_is_reported_by_its_name() -> None:
     ]
 
 
-def test_problems_of_several_files_come_at_once() -> None:
+def test_problems_of_several_files_come_at_once():
     Path("my.yaml").write_text("base: papr\n")
     Path("other.yaml").write_text("backend: nidaq\n")
     with pytest.raises(ConfigError) as caught:
@@ -382,7 +376,7 @@ def test_problems_of_several_files_come_at_once() -> None:
     ]
 
 
-def test_an_unknown_name_gets_the_nearest_and_the_list() -> None:
+def test_an_unknown_name_gets_the_nearest_and_the_list():
     with pytest.raises(ConfigError) as caught:
         find_config_file("plant", "papr")
     assert str(caught.value).startswith(
@@ -394,13 +388,13 @@ def test_an_unknown_name_gets_the_nearest_and_the_list() -> None:
     assert find_config_file("plant", "here/paper") == Path("here/paper")
 
 
-def test_a_resolved_configuration_that_no_longer_fits_names_itself() -> None:
+def test_a_resolved_configuration_that_no_longer_fits_names_itself():
     with pytest.raises(ConfigError) as caught:
         from_resolved('{"seed": -1}', "run.mcap")
     assert "run.mcap: seed: must be at least 0 (got -1)" in str(caught.value).splitlines()
 
 
-def test_the_kind_of_a_file_follows_from_its_folder_or_its_keys() -> None:
+def test_the_kind_of_a_file_follows_from_its_folder_or_its_keys():
     Path("rig").mkdir()
     for name, text in {
         "rig/mine.yaml": "backend: sim\n",
@@ -419,7 +413,7 @@ def test_the_kind_of_a_file_follows_from_its_folder_or_its_keys() -> None:
         check_config_file(Path("what.yaml"))
 
 
-def test_a_file_with_the_heading_of_its_section_is_refused_with_the_fix() -> None:
+def test_a_file_with_the_heading_of_its_section_is_refused_with_the_fix():
     Path("plant").mkdir()
     Path("plant/mine.yaml").write_text("plant:\n  base: paper\n")
     with pytest.raises(ConfigError) as caught:
@@ -429,14 +423,14 @@ def test_a_file_with_the_heading_of_its_section_is_refused_with_the_fix() -> Non
     )
 
 
-def test_a_plant_file_with_a_correction_table_is_refused_with_what_to_do() -> None:
+def test_a_plant_file_with_a_correction_table_is_refused_with_what_to_do():
     Path("plant").mkdir()
     Path("plant/old.yaml").write_text("correction: {pull: {displacement_m: [0, 0.02]}}\n")
     with pytest.raises(ConfigError, match=r"old.yaml:1:1: plant.correction: .*`pamctl diagnose`"):
         check_config_file(Path("plant/old.yaml"))
 
 
-def test_settings_load_without_the_heavy_packages() -> None:
+def test_settings_load_without_the_heavy_packages():
     heavy = ["numpy", "scipy", "matplotlib", "mcap", "nidaqmx"]
     code = f"import sys, pamctl.settings.resolve; print([m for m in {heavy} if m in sys.modules])"
     done = run_process([sys.executable, "-c", code], check=True)
@@ -451,7 +445,7 @@ def config(*arguments: str) -> tuple[int, str, str]:
     return done.exit_code, done.stdout, done.stderr
 
 
-def test_config_check_lists_problems_and_exits_with_78() -> None:
+def test_config_check_lists_problems_and_exits_with_78():
     Path("bad.yaml").write_text("base: papr\n")
     Path("good.yaml").write_text("base: paper\n")
     code, out, _ = config("check", "bad.yaml", "good.yaml", "none.yaml")
@@ -470,7 +464,7 @@ def test_config_check_lists_problems_and_exits_with_78() -> None:
     ]
 
 
-def test_config_show_prints_what_the_run_would_use() -> None:
+def test_config_show_prints_what_the_run_would_use():
     options = ("--set", "plant.parameters.mass_kg=0.1", "--seed", "3")
     expected = resolve(overrides=["plant.parameters.mass_kg=0.1"], seed=3)
     for form in ((), ("--json",)):
@@ -479,7 +473,7 @@ def test_config_show_prints_what_the_run_would_use() -> None:
         assert from_resolved(out) == expected
 
 
-def test_config_show_knows_the_backend_as_run_does() -> None:
+def test_config_show_knows_the_backend_as_run_does():
     code, out, _ = config("show", "--backend", "nidaq", "--json")
     assert code == 0
     assert from_resolved(out) == resolve(rig="pci6221")
@@ -499,9 +493,7 @@ def test_config_show_knows_the_backend_as_run_does() -> None:
         ("experiment.kind=steps", "choose another file with --experiment"),
     ],
 )
-def test_an_override_cannot_change_the_law_or_backend_or_kind_of_a_file(
-    override: str, says: str
-) -> None:
+def test_an_override_cannot_change_the_law_or_backend_or_kind_of_a_file(override, says):
     with pytest.raises(ConfigError) as caught:
         resolve(overrides=[override])
     (problem,) = caught.value.problems
@@ -514,7 +506,7 @@ def test_an_override_cannot_change_the_law_or_backend_or_kind_of_a_file(
     assert value not in chosen.values()
 
 
-def test_config_show_keeps_problems_off_stdout() -> None:
+def test_config_show_keeps_problems_off_stdout():
     code, out, err = config("show", "--set", "plant.parameters.mass_kg=-1")
     assert (code, out) == (78, "")
     assert err == (
@@ -524,6 +516,6 @@ def test_config_show_keeps_problems_off_stdout() -> None:
     assert config("show", "--no-such-option")[0] == 2
 
 
-def test_a_key_without_its_section_is_refused_with_the_section() -> None:
+def test_a_key_without_its_section_is_refused_with_the_section():
     with pytest.raises(ConfigError, match=r"did you mean 'controller\.lambda_per_s'\?"):
         resolve(overrides=["lambda_per_s=30"])

@@ -57,19 +57,19 @@ def complaint(content: str | bytes, folder: Path) -> str:
         ("[1, {a: 2}]", [1, {"a": 2}]),
     ],
 )
-def test_scalars_follow_the_core_schema_of_yaml_1_2(text: str, value: object) -> None:
+def test_scalars_follow_the_core_schema_of_yaml_1_2(text, value):
     read = parse_yaml_value(text)
     assert read == value
     assert type(read) is type(value)
 
 
-def test_nan_is_read_as_a_float_for_the_model_to_refuse() -> None:
+def test_nan_is_read_as_a_float_for_the_model_to_refuse():
     value = parse_yaml_value(".nan")
     assert isinstance(value, float)
     assert math.isnan(value)
 
 
-def test_every_key_and_item_knows_its_line_and_column(tmp_path: Path) -> None:
+def test_every_key_and_item_knows_its_line_and_column(tmp_path):
     document = load_yaml(written(tmp_path, "# gains\nlaw: qsmc\neffects:\n  spool: {hz: 109}\n"))
     assert document.data == {"law": "qsmc", "effects": {"spool": {"hz": 109}}}
     assert document.marks == {
@@ -82,7 +82,7 @@ def test_every_key_and_item_knows_its_line_and_column(tmp_path: Path) -> None:
     assert parse_yaml("a:\n- 1\n- 2\n", HERE).marks[("a", 1)] == (3, 3)
 
 
-def test_a_value_below_an_alias_is_placed_where_it_is_written_out() -> None:
+def test_a_value_below_an_alias_is_placed_where_it_is_written_out():
     document = parse_yaml("a: &shared\n  k: 1\nb: *shared\n", HERE)
     assert document.data == {"a": {"k": 1}, "b": {"k": 1}}
     assert document.marks[("b",)] == (3, 1)
@@ -132,13 +132,13 @@ LADDER = "a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}]\n" for i in range(1
         (b"a: 1 # " + b"x" * MAX_BYTES, "my.yaml: is larger than 256 KiB"),
     ],
 )
-def test_a_bad_file_is_one_clear_error(content: str | bytes, message: str, tmp_path: Path) -> None:
+def test_a_bad_file_is_one_clear_error(content, message, tmp_path):
     said = complaint(content, tmp_path)
     assert message in said
     assert "\n" not in said
 
 
-def test_an_unreadable_file_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unreadable_file_is_reported(tmp_path, monkeypatch):
     with pytest.raises(YamlError, match="no such file"):
         load_yaml(tmp_path / "none.yaml")
     with pytest.raises(YamlError, match="is a directory, not a file"):
@@ -154,7 +154,7 @@ def test_an_unreadable_file_is_reported(tmp_path: Path, monkeypatch: pytest.Monk
         load_yaml(tmp_path / "secret.yaml")
 
 
-def test_a_byte_order_mark_and_windows_line_ends_do_no_harm(tmp_path: Path) -> None:
+def test_a_byte_order_mark_and_windows_line_ends_do_no_harm(tmp_path):
     document = load_yaml(written(tmp_path, b"\xef\xbb\xbfa: 1\r\nb: 2\r\n"))
     assert document.data == {"a": 1, "b": 2}
     assert document.marks[("b",)] == (2, 1)
@@ -179,16 +179,14 @@ YAML_LIKE = st.lists(
 
 @given(YAML_LIKE | st.text(st.characters(), max_size=30))
 @settings(max_examples=60, deadline=None)
-def test_no_text_raises_anything_but_a_yaml_error(text: str) -> None:
+def test_no_text_raises_anything_but_a_yaml_error(text):
     with suppress(YamlError):
         assert isinstance(parse_yaml(text, HERE).data, dict)
 
 
 @given(content=st.binary(max_size=60))
 @settings(max_examples=60, deadline=None)
-def test_no_bytes_raise_anything_but_a_yaml_error(
-    content: bytes, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_no_bytes_raise_anything_but_a_yaml_error(content, tmp_path_factory):
     path = tmp_path_factory.getbasetemp() / "bytes.yaml"
     path.write_bytes(content)
     with suppress(YamlError):
@@ -210,13 +208,13 @@ VALUES = st.recursive(
 
 @given(st.dictionaries(KEYS, VALUES, max_size=5))
 @settings(max_examples=60, deadline=None)
-def test_dumped_values_are_read_back_equal(data: dict[str, object]) -> None:
+def test_dumped_values_are_read_back_equal(data):
     assert parse_yaml(dump_yaml(data), HERE).data == data
 
 
 @given(st.floats(allow_nan=False))
 @settings(deadline=None)
-def test_floats_come_back_to_the_bit(value: float) -> None:
+def test_floats_come_back_to_the_bit(value):
     read = parse_yaml(dump_yaml({"x": value}), HERE).data["x"]
     assert isinstance(read, float)
     assert read.hex() == value.hex()

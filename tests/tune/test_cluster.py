@@ -40,8 +40,8 @@ def start_search() -> GainsSearch:
 
 @pytest.mark.long
 def test_a_search_is_the_same_to_the_bit_though_a_worker_is_killed_in_its_middle(
-    two_workers: Any, address: str
-) -> None:
+    two_workers, address
+):
     alone, shared = start_search(), start_search()
     alone.advance()
     with connect_to_cluster(address) as executor, ThreadPoolExecutor(1) as beside:
@@ -58,9 +58,7 @@ def test_a_search_is_the_same_to_the_bit_though_a_worker_is_killed_in_its_middle
     assert np.array_equal(shared._population, alone._population)
 
 
-def test_a_worker_with_other_versions_is_refused(
-    address: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_worker_with_other_versions_is_refused(address, monkeypatch):
     ours = {**describe_versions(), "numpy": "1.0"}
     monkeypatch.setattr(cluster, "describe_versions", describe_versions_of(ours))
     with pytest.raises(ClusterError, match=r"numpy is .* on the worker .* and 1\.0 here"):
@@ -80,7 +78,7 @@ def describe_versions_of(ours: dict[str, str]) -> Any:
     return Answer()
 
 
-def test_a_cluster_without_workers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cluster_without_workers_is_refused(monkeypatch):
     with (
         distributed.LocalCluster(n_workers=0, dashboard_address=None) as empty,
         pytest.raises(ClusterError, match=r"no workers; start one .* `dask worker tcp://"),
@@ -88,7 +86,7 @@ def test_a_cluster_without_workers_is_refused(monkeypatch: pytest.MonkeyPatch) -
         connect_to_cluster(empty.scheduler_address).__enter__()
 
 
-def test_an_address_where_nobody_answers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_address_where_nobody_answers_is_refused(monkeypatch):
     monkeypatch.setattr(cluster, "CONNECT_S", 0.2)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

@@ -48,12 +48,12 @@ BEFORE_PAPER = Jury((), tuple(PAPER))
 # --- the plants ----------------------------------------------------------------------
 
 
-def test_the_same_seed_draws_the_same_plants_and_a_larger_ensemble_only_adds() -> None:
+def test_the_same_seed_draws_the_same_plants_and_a_larger_ensemble_only_adds():
     assert draw_ensemble(8, 3)[:5] == draw_ensemble(5, 3)
     assert draw_ensemble(5, 3) != draw_ensemble(5, 4)
 
 
-def test_parameters_stay_in_their_range_and_each_plant_can_do_the_experiments() -> None:
+def test_parameters_stay_in_their_range_and_each_plant_can_do_the_experiments():
     nominal = PlantSettings().parameters
     members = draw_ensemble(40, 0)
     for name in UNCERTAIN_PARAMETERS:
@@ -66,7 +66,7 @@ def test_parameters_stay_in_their_range_and_each_plant_can_do_the_experiments() 
 # --- the trial -----------------------------------------------------------------------
 
 
-def test_the_full_trial_agrees_with_the_experiments_of_the_paper() -> None:
+def test_the_full_trial_agrees_with_the_experiments_of_the_paper():
     verdict = GainsTrial("whole").verdict(PID, PAPER[0])
     for number, experiment in (("1", "tracking-1"), ("2", "tracking-2")):
         found = simulate_run(resolve(controller="pid", experiment=experiment)).merit()
@@ -81,7 +81,7 @@ def test_the_full_trial_agrees_with_the_experiments_of_the_paper() -> None:
     assert verdict.mean <= verdict.worst
 
 
-def test_the_short_trial_ranks_gains_like_the_full_one() -> None:
+def test_the_short_trial_ranks_gains_like_the_full_one():
     """It is what the search goes by."""
     weak = [PID.model_copy(update={"kp_v_per_length": kp}) for kp in (9.5, 3.0, 1.0, 0.3)]
     short, whole = (
@@ -93,7 +93,7 @@ def test_the_short_trial_ranks_gains_like_the_full_one() -> None:
     assert np.corrcoef(np.log(short), np.log(whole))[0, 1] > 0.95
 
 
-def test_trials_last_as_long_as_stated_and_the_short_one_rests_as_long_as_the_paper() -> None:
+def test_trials_last_as_long_as_stated_and_the_short_one_rests_as_long_as_the_paper():
     """A steady error that is counted too early favours an integral that hunts."""
     experiments = [resolve(experiment=f"tracking-{number}").experiment for number in (1, 2)]
     assert SHORT.rest_s == experiments[0].rest_s  # type: ignore[union-attr]
@@ -107,9 +107,7 @@ def test_trials_last_as_long_as_stated_and_the_short_one_rests_as_long_as_the_pa
 
 
 @pytest.mark.parametrize("hold_s", [0.0, 6.0])
-def test_a_motion_of_ones_own_that_never_rests_is_held_to_experiment_2(
-    hold_s: float, tmp_path: Path
-) -> None:
+def test_a_motion_of_ones_own_that_never_rests_is_held_to_experiment_2(hold_s, tmp_path):
     ramps = {"kind": "ramps", "levels_mm": [6, 8, 6], "speed_mm_per_s": 4}
     path = tmp_path / "mine.yaml"
     path.write_text(json.dumps({**ramps, "jerk_mm_per_s3": 900, "hold_s": hold_s}))
@@ -127,9 +125,7 @@ def test_a_motion_of_ones_own_that_never_rests_is_held_to_experiment_2(
 
 @pytest.mark.parametrize("law", LAWS)
 @given(data=st.data())
-def test_every_point_is_a_controller_that_can_be_written_and_read(
-    law: str, data: st.DataObject
-) -> None:
+def test_every_point_is_a_controller_that_can_be_written_and_read(law, data):
     space = find_space(law)
     point = np.array([data.draw(st.floats(low, high)) for low, high in space.bounds])
     controller = space.controller(point)
@@ -141,7 +137,7 @@ def test_every_point_is_a_controller_that_can_be_written_and_read(
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_the_stiffness_of_the_search_is_the_response_of_the_law_to_an_error(law: str) -> None:
+def test_the_stiffness_of_the_search_is_the_response_of_the_law_to_an_error(law):
     """All laws are therefore searched within the same bounds of it."""
     space = find_space(law)
     point = space.usual
@@ -170,7 +166,7 @@ def called(*ratios: float) -> tuple[Member, ...]:
     return tuple(Member(str(ratio), PAPER[0].plant) for ratio in ratios)
 
 
-def test_gains_cost_the_worst_named_plant_and_a_quantile_of_the_drawn_ones() -> None:
+def test_gains_cost_the_worst_named_plant_and_a_quantile_of_the_drawn_ones():
     jury = Jury(called(*range(21)), called(20, 30))
     found = compute_cost(PID, np.inf, jury, Told(), range(21))
     assert found.value == 30.0 + 19.0
@@ -183,9 +179,7 @@ def test_gains_cost_the_worst_named_plant_and_a_quantile_of_the_drawn_ones() -> 
     limit=st.floats(0.5, 20.0),
     data=st.data(),
 )
-def test_skipping_plants_never_changes_the_best_gains(
-    drawn: list[int], named: list[int], limit: float, data: st.DataObject
-) -> None:
+def test_skipping_plants_never_changes_the_best_gains(drawn, named, limit, data):
     jury = Jury(called(*drawn), called(*named))
     order = data.draw(st.permutations(range(len(drawn))))
     whole = compute_cost(PID, np.inf, jury, Told(), range(len(drawn)))
@@ -208,12 +202,12 @@ def three_generations() -> list[float]:
     return [going.advance().cost for _ in range(3)]
 
 
-def test_the_search_improves_and_never_worsens(three_generations: list[float]) -> None:
+def test_the_search_improves_and_never_worsens(three_generations):
     assert three_generations == sorted(three_generations, reverse=True)
     assert three_generations[-1] < 1.0
 
 
-def test_a_search_begins_within_its_bounds_in_every_part_of_them() -> None:
+def test_a_search_begins_within_its_bounds_in_every_part_of_them():
     going = search()
     low, high = np.array(find_space("pid").bounds).T
     shares = (going._population - low) / (high - low)
@@ -222,7 +216,7 @@ def test_a_search_begins_within_its_bounds_in_every_part_of_them() -> None:
     assert (np.unique(np.floor(apart * len(shares)), axis=0).shape) == apart.shape
 
 
-def test_several_processes_or_threads_find_the_same_gains(three_generations: list[float]) -> None:
+def test_several_processes_or_threads_find_the_same_gains(three_generations):
     going = search()
     with ThreadPoolExecutor(2) as executor:
         assert [going.advance(executor).cost for _ in range(2)] == three_generations[:2]
@@ -235,7 +229,7 @@ def tune(*options: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     return run_pamctl("tune", *options, cwd=cwd)
 
 
-def test_a_score_says_how_many_plants_are_inside_and_what_is_too_large_on_the_others() -> None:
+def test_a_score_says_how_many_plants_are_inside_and_what_is_too_large_on_the_others():
     members = [Member(name, PAPER[0].plant) for name in ("good", "bad", "worse")]
     good = GainsVerdict(0.5, "max 1", {"max 1": 136.0, "RMS 1": 15.0}, 0.4)
     bad, worse = good._replace(worst=1.5, why="RMS 2"), GainsVerdict(90.0, "safety trip", {}, 90.0)
@@ -278,7 +272,7 @@ def test_a_score_says_how_many_plants_are_inside_and_what_is_too_large_on_the_ot
         (["--check", "pid", "--out", "x.yaml"], "for --out: belongs to a search: with --check"),
     ],
 )
-def test_invalid_options_are_refused(tmp_path: Path, options: list[str], said: str) -> None:
+def test_invalid_options_are_refused(tmp_path, options, said):
     (tmp_path / "there.yaml").write_text("")
     (tmp_path / "chamber.yaml").write_text("actuator: chamber\nchamber_volume_m3: 1e-3\n")
     (tmp_path / "axis.yaml").write_text(AXIS.replace("drive_n_per_v: 20\n", ""))
@@ -296,7 +290,7 @@ effects: {coulomb_friction: {force_n: 6}}
 """
 
 
-def test_three_commands_lead_from_a_plant_of_ones_own_to_gains_and_a_run(tmp_path: Path) -> None:
+def test_three_commands_lead_from_a_plant_of_ones_own_to_gains_and_a_run(tmp_path):
     """An axis that a force drives, which is no muscle: law, file and errors have their defaults."""
     (tmp_path / "plant.yaml").write_text(AXIS)
     rows = "\n".join(f"{t},{x}" for t, x in ((0, 0), (1, 60), (2, 0)))
@@ -321,9 +315,7 @@ def test_three_commands_lead_from_a_plant_of_ones_own_to_gains_and_a_run(tmp_pat
     assert "gains.yaml" in again.stderr
 
 
-def test_gains_are_sought_for_a_motion_of_ones_own_at_another_rate_and_on_a_card(
-    tmp_path: Path,
-) -> None:
+def test_gains_are_sought_for_a_motion_of_ones_own_at_another_rate_and_on_a_card(tmp_path):
     rows = "\n".join(f"{t},{x}" for t, x in ((0, 2), (1, 6), (2, 3)))
     (tmp_path / "motion.csv").write_text(f"t_s,position_mm\n{rows}\n")
     (tmp_path / "mine.yaml").write_text("kind: table\nfile: motion.csv\n")
@@ -343,7 +335,7 @@ def test_gains_are_sought_for_a_motion_of_ones_own_at_another_rate_and_on_a_card
 
 
 @pytest.mark.long
-def test_a_signal_keeps_the_best_gains_so_far(tmp_path: Path) -> None:
+def test_a_signal_keeps_the_best_gains_so_far(tmp_path):
     (tmp_path / "short.yaml").write_text("kind: hold\nposition_mm: 3\ntransition_s: 1\nhold_s: 1\n")
     command = [sys.executable, "-m", "pamctl", "tune", "--plant", "paper"]
     short = ["--experiment", "short.yaml", "--generations", "1000", "--jobs", "2"]

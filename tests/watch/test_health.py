@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -36,7 +35,7 @@ def make_numbers(values: np.ndarray, sigma: float) -> list[FittedNumber]:
     return [FittedNumber("k", float(v), float(v) - half, float(v) + half, "N/m") for v in values]
 
 
-def test_numbers_that_only_scatter_do_not_drift() -> None:
+def test_numbers_that_only_scatter_do_not_drift():
     random = np.random.default_rng(4)
     alarms = 0
     for trial in range(300):
@@ -46,7 +45,7 @@ def test_numbers_that_only_scatter_do_not_drift() -> None:
     assert alarms <= 3
 
 
-def test_a_step_is_found_where_it_is() -> None:
+def test_a_step_is_found_where_it_is():
     random = np.random.default_rng(5)
     values = 100.0 + random.normal(0.0, 1.0, 12) + np.where(np.arange(12) >= 7, -8.0, 0.0)
     drift = find_drift("k", make_numbers(values, 1.0), range(12))
@@ -55,7 +54,7 @@ def test_a_step_is_found_where_it_is() -> None:
     assert drift.relative == pytest.approx(-0.08, abs=0.02)
 
 
-def test_a_trend_is_no_step() -> None:
+def test_a_trend_is_no_step():
     random = np.random.default_rng(6)
     days = np.arange(12.0)
     values = 100.0 + random.normal(0.0, 1.0, 12) + 1.5 * days
@@ -65,7 +64,7 @@ def test_a_trend_is_no_step() -> None:
     assert drift.after - drift.before == pytest.approx(16.5, rel=0.2)
 
 
-def test_intervals_that_are_too_narrow_are_widened_by_the_scatter_of_neighbours() -> None:
+def test_intervals_that_are_too_narrow_are_widened_by_the_scatter_of_neighbours():
     random = np.random.default_rng(7)
     alarms = 0
     for _ in range(100):
@@ -75,7 +74,7 @@ def test_intervals_that_are_too_narrow_are_widened_by_the_scatter_of_neighbours(
 
 
 @pytest.mark.parametrize("name", ["tank_pressure_pa", "valve_gain_m2_per_v", "braid_length_m"])
-def test_a_number_of_the_air_is_said_with_the_effects_that_look_the_same(name: str) -> None:
+def test_a_number_of_the_air_is_said_with_the_effects_that_look_the_same(name):
     """A small leak and a moved null lower the fitted tank pressure, and leave no misfit."""
     runs = [FittedRun("a.mcap", 0.0), FittedRun("b.mcap", 100.0)]
     change = NumberDrift(name, "step", 0, 1, 4.4e5, 4.3e5, "Pa", 9.0)
@@ -87,7 +86,7 @@ def test_a_number_of_the_air_is_said_with_the_effects_that_look_the_same(name: s
     assert set(rivals) <= set(CATALOGUE)
 
 
-def test_a_number_of_the_mechanics_is_said_alone() -> None:
+def test_a_number_of_the_mechanics_is_said_alone():
     runs = [FittedRun("a.mcap", 0.0), FittedRun("b.mcap", 100.0)]
     change = NumberDrift("stiffness_n_per_m", "step", 0, 1, 9e3, 8e3, "N/m", 9.0)
     assert " or " not in describe_drift(FollowedDrift(change, is_doubtful=False), runs)
@@ -99,7 +98,7 @@ def fit_hidden(rig: HiddenRig, seed: int) -> FittedRun:
     return replace(fitted, when_s=100.0 * seed)
 
 
-def test_a_valve_that_begins_to_stick_is_noticed_behind_noise() -> None:
+def test_a_valve_that_begins_to_stick_is_noticed_behind_noise():
     """The pressure's misfit is about three times its noise; no number moves enough to be said."""
     healthy, sticking = (hidden_rig(e, seed=803) for e in ({}, {"valve_hysteresis": 3.0}))
     assert healthy.sensors.pressure_noise_pa == 600.0
@@ -111,7 +110,7 @@ def test_a_valve_that_begins_to_stick_is_noticed_behind_noise() -> None:
 
 
 @pytest.mark.long
-def test_a_folder_of_logs_names_the_number_that_moved(tmp_path: Path) -> None:
+def test_a_folder_of_logs_names_the_number_that_moved(tmp_path):
     logs, out = tmp_path / "logs", tmp_path / "out"
     logs.mkdir()
     for k, friction in enumerate([55.3, 55.3, 50.0]):
@@ -136,14 +135,14 @@ def test_a_folder_of_logs_names_the_number_that_moved(tmp_path: Path) -> None:
     assert "<svg" in (out / "report.html").read_text()
 
 
-def test_a_folder_without_runs_is_refused(tmp_path: Path) -> None:
+def test_a_folder_without_runs_is_refused(tmp_path):
     done = run_pamctl("health", str(tmp_path), "--out", str(tmp_path / "out"))
     assert done.returncode == 65
     assert "two are needed" in done.stderr
     assert not (tmp_path / "out").exists()
 
 
-def test_runs_of_one_moment_stand_side_by_side_and_later_ones_on_an_axis_of_their_size() -> None:
+def test_runs_of_one_moment_stand_side_by_side_and_later_ones_on_an_axis_of_their_size():
     axes = {}
     for apart_s in (0.007, 600.0, 86_400.0, 30 * 86_400.0):
         runs = [SimpleNamespace(when_s=1e9 + k * apart_s) for k in range(3)]

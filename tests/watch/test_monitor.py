@@ -65,7 +65,7 @@ def watch() -> RunWatch:
     return watch
 
 
-def test_a_faultless_rig_fits_and_raises_no_alarm(watch: RunWatch) -> None:
+def test_a_faultless_rig_fits_and_raises_no_alarm(watch):
     assert watch.windows >= 10
     assert {name: report.state for name, report in watch.blocks.items()} == {
         PRESSURE: "fits",
@@ -81,9 +81,7 @@ def test_a_faultless_rig_fits_and_raises_no_alarm(watch: RunWatch) -> None:
         (LESS_FRICTION, MECHANICS, PRESSURE),
     ],
 )
-def test_a_change_is_noticed_in_its_block_and_not_in_the_other(
-    watch: RunWatch, change: str, block: str, other: str
-) -> None:
+def test_a_change_is_noticed_in_its_block_and_not_in_the_other(watch, change, block, other):
     watch.begin_run()
     feed(watch, simulate_signals("tracking-2", 8.0, change), 100.0)
     alarm = watch.blocks[block].alarm
@@ -93,7 +91,7 @@ def test_a_change_is_noticed_in_its_block_and_not_in_the_other(
     assert watch.blocks[other].alarm is None
 
 
-def test_a_muscle_that_stands_still_shows_nothing(watch: RunWatch) -> None:
+def test_a_muscle_that_stands_still_shows_nothing(watch):
     at_rest = simulate_signals("tracking-2", 12.0)[:200]
     still = replace(
         at_rest,
@@ -110,7 +108,7 @@ def test_a_muscle_that_stands_still_shows_nothing(watch: RunWatch) -> None:
     assert {r.state for r in watch.blocks.values()} == {"cannot tell"}
 
 
-def test_homing_and_gaps_are_left_out() -> None:
+def test_homing_and_gaps_are_left_out():
     measured = simulate_signals("tracking-2", 12.0)
     watch = RunWatch(resolve(plant=PLANT).plant)
     feed(watch, replace(measured, phase=np.full(len(measured), int(Phase.HOMING))), 0.0)
@@ -123,7 +121,7 @@ def test_homing_and_gaps_are_left_out() -> None:
     assert watch.windows == first
 
 
-def test_one_window_is_no_alarm_and_an_alarm_ends() -> None:
+def test_one_window_is_no_alarm_and_an_alarm_ends():
     sums = MisfitSums()
     off = WindowMisfit(PRESSURE, "swing", True, 900.0, 100.0, 2.0, 0.05)
     quiet = WindowMisfit(PRESSURE, "swing", True, 100.0, 100.0, -0.2, 0.05)
@@ -141,7 +139,7 @@ def test_one_window_is_no_alarm_and_an_alarm_ends() -> None:
     assert sums.find_alarm(PRESSURE) is None
 
 
-def test_a_rest_does_not_hide_what_the_motions_show() -> None:
+def test_a_rest_does_not_hide_what_the_motions_show():
     sums = MisfitSums()
     off = WindowMisfit(PRESSURE, "swing", True, 900.0, 100.0, 2.0, 0.05)
     rest = WindowMisfit(PRESSURE, "rest", False, 100.0, 100.0, -0.2, 0.05)
@@ -153,7 +151,7 @@ def test_a_rest_does_not_hide_what_the_motions_show() -> None:
 
 
 @pytest.mark.long
-def test_beside_a_daemon_it_follows_the_run_and_its_death_harms_nothing(tmp_path: Path) -> None:
+def test_beside_a_daemon_it_follows_the_run_and_its_death_harms_nothing(tmp_path):
     long = {**TRACKING, "cycles": 30}
     with daemon(
         tmp_path, "mon", NOT_HOMED, options=["--monitor", "--monitor-plant", "paper"]

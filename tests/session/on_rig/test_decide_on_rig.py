@@ -29,14 +29,14 @@ from pamctl.exit_codes import ExitCode, end_on_signals
 from pamctl.plant.model import PlantSettings
 from pamctl.session.decide_on_rig import Investigation, decide_on_rig, write_investigation
 from pamctl.session.rig_plan import Budget, make_rig_plan
-from pamctl.session.simulated_rig import SimulatedRig, simulate
+from pamctl.session.simulated_rig import simulate
 
 pytestmark = pytest.mark.long
 
 DELAY_S = 1e-3
 
 
-def test_the_second_program_decides_between_delay_and_slew(done: Investigation) -> None:
+def test_the_second_program_decides_between_delay_and_slew(done):
     first, second = done.rounds
     assert first.diagnosis.verdict is Verdict.DESCRIBED
     assert {"command_delay", "valve_slew"} <= {*first.left}
@@ -49,7 +49,7 @@ def test_the_second_program_decides_between_delay_and_slew(done: Investigation) 
     assert delay.value == pytest.approx(DELAY_S, rel=0.05)
 
 
-def test_the_forecast_is_what_a_whole_refit_leaves(done: Investigation) -> None:
+def test_the_forecast_is_what_a_whole_refit_leaves(done):
     """The wrong plant is fitted to what the true plant would show, with the records so far."""
     found = done.rounds[0].diagnosis
     chosen = found.deciding
@@ -80,7 +80,7 @@ def test_the_forecast_is_what_a_whole_refit_leaves(done: Investigation) -> None:
     assert forecast.sureness > 1.0
 
 
-def test_the_forecasts_are_judged_by_what_the_run_showed(done: Investigation) -> None:
+def test_the_forecasts_are_judged_by_what_the_run_showed(done):
     last = done.rounds[1]
     judged = {forecast.refuted: forecast for forecast in last.diagnosis.forecasts}
     assert {(each.record, each.true) for each in judged.values()} == {(last.log, "command_delay")}
@@ -88,7 +88,7 @@ def test_the_forecasts_are_judged_by_what_the_run_showed(done: Investigation) ->
     assert all(each.found is not None and each.found > 10.0 for each in judged.values())
 
 
-def test_the_program_asks_for_what_was_said(done: Investigation) -> None:
+def test_the_program_asks_for_what_was_said(done):
     chosen = done.rounds[0].diagnosis.deciding
     assert chosen is not None
     record = done.records[1]
@@ -97,7 +97,7 @@ def test_the_program_asks_for_what_was_said(done: Investigation) -> None:
     assert 0.0 <= record.duration_s - chosen.duration_s < 1.0  # until the end of its stop
 
 
-def test_the_experiment_file_runs_as_it_stands(done: Investigation, tmp_path: Path) -> None:
+def test_the_experiment_file_runs_as_it_stands(done, tmp_path):
     found = done.rounds[0].diagnosis
     chosen = found.deciding
     assert chosen is not None
@@ -120,9 +120,7 @@ def test_the_experiment_file_runs_as_it_stands(done: Investigation, tmp_path: Pa
     assert entry["needs"]["pressure_kpa"] < 500.0
 
 
-def test_imported_records_get_a_table_of_commands_to_play(
-    done: Investigation, tmp_path: Path
-) -> None:
+def test_imported_records_get_a_table_of_commands_to_play(done, tmp_path):
     found = done.rounds[0].diagnosis
     found = replace(found, is_of_daemon=False)
     imported = tuple(replace(r, is_imported=True) for r in found.train)
@@ -144,7 +142,7 @@ def test_imported_records_get_a_table_of_commands_to_play(
     assert np.allclose(played, asked_v, atol=1e-3)  # a step of the converter
 
 
-def test_the_folder_tells_the_rounds(done: Investigation, tmp_path: Path) -> None:
+def test_the_folder_tells_the_rounds(done, tmp_path):
     names = write_investigation(done, tmp_path / "out")
     assert {*names} == {"diagnosis.json", "plant.yaml", "report.html"}
     document = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
@@ -160,9 +158,7 @@ def test_the_folder_tells_the_rounds(done: Investigation, tmp_path: Path) -> Non
 
 
 @pytest.mark.usefixtures("found_before")
-def test_an_interruption_keeps_the_rounds_so_far_and_leaves_the_rig_idle(
-    done: Investigation, rig: SimulatedRig
-) -> None:
+def test_an_interruption_keeps_the_rounds_so_far_and_leaves_the_rig_idle(done, rig):
     """The given record takes the place of the first program; the second one is interrupted."""
     plan = replace(done.plan, first=None, first_name="", first_s=0.0, demand=None)
     investigation = Investigation(plan, [done.records[0]])
@@ -179,9 +175,7 @@ def test_an_interruption_keeps_the_rounds_so_far_and_leaves_the_rig_idle(
 
 
 @pytest.mark.usefixtures("found_before")
-def test_a_daemon_that_ends_within_a_program_takes_no_round_with_it(
-    done: Investigation, logs: Path, tmp_path: Path
-) -> None:
+def test_a_daemon_that_ends_within_a_program_takes_no_round_with_it(done, logs, tmp_path):
     """The daemon is ended as it moves for the program that decides."""
     (given,) = logs.glob(f"{done.records[0].name}*")
     with daemon(tmp_path, "on-rig") as up:
@@ -210,7 +204,7 @@ def ask(log: Path, out: Path, socket: Path | None) -> DiagnoseOptions:
     return DiagnoseOptions(None, asked | more)
 
 
-def test_signals_are_as_before_after_the_rounds() -> None:
+def test_signals_are_as_before_after_the_rounds():
     before = signal.getsignal(signal.SIGTERM)
     with end_on_signals():
         assert signal.getsignal(signal.SIGTERM) is not before
@@ -219,12 +213,8 @@ def test_signals_are_as_before_after_the_rounds() -> None:
 
 @pytest.mark.usefixtures("found_before")
 def test_a_fault_of_the_program_leaves_the_document_as_far_as_it_is(
-    done: Investigation,
-    rig: SimulatedRig,
-    logs: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    done, rig, logs, tmp_path, monkeypatch
+):
     (given,) = logs.glob(f"{done.records[0].name}*")
 
     def fail(_: object) -> None:
@@ -240,7 +230,7 @@ def test_a_fault_of_the_program_leaves_the_document_as_far_as_it_is(
     assert document["next_experiment"]["do"] == "pamctl start next-experiment.yaml"
 
 
-def test_a_first_program_beyond_the_limits_or_the_budget_is_refused(squares: Path) -> None:
+def test_a_first_program_beyond_the_limits_or_the_budget_is_refused(squares):
     settings = {**_SETTINGS, "rig": {**_SETTINGS["rig"]}}
     settings["rig"]["limits"] = {**settings["rig"]["limits"], "pressure_pa": 300e3}
     with pytest.raises(pamctl.PamctlError, match="300 kPa") as beyond:
@@ -263,7 +253,7 @@ def _read_settings() -> dict:  # type: ignore[type-arg]
 _SETTINGS = _read_settings()
 
 
-def test_a_record_of_an_older_log_has_no_forecast() -> None:
+def test_a_record_of_an_older_log_has_no_forecast():
     from pamctl.diagnose.explanations import read_forecast
 
     record = Record("r", np.arange(3) * 1e-3)

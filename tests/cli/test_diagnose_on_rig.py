@@ -1,7 +1,5 @@
 """What `pamctl diagnose --on-rig` refuses."""
 
-from __future__ import annotations
-
 import pytest
 from typer.testing import CliRunner
 

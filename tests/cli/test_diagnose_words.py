@@ -1,7 +1,5 @@
 """The words of `pamctl diagnose`: what `--without` takes, and an audit that fits a terminal."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import pytest

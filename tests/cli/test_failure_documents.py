@@ -1,7 +1,5 @@
 """`--json` prints one document, for every ending of a verb."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Help, advice that can be typed, and verbs that start at once."""
 
-from __future__ import annotations
-
 import ast
 import re
 import shlex

@@ -1,7 +1,5 @@
 """`pamctl manual` lists the pages and prints one; other tests check their content."""
 
-from __future__ import annotations
-
 from typer.testing import CliRunner
 
 from pamctl.cli.app import app

@@ -1,7 +1,5 @@
 """Experiments made of forms through the command line: run, replay, refused beforehand."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

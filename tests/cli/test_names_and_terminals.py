@@ -1,7 +1,5 @@
 """What a terminal is shown: any name of a file, no control characters, and what a wait is for."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

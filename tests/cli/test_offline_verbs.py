@@ -1,7 +1,5 @@
 """Verbs that read logs write only the requested file, and overwrite no other."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """Rigs without a muscle: what a verb cannot do is refused, and what it leaves out is said."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Outputs that cannot be written: the reason in one line, the exit code, and nothing half-made."""
 
-from __future__ import annotations
-
 import json
 import os
 import random

@@ -1,7 +1,5 @@
 """`pamctl run` from the outside: real processes, real signals, real files."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os

@@ -1,7 +1,5 @@
 """`pamctl calibrate`: what is hidden in a rig is found, within the uncertainty that is stated."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

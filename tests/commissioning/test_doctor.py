@@ -1,7 +1,5 @@
 """`pamctl doctor`: each fault that a rig or a PC can have is found, named, and told how to mend."""
 
-from __future__ import annotations
-
 import json
 import os
 import pty

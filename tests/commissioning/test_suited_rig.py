@@ -1,7 +1,5 @@
 """`pamctl plant rig`: a rig file whose limits suit what moves."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Experiments: the references of the shipped files, the motions and waves that they are made of."""
 
-from __future__ import annotations
-
 import math
 from itertools import groupby
 

@@ -1,7 +1,5 @@
 """The filters agree with SciPy, and the derivatives with known motions."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

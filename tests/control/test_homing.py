@@ -1,7 +1,5 @@
 """Homing of the simulated rig, whose zeros are known, and of rigs that cannot be homed."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable, Iterator

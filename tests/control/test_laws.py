@@ -1,7 +1,5 @@
 """The laws agree with an independent form of the paper's equations and of the model's flow."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from collections.abc import Callable, Sequence

@@ -3,8 +3,6 @@
 The package is `support/super_twisting.py` with an entry point; every process of a run must find it.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil

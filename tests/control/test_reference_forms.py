@@ -1,7 +1,5 @@
 """Forms of a reference have exact derivatives and join without a jump."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 from typing import Any

@@ -1,7 +1,5 @@
 """The claims of the shipped gains files, checked against Table IV on the compiled closed loop."""
 
-from __future__ import annotations
-
 import math
 import re
 from functools import cache

@@ -1,7 +1,5 @@
 """The daemon: its life cycle, its gains, and what it refuses."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import socket

@@ -1,7 +1,5 @@
 """Clients of the daemon that hang, flood, send garbage or vanish do not disturb others."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import socket

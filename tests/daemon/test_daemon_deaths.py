@@ -1,7 +1,5 @@
 """The daemon and its runs when something is stopped, dies or freezes."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """No flood of the control socket keeps a stop from the valve."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import signal

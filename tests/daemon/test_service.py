@@ -1,7 +1,5 @@
 """The daemon as a service: the watchdog, waits, long orders, and what it tidies up."""
 
-from __future__ import annotations
-
 import configparser
 import itertools
 import os

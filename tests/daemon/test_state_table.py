@@ -1,7 +1,5 @@
 """Orders and states are described once: every door offers them, and a daemon keeps to the table."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

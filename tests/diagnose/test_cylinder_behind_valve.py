@@ -1,7 +1,5 @@
 """A cylinder of other code: what its valve lacks is named, beside the numbers of its plant file."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache

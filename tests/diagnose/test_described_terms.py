@@ -1,7 +1,5 @@
 """What no catalogue has: said by place and kind, on rigs whose equations are not the pool's."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From records to a finding: its verdict and gap, and what an interrupt leaves of it."""
 
-from __future__ import annotations
-
 import json
 import signal
 import sys

@@ -1,7 +1,5 @@
 """The README's example of a diagnosis from Python, unchanged."""
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """First guesses from records: an axis and a chamber that another solver made."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

@@ -1,7 +1,5 @@
 """Causes that hide behind each other, on rigs of another author's solver."""
 
-from __future__ import annotations
-
 import pytest
 from hidden.examination.cases import Case
 from support.made_records import ask_only, names_of, numbers_of, pair, to_records

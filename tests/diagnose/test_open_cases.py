@@ -3,8 +3,6 @@
 A case that becomes right fails here: then it moves to the tests of its subject.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """The experiments that audit and diagnose recommend exist, run, and show the effects."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 

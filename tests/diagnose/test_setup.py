@@ -1,7 +1,5 @@
 """What is wrong about the set-up is said as what it is: a column, or a number of the plant file."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What is the same behind NI-DAQmx and behind comedi: one card, one muscle, two drivers."""
 
-from __future__ import annotations
-
 import errno
 import math
 import os

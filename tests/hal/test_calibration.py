@@ -1,7 +1,5 @@
 """Volts and counts agree with the data sheets, and the simulated sensors with both."""
 
-from __future__ import annotations
-
 import math
 import statistics
 

@@ -1,7 +1,5 @@
 """The backend on comedi over a stand-in library with the card and the muscle behind it."""
 
-from __future__ import annotations
-
 import errno
 import os
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """`pamctl doctor` on a card: each fault is found, named, and comes with its fix."""
 
-from __future__ import annotations
-
 import errno
 import os
 import platform

@@ -1,7 +1,5 @@
 """The backend on comedi against the real libcomedi, C's own numbers, and whole runs of `pamctl`."""
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import json

@@ -1,7 +1,5 @@
 """The edges of a card's clock, estimated from the times at which reads return."""
 
-from __future__ import annotations
-
 import random
 from itertools import pairwise
 from statistics import stdev

@@ -1,7 +1,5 @@
 """Each fault spoils only its own signal, from its tick on, for its number of ticks."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

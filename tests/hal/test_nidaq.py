@@ -1,7 +1,5 @@
 """The card's backend over the real nidaqmx package and a stand-in driver, held to NI's numbers."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator
 

@@ -1,7 +1,5 @@
 """Hardware-timed single points: the card is the clock, and what is written waits for its edge."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import pytest

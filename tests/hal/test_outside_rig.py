@@ -3,8 +3,6 @@
 The package is a module and an `entry_points.txt` in a directory on PYTHONPATH.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 import os

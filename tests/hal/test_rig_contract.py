@@ -3,8 +3,6 @@
 The cases are in `hal/rig_contract.py`. To test another backend, add a factory to `FACTORIES`.
 """
 
-from __future__ import annotations
-
 import time
 import tomllib
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """The simulated output in shared memory: it outlives its owner, as a card's does."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

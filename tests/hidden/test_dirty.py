@@ -1,7 +1,5 @@
 """A dirty rig is what its truth says: each small thing, its share, its place; and the rungs."""
 
-from __future__ import annotations
-
 import pytest
 
 from hidden.dirty import DIRT

@@ -1,7 +1,5 @@
 """The runner and its lists: whoever knows the truth is right, and a stopped run goes on."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Measured tables in README and manual are written by the scripts that measured them."""
 
-from __future__ import annotations
-
 import pytest
 from measured_table import find_page, format_table, write_between
 

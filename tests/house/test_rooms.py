@@ -1,7 +1,5 @@
 """The house: its rooms, the processes that they start, and the wheel that is built of them."""
 
-from __future__ import annotations
-
 import ast
 import json
 import os

@@ -1,7 +1,5 @@
 """Whatever a check finds wrong comes with the way on."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from pathlib import Path

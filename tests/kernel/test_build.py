@@ -1,7 +1,5 @@
 """Machine code is built once, whole or not at all; where it cannot be, plain Python computes."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

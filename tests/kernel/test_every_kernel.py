@@ -1,7 +1,5 @@
 """Every kernel of pamctl gives the same bits in C as in Python, or fails where Python raises."""
 
-from __future__ import annotations
-
 import gc
 import itertools
 import math

@@ -1,7 +1,5 @@
 """What a kernel gives as C is what it gives as Python, or it is refused with its line."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 import linecache

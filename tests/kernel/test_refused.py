@@ -1,7 +1,5 @@
 """What a kernel may not use is refused with its file, its line and the reason."""
 
-from __future__ import annotations
-
 import functools
 import math  # noqa: F401  the statements below use it
 import random  # noqa: F401

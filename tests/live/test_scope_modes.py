@@ -1,7 +1,5 @@
 """The page at work: triggers that repeat, runs laid over each other, drags, keys, names."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The scope of `pamctl watch --web`, in a browser, against the log that the daemon writes."""
 
-from __future__ import annotations
-
 import json
 from itertools import pairwise
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The memory of ticks behind the page, and the trigger that searches them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`pamctl watch` in the terminal: what it shows, and what it survives."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os

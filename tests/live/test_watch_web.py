@@ -1,7 +1,5 @@
 """`pamctl watch --web`: what a browser sees and may do, and what other sites may not."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Every way to read a log finds what was written, and what is said of it afterwards."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import dataclass

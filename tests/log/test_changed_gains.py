@@ -1,7 +1,5 @@
 """Gains that were changed are shown as changed wherever they have the file's name."""
 
-from __future__ import annotations
-
 import json
 
 from support.command_line import run_pamctl

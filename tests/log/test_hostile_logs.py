@@ -1,7 +1,5 @@
 """Hostile logs: cut, flipped, holed, or made to take all memory; nothing wrong passes as good."""
 
-from __future__ import annotations
-
 import os
 import random
 import sys

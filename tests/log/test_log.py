@@ -1,7 +1,5 @@
 """The log: every value is read as it was written, by us and by foreign readers."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """`pamctl log check` and `recover`: they name what is wrong with a file, and nothing else."""
 
-from __future__ import annotations
-
 import json
 import random
 from pathlib import Path

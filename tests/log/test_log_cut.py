@@ -1,7 +1,5 @@
 """`pamctl log cut` and `export`: pieces of a log, and its columns for other programs."""
 
-from __future__ import annotations
-
 import builtins
 import csv
 import json

@@ -1,7 +1,5 @@
 """Offline tools see the same signals in a log of ours and in an imported one."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace

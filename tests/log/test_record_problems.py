@@ -1,7 +1,5 @@
 """The list of what can be wrong with a record: each fault is planted, and found where it is."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

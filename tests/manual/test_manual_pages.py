@@ -1,7 +1,5 @@
 """The manual: its pages, links and words, and each command that it shows."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

@@ -1,7 +1,5 @@
 """The comparison of a model with a measurement finds the block that differs."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

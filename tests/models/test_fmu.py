@@ -1,7 +1,5 @@
 """FMUs in an importer that is not ours: a muscle and a chamber move as they do in pamctl."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 from pathlib import Path

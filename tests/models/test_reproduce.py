@@ -1,7 +1,5 @@
 """The reproduced paper: its numbers are those of a real run, and its page is readable."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

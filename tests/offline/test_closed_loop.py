@@ -1,7 +1,5 @@
 """The simulated loop is the real one: run by run, many ticks at once, and where the rig clamps."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 from random import Random

@@ -1,7 +1,5 @@
 """A log whose ticks stay in the file is the same log, and replays with the same result."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -4,8 +4,6 @@ The logs in tests/golden/ are real runs (`scripts/remake_golden_logs.py`). They 
 made on another CPU than this one: what goes through its libm has a tolerance there.
 """
 
-from __future__ import annotations
-
 import copy
 import csv
 import json

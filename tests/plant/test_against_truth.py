@@ -5,8 +5,6 @@ with another integrator in steps of 10 us. Two steps a tick are within a part of
 (300 Pa) and of a count of the encoder (3.2 um); finer steps converge to the truth.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

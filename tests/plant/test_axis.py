@@ -1,7 +1,5 @@
 """A mechanism of one axis moves as closed forms say, and needs the force that moved it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

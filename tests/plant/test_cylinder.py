@@ -1,7 +1,5 @@
 """A cylinder behind a valve, its spool and its leaks, against equations written out."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 

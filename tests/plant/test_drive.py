@@ -1,7 +1,5 @@
 """The plant driven by arrays: block by block, together, and by commands that act in between."""
 
-from __future__ import annotations
-
 import math
 import sys
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Effects: the required parts of each record, and what each does to the plant."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Effects of an outside package: one file each, and pamctl does not contain their names."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys

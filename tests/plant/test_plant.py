@@ -4,8 +4,6 @@ What is expected comes from closed forms, from `paper_equations`, or from SciPy'
 from the plant itself.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

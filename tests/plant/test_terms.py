@@ -1,7 +1,5 @@
 """Terms in the plant: each operator, each location, and the plant file that states them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from pydantic import ValidationError

@@ -4,8 +4,6 @@ However a run ends: the output at the safe voltage, the log complete to its last
 as documented. Made-up time and the other faults: `test_faults.py`.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -5,8 +5,6 @@ card paced by its own clock. However a run ends, the output is at the safe volta
 why. Time is made up here; faults that need real processes are in `test_card_runs.py`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple

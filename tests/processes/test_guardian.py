@@ -1,7 +1,5 @@
 """The guardian's decisions: by a made-up clock, and over processes that stand for the loop."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

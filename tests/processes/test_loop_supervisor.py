@@ -1,7 +1,5 @@
 """What ends a run from outside: the loop's view of signals, guardian, recorder and front."""
 
-from __future__ import annotations
-
 import os
 import signal
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Marks from a second terminal, for a run without a daemon."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

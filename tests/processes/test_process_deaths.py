@@ -3,8 +3,6 @@
 The rig is simulated. Over the card's stand-in: `test_card_runs.py`. All faults: `test_protocol.py`.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import random

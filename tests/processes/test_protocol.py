@@ -1,7 +1,5 @@
 """The protocol between front, loop, guardian and recorder: explored, and compared with the code."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """Shared memory may be full or hold foreign files, and a loop that gets no CPU is not frozen."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

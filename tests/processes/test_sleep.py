@@ -1,7 +1,5 @@
 """A PC that goes to sleep while a valve depends on it, and what keeps it awake."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

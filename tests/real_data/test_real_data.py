@@ -1,7 +1,5 @@
 """The runner of measured sets, on a set that is made here and on the sets of this folder."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The grid never drifts, never bursts, and counts what it skips."""
 
-from __future__ import annotations
-
 import math
 import signal
 import sys

@@ -1,7 +1,5 @@
 """Known effects undone around the law: the inverse, its limits, the log, the replay."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

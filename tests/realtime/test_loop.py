@@ -1,7 +1,5 @@
 """The loop from end to end in memory: however a run ends, the rig is safe and the log says why."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 from typing import Any

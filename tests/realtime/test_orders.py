@@ -1,7 +1,5 @@
 """Orders to a loop that runs: stops, changed gains, and a run that only reads."""
 
-from __future__ import annotations
-
 import threading
 from typing import Any
 

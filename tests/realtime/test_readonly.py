@@ -1,7 +1,5 @@
 """`pamctl run --readonly`: everything as in a run, but nothing moves."""
 
-from __future__ import annotations
-
 import json
 import math
 

@@ -1,7 +1,5 @@
 """What reaches the valve: whatever is commanded, measured or late."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple

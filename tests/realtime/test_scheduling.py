@@ -1,7 +1,5 @@
 """Every step towards real time is taken, or says how to allow it; and every step is undone."""
 
-from __future__ import annotations
-
 import gc
 import json
 import os

@@ -1,7 +1,5 @@
 """A loop that takes orders begins a run without a long tick, and loses none."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Mapping
 from itertools import pairwise

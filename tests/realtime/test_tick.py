@@ -1,7 +1,5 @@
 """The tick: pure, complete on record, frozen without loss, and quick."""
 
-from __future__ import annotations
-
 import math
 from itertools import count
 from typing import Any

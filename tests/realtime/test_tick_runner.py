@@ -1,7 +1,5 @@
 """Machine code and plain Python are one tick: the same bits, whatever comes in."""
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Rows are visible before the head that counts them, on every machine on which a ring is made."""
 
-from __future__ import annotations
-
 import platform
 import sys
 import threading

@@ -1,7 +1,5 @@
 """Whichever process dies, and when the disk is full: no row is lost, no file overwritten."""
 
-from __future__ import annotations
-
 import errno
 import os
 import random

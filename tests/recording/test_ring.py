@@ -1,7 +1,5 @@
 """The ring: rows come out as they were put, complete, once, and after any death."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

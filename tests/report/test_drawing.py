@@ -1,7 +1,5 @@
 """Plots draw all extremes, at the right positions."""
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ElementTree
 

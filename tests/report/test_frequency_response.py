@@ -1,7 +1,5 @@
 """Answers as text and as tables: the response over frequency, numbers, the line of progress."""
 
-from __future__ import annotations
-
 import math
 import time
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Interactive pages: zoom and cursor in a real browser; without them, no script."""
 
-from __future__ import annotations
-
 import json
 import re
 from base64 import b64decode

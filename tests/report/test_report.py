@@ -1,7 +1,5 @@
 """Reports: one page for any log, which a browser shows without errors."""
 
-from __future__ import annotations
-
 import json
 import re
 from functools import cache

@@ -1,7 +1,5 @@
 """`pamctl runs`: the index of a folder's logs, and the words that filter it."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

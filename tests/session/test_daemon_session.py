@@ -1,7 +1,5 @@
 """A session with a running daemon: what it does, and how it is left."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """The Gymnasium environment: valid by its own checker, and the simulated rig's own motion."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A session on the simulated rig: the daemon's rules, whole logs, and the right motion."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """Sweeps: what is run, what is there already, and what the table says."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """What a user writes in Python: forms of experiments, types for an editor, the notebook."""
 
-from __future__ import annotations
-
 import ast
 import json
 import sys

@@ -1,7 +1,5 @@
 """`pamctl plant new`: numbers as datasheets have them become a plant file in SI."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

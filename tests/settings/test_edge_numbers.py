@@ -1,7 +1,5 @@
 """Numbers at the edge of what a float holds are refused where they are written, or do no harm."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from copy import deepcopy

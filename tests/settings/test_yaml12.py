@@ -1,7 +1,5 @@
 """The YAML reader: 1.2 scalars, places, and one clear error for every problem."""
 
-from __future__ import annotations
-
 import math
 from contextlib import suppress
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Work on a Dask cluster of two real processes: the same results as here, and nothing is lost."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket

@@ -1,7 +1,5 @@
 """The search for gains: the same seed gives the same gains, on any number of processes."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """The health of a rig: what drifts is named, what does not is not."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """The monitor on simulated runs: quiet on a faultless rig, loud on a changed one."""
 
-from __future__ import annotations
-
 import os
 import signal
 from dataclasses import replace

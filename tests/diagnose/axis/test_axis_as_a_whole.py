@@ -1,7 +1,5 @@
 """An axis that is simulated from its beginning: a fast oscillator, and a rest that is none."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

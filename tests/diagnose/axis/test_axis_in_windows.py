@@ -1,7 +1,5 @@
 """An axis judged in windows: cogging, a late column, another clock, play, how a window begins."""
 
-from __future__ import annotations
-
 from math import copysign, exp, pi, sin
 
 import numpy as np

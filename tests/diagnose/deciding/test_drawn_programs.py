@@ -1,7 +1,5 @@
 """Programs to choose from, and the one that answers what two full strokes leave open."""
 
-from __future__ import annotations
-
 import math
 from itertools import accumulate
 

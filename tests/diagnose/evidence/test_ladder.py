@@ -1,7 +1,5 @@
 """How far up the ladder a finding may be said beside another."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

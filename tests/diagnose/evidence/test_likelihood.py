@@ -1,7 +1,5 @@
 """The transform is orthonormal, and the likelihood is that of Student's t."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.stats import t as student
 

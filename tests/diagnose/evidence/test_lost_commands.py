@@ -1,7 +1,5 @@
 """Records that lack a part of the commands, on rigs of another author's solver."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache

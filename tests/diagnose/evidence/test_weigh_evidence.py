@@ -1,7 +1,5 @@
 """From the records of a hidden rig to what is said of it, and what is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

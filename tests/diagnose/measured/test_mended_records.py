@@ -1,7 +1,5 @@
 """What is taken off before a fit: faults of sensors and of homing; and the noise that is left."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

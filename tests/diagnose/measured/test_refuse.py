@@ -1,7 +1,5 @@
 """Data that would mislead are refused with the reason."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The page, the sentence and the document of a diagnosis, for every verdict."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """What a diagnosis says speaks of the rig at hand: a mechanism has no air, and no `pamctl run`."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

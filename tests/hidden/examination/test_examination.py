@@ -1,7 +1,5 @@
 """The suite of hidden rigs, what its excitations can show, and `pamctl diagnose` on a few."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

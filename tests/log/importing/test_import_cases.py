@@ -3,8 +3,6 @@
 All hold one measurement of 60 rows, 50 ms apart. Read right is: these numbers, or a refusal.
 """
 
-from __future__ import annotations
-
 import bz2
 import datetime as dt
 import gzip

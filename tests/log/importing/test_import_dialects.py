@@ -4,8 +4,6 @@ The table is known; only how it is written is drawn. A refusal is as good as an 
 number with exit code 0 is not.
 """
 
-from __future__ import annotations
-
 import bz2
 import datetime as dt
 import gzip

@@ -4,8 +4,6 @@ Every file holds the same measurement. What is read back must agree with it to t
 file has.
 """
 
-from __future__ import annotations
-
 import datetime as dt
 import struct
 import zipfile

@@ -1,7 +1,5 @@
 """Imports of foreign measurements: exact in SI, and every doubt is reported."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import struct

@@ -1,7 +1,5 @@
 """On the simulated rig: two explanations, the program that decides, and its forecast."""
 
-from __future__ import annotations
-
 import json
 import signal
 import threading

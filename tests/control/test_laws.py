@@ -326,18 +326,6 @@ def answers(made: Gains, errors_m: Sequence[float], state: Absement = ARMED) -> 
 
 
 @every_law
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_saturated_second_does_not_wind_up_the_integral(law, sign):
-    made = gains(law)
-    found = answers(made, [sign * 0.05] * 1000)
-    first_cut = next(n for n, (command, _) in enumerate(found) if command.saturated)
-    held = found[first_cut][1]
-    assert all(command.saturated and state == held for command, state in found[first_cut:])
-    # It holds no more than what one tick ago was still within the limit.
-    assert abs(held.absement_m_s) <= 0.05 * DT_S * (first_cut + 1)
-
-
-@every_law
 def test_an_integral_that_is_too_large_is_unwound_even_at_the_limit(law):
     made = gains(law)
     wound = Absement(1e-2)  # holds the command at the lower limit by itself

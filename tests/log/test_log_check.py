@@ -72,13 +72,6 @@ def kinds(report: LogCheckReport, severity: Severity = Severity.ERROR) -> set[st
 # Valid logs.
 
 
-@pytest.mark.long
-def test_the_log_of_a_run_passes_without_a_word(run):
-    done = pamctl("log", "check", run)
-    assert done.exit_code == 0
-    assert done.stdout.splitlines() == [f"{run}: ok, {len(read(run))} ticks"]
-
-
 def test_an_imported_log_passes_and_is_called_one(tmp_path):
     report = check_log(write_small(tmp_path / "a.mcap"))
     assert report.ok

@@ -4,7 +4,6 @@ import builtins
 import csv
 import json
 import math
-from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -152,7 +151,6 @@ def test_what_cannot_be_cut_is_one_error_and_leaves_nothing(paused, tmp_path):
 # --- export --------------------------------------------------------------------------------------
 
 TICKS = 300
-Read = Callable[[Path], dict[str, list[Any]]]
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,6 @@ from pamctl.offline.tick_replay import OTHER_CPU, Replay, replay_log
 from pamctl.offline.what_if import replace_law, run_what_if
 
 GOLDEN = Path(__file__).parents[1] / "golden"
-NAMES = sorted(path.stem for path in GOLDEN.glob("*.mcap"))
 
 
 @pytest.fixture(autouse=True)

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -112,7 +112,6 @@ def put_foreign_file(path: Path) -> None:
 
 
 TRICKS = [put_pipe, put_link, put_link_to_nothing, pytest.param(put_foreign_file, marks=as_root)]
-Trick = Callable[[Path], None]
 
 
 def assert_untouched(path: Path) -> None:

@@ -20,12 +20,12 @@ from pamctl.log.reader import read
 from pamctl.plant.catalogue import Effects, pass_command, pass_opening
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import vented_state
-from pamctl.realtime.tick import first_state, freeze_state, keyframe_fields, thaw_state
+from pamctl.realtime.tick import first_state, freeze_state, keyframe_fields
 from pamctl.settings import known_effects
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.known_effects import STEEPEST, build_compensation, list_undoable
 from pamctl.settings.resolve import RunSettings, resolve
-from pamctl.signals import COMPENSATION_FIELDS, TICK_FIELDS, Command, Compensated, Phase, Reference
+from pamctl.signals import COMPENSATION_FIELDS, TICK_FIELDS, Command, Phase, Reference
 
 VALVES: dict[str, dict[str, dict[str, float]]] = {
     "dead band": {"valve_deadband": {"fill_width_v": 0.25, "exhaust_width_v": 0.15}},
@@ -206,14 +206,6 @@ def test_a_run_without_compensation_has_the_columns_and_keyframes_of_before(tmp_
     assert state.compensated is None
     assert not [name for name in keyframe_fields(state) if "compensated" in name]
     assert len(freeze_state(state)) == len(keyframe_fields(state))
-
-
-def test_the_frozen_state_of_a_compensated_tick_thaws_to_itself(tmp_path):
-    setup = build_tick_setup(settings_with(tmp_path, COMPENSATE))
-    nowhere = first_state(setup, Zero(0.2, 0.0))
-    state = nowhere._replace(compensated=Compensated(0.1, 0.2, 0.3))
-    numbers = dict(zip(keyframe_fields(state), freeze_state(state), strict=True))
-    assert thaw_state(nowhere, numbers).compensated == state.compensated
 
 
 @pytest.mark.long

@@ -26,7 +26,6 @@ from pamctl.realtime.tick import keyframe_fields
 from pamctl.safety import (
     ENCODER_JUMP,
     MEASUREMENT_NOT_FINITE,
-    OVERRUNS,
     SENSOR_RANGE,
     STALE_SAMPLE,
     STROKE_LIMIT,
@@ -356,46 +355,6 @@ def test_the_second_signal_stops_at_once():
     assert_left_safe(ran)
 
 
-class TwoSignals(ScriptedSupervisor):
-    """Both signals arrive in one tick, right after the loop asked one of its questions."""
-
-    def __init__(self, after: str) -> None:
-        super().__init__(INTERRUPTED)
-        self.after = after
-
-    def find_stop(self, tick: int) -> Ending | None:
-        wanted = super().find_stop(tick)
-        self._arrive("stop_wanted")
-        return wanted
-
-    def wants_abort(self) -> bool:
-        wanted = super().wants_abort()
-        self._arrive("abort_wanted")
-        return wanted
-
-    def _arrive(self, question: str) -> None:
-        if question == self.after and self.tick == 2000:
-            self.stop_at = self.abort_at = 0
-
-
-@pytest.mark.parametrize("after", ["stop_wanted", "abort_wanted"])
-def test_two_signals_within_one_tick_are_no_success(after):
-    ran = run(short(), supervisor=TwoSignals(after))
-    assert ran.ending == INTERRUPTED
-    assert ran.journal.ticks[-1].timing.tick in (2000, 2001, 2002)
-    assert_left_safe(ran)
-
-
-def test_a_stop_while_homing_ends_smoothly_too():
-    ran = homing(supervisor=ScriptedSupervisor(INTERRUPTED, stop_at=100))
-    assert ran.ending == INTERRUPTED
-    assert {record.reference.phase for record in ran.journal.ticks} == {
-        Phase.HOMING,
-        Phase.STOPPING,
-    }
-    assert_left_safe(ran)
-
-
 def test_a_fault_during_the_stop_still_trips():
     supervisor = ScriptedSupervisor(INTERRUPTED, stop_at=2000)
     ran = run(short(), fault("pressure_nan", from_tick=2050), supervisor=supervisor)
@@ -422,19 +381,6 @@ def test_missed_ticks_are_counted_and_the_measured_dt_is_used_and_tracking_goes_
     tracked = late.journal.phase(Phase.TRACK)
     true_m = [record.truth.true_position_m - record.reference.reference_m for record in tracked]
     assert max(map(abs, true_m)) < 1.5e-3
-
-
-def test_too_many_missed_ticks_end_with_code_5():
-    ran = run(short(), missed=dict.fromkeys(range(1500, 4000), 1))
-    assert ran.ending.code == ExitCode.OVERRUNS == 5
-    assert ran.journal.ticks[-1].decision.verdicts == OVERRUNS
-    assert_left_safe(ran)
-
-
-def test_a_gap_longer_than_a_sample_may_be_old_is_a_stale_sample():
-    ran = run(short(), missed={1500: 51})
-    assert ran.ending.code == ExitCode.SAFETY_TRIP
-    assert ran.journal.ticks[-1].decision.verdicts & STALE_SAMPLE
 
 
 # --- what the clock sees ---------------------------------------------------------------

@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import signal
 from support.runs import run_settings
 
 from hal.calibration import Zero
@@ -22,7 +21,6 @@ from pamctl.realtime.tick import (
     first_state,
     freeze_state,
     keyframe_fields,
-    measure,
     step,
     thaw_state,
 )
@@ -68,31 +66,6 @@ def run(
         state, decision = step(setup, state, moving(tick), track(), timing(tick))
         found.append(decision)
     return state, found
-
-
-def test_a_tick_is_calibrated_estimated_commanded_and_admitted():
-    state, decision = step(SETUP, first_state(SETUP, ZERO), sample(0), track(), timing(0))
-    assert state.measurement == measure(SETUP.calibration, ZERO, sample(0))
-    assert state.measurement.position_m == pytest.approx(2016 * 3.175e-6)
-    assert state.measurement.pressure_pa == pytest.approx(101.3e3 + 0.7 / 6.429e-6, rel=1e-5)
-    assert state.estimate.position_filtered_m == pytest.approx(state.measurement.position_m)
-    assert state.estimate.error_m == pytest.approx(2016 * 3.175e-6 - 6.4e-3)
-    assert decision == Decision(state.command.command_v, 0, False)
-    assert state.safety.valve_v == decision.valve_v
-    assert state.zero == ZERO
-
-
-def test_every_stage_remembers_the_tick_before():
-    before, _ = step(SETUP, first_state(SETUP, ZERO), sample(0), track(), timing(0))
-    after, _ = step(SETUP, before, sample(1, counts=3116), track(), timing(1))
-    passed = after.estimate.position_filtered_m - before.estimate.position_filtered_m
-    # What a 300 Hz Butterworth lets through of a step in its first tick.
-    share = signal.lfilter(*signal.butter(3, 300.0, fs=1000.0), [1.0])[0]
-    assert passed == pytest.approx(100 * 3.175e-6 * share, rel=1e-9)
-    assert after.estimate.error_rate_m_per_s > 0.0
-    gained = after.law.absement_m_s - before.law.absement_m_s
-    assert gained == pytest.approx(after.estimate.error_m * 1e-3, rel=1e-9)
-    assert after.safety.position_m == after.measurement.position_m
 
 
 @pytest.mark.parametrize("controller", ["paper-table3-qsmc", "smc", "pid"])

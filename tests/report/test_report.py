@@ -218,13 +218,3 @@ def test_every_plot_over_time_has_the_same_axis_and_marks_each_moment(minute):
     for title in over_time:
         assert ">touched the hose</text>" in plots[title]
         assert ">gains</text>" in plots[title]
-
-
-def test_runs_that_hide_each_other_are_drawn_apart_on_one_scale(minute, folder):
-    twin = folder / "twin.mcap"
-    twin.write_bytes(minute.read_bytes())
-    plots = find_plots(page_of(minute, twin))
-    assert {"Displacement, minute", "Displacement, twin", "Phase plane, twin"} <= {*plots}
-    numbers = [re.findall(r'<text class="yt"[^>]*>([^<]+)<', plots[f"Displacement, {name}"])
-               for name in ("minute", "twin")]  # fmt: skip
-    assert numbers[0] == numbers[1]

@@ -150,12 +150,6 @@ def test_a_key_with_another_unit_is_one_problem_not_an_unknown_and_a_missing_one
     ]
 
 
-def test_a_missing_key_is_placed_at_the_mapping_it_is_missing_from():
-    assert toy_problems("limits: {}\ncontroller:\n  law: sliding\n") == [
-        "my.yaml:2:1: controller.lambda_per_s: missing, and has no default"
-    ]
-
-
 def test_an_unknown_or_missing_tag_of_a_union_lists_the_choices():
     assert toy_problems("controller:\n  law: slidin\n") == [
         "my.yaml:2:3: controller.law: must be 'sliding' or 'pid' (got 'slidin')"

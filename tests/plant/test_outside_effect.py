@@ -55,9 +55,7 @@ COIL_LAG = '''
 from math import exp
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import (
-    EffectDescription, EffectEntry, EffectMemory, size
-)
+from pamctl.plant.effects.description import EffectDescription, EffectEntry, EffectMemory, size
 
 
 class CoilLag(NamedTuple):

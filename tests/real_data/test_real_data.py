@@ -8,11 +8,7 @@ import numpy as np
 import pytest
 import real_data
 import yaml
-from measured_set import (
-    find_failures,
-    read_set,
-    scale_guesses,
-)
+from measured_set import find_failures, read_set, scale_guesses
 
 HERE = Path(__file__).parent
 SHIPPED = sorted(path.parent for path in HERE.glob("*/set.yaml"))

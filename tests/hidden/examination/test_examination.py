@@ -7,12 +7,7 @@ import pytest
 from support.made_records import to_records
 
 from hidden.effects import SINGLES
-from hidden.examination.cases import (
-    Case,
-    blind_cases,
-    damaged_cases,
-    single_cases,
-)
+from hidden.examination.cases import Case, blind_cases, damaged_cases, single_cases
 from hidden.examination.oracle import HOPELESS, SURE, oracle_of
 from pamctl.diagnose import diagnose
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document

@@ -19,10 +19,11 @@ distributed = pytest.importorskip("distributed", reason="the extra 'cluster' is 
 pytestmark = pytest.mark.filterwarnings("default")  # Dask's own, at the end of a process
 
 
+# Its page of the cluster is on any free port: on the usual one of Dask a second cluster warns.
 @pytest.fixture(scope="module")
 def two_workers() -> Iterator[Any]:
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs="ERROR"
+        n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs="ERROR"
     ) as local:
         yield local
 
@@ -78,7 +79,7 @@ def describe_versions_of(ours: dict[str, str]) -> Any:
 
 def test_a_cluster_without_workers_is_refused(monkeypatch):
     with (
-        distributed.LocalCluster(n_workers=0, dashboard_address=None) as empty,
+        distributed.LocalCluster(n_workers=0, dashboard_address=":0") as empty,
         pytest.raises(ClusterError, match=r"no workers; start one .* `dask worker tcp://"),
     ):
         connect_to_cluster(empty.scheduler_address).__enter__()

@@ -94,6 +94,12 @@ RADIANS = {"deg": 0.0174533, "degree": 0.0174533, "degrees": 0.0174533,
            "\N{DEGREE SIGN}": 0.0174533, "rad": 1.0, "radian": 1.0, "radians": 1.0}  # fmt: skip
 """Radians in a unit of an angle: times the lever's length they make a position."""
 
+CURRENTS = frozenset({"a", "amp", "amps", "ampere", "amperes"})
+"""Units of a motor's current in lower case; mA are those of a valve or of a sensor."""
+
+NEED_A_GAIN = CURRENTS | RADIANS.keys() | {"count", "counts", "cnt", "inc", "increments", "ticks"}
+"""In lower case: no rig is described in them, and only a gain makes a quantity of them."""
+
 
 class Certainty(IntEnum):
     """How much a header says of its quantity."""
@@ -147,6 +153,8 @@ NAMES: Mapping[str, frozenset[str]] = {
     "force_n": frozenset({"force", "f", "fm", "kraft", "thrust", "fuerza", "forza", "forca"}),
 }  # fmt: skip
 """Words for a quantity, in the languages of many labs."""
+_OF_A_VALVE = NAMES["valve_v"] - frozenset({"command", "cmd", "control", "u", "stell", "commande"})
+"""Words that no motor has."""
 _SENSES: Mapping[bool, frozenset[str]] = {
     True: frozenset({
         "gauge", "gage", "rel", "relative", "relativ", "relativa", "uberdruck", "ueberdruck",
@@ -178,6 +186,7 @@ OTHER = frozenset({
     "source", "versorgung", "ambient", "atmospheric", "atmosphere", "model", "modelled",
     "simulated", "simulation", "sim", "estimate", "estimated", "est", "predicted", "mean", "max",
     "min", "std", "limit", "velocity", "speed", "rate", "initial", "dead", "delay", "step",
+    "status", "state", "flag", "flags", "mode",
     "consigne", "consigna", "riferimento", "referencia", "alimentation", "alimentacion",
     "alimentazione", "vitesse", "velocidad", "velocita", "errore", "erreur",
 })  # fmt: skip
@@ -250,6 +259,8 @@ def read_header(name: str, called: str = "", unit: str = "") -> Header:
     is_apart = bool(unit) or (called or name).endswith((")", "]"))
     is_unit = found and (is_apart or found.quantity in named or said.lower() not in _SUBSCRIPTS)
     measures = found.quantity if found and is_unit else ""
+    if said.lower() in CURRENTS and not (others or words & _OF_A_VALVE):
+        return Header("force_n", "", None, Certainty.GUESS, said)
     is_alone = not named and bool(words) and words <= _BESIDE
     # `Load cell (N)`, `ist_mm`: volts may be those of any sensor, other units tell.
     if found and (found.quantity in named or (is_alone and found.quantity != "valve_v")):

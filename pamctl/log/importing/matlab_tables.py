@@ -6,18 +6,20 @@ A file may hold arrays, matrices, structs, and Simulink's "structure with time":
     yout(:,2), yout(2,:)  a column of a matrix, a row of one that is wider than high
     run.position_m        a field of a struct
     scope.time, scope     a structure with time, and its one signal; scope(2) is its second
+    enc.data, enc.unit    an array and its unit; in HDF5 an array's attribute `unit` or `units`
 
 The label of a Simulink signal serves as its name if it states a quantity and a unit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pamctl.log.importing.column_map import TextHints
 from pamctl.log.importing.measured_table import (
@@ -38,6 +40,13 @@ _NUMBERS = {b"", b"double", b"single", b"logical"} | {
     f"{sign}int{bits}".encode() for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
 """MATLAB's classes of numbers; nothing where another program wrote the file."""
+
+
+class _WithUnit(NamedTuple):
+    """An array of HDF5 that states its unit."""
+
+    values: NDArray[Any]
+    unit: str
 
 
 def parse_mat(path: Path, hints: TextHints) -> MeasuredTable:
@@ -96,6 +105,8 @@ def _read_columns(name: str, value: Any) -> Iterator[TableColumn]:
             yield TableColumn(name, np.zeros(0), is_text=True, says=says)
         case dict():
             yield from _read_struct(name, value)
+        case _WithUnit():
+            yield from (replace(c, unit=value.unit) for c in _read_columns(name, value.values))
         case [dict(), *_]:
             fields = {field: np.array([each[field] for each in value]) for field in value[0]}
             yield from _read_fields(name, fields)
@@ -127,12 +138,26 @@ def _read_struct(name: str, struct: dict[str, Any]) -> Iterator[TableColumn]:
     fields = {field.lower(): value for field, value in struct.items()}
     if "time" in fields and "signals" in fields:
         yield from _read_structure_with_time(name, fields["time"], fields["signals"])
+    elif "data" in fields and (unit := _find_unit(fields)):
+        for column in _read_columns(f"{name}.data", fields["data"]):
+            yield replace(column, unit=unit, called=_find_leaf(name))
     elif "time" in fields and "data" in fields:
-        yield TableColumn(f"{name}.time", _flatten(fields["time"]), called=TIME_S)
-        yield TableColumn(name, _flatten(fields["data"]), called=_find_leaf(name))
+        # A time that states its own unit is read by it.
+        for column in _read_columns(f"{name}.time", fields["time"]):
+            yield column if column.unit else replace(column, called=TIME_S)
+        for column in _read_columns(name, fields["data"]):
+            yield replace(column, called=_find_leaf(name))
     else:
         for field, value in struct.items():
             yield from _read_columns(f"{name}.{field}", value)
+
+
+def _find_unit(said: Mapping[str, Any]) -> str:
+    """Return the unit that the fields of a struct, or attributes of an array, state; or nothing."""
+    unit = next((value for key, value in said.items() if key.lower() in ("unit", "units")), "")
+    unit = unit.item() if isinstance(unit, np.ndarray) and unit.size == 1 else unit
+    unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
+    return unit.strip() if isinstance(unit, str) else ""
 
 
 def _read_structure_with_time(name: str, time: Any, signals: Any) -> Iterator[TableColumn]:
@@ -188,7 +213,9 @@ def _read_node(path: Path, file: Any, node: Any, depth: int, is_matlab: bool) ->
     if node.dtype.names is None and (node.dtype.kind not in "fiub" or kind not in _NUMBERS):
         return None  # an object, a cell
     # MATLAB stores the columns one after the other: HDF5 shows the transposed array.
-    return np.asarray(node[()]).T.squeeze() if is_matlab else np.asarray(node[()])
+    values = np.asarray(node[()]).T.squeeze() if is_matlab else np.asarray(node[()])
+    unit = _find_unit(node.attrs)
+    return _WithUnit(values, unit) if unit else values
 
 
 def _is_list(node: Any) -> bool:

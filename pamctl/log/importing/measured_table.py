@@ -96,7 +96,8 @@ class MeasuredTable:
         names = list(dict.fromkeys(column.name for column in self.columns))
         hint = hint_at_nearest(text, names)
         listed = ", ".join(names[:20]) or "none"
-        raise ImportRefused(f"there is no column {wanted!r}{hint}; there are {listed}")
+        why = f"there is no column {wanted!r}{hint}; there are {listed}"
+        raise ImportRefused("; ".join([why, *self.notes]))
 
     def number_of(self, column: TableColumn) -> int:
         """Return the number of a column, from 1."""

@@ -164,10 +164,13 @@ class _Import:
 
     def convert_to_si(self) -> None:
         """Set the time and the quantities, all of one length; raise ImportRefused."""
-        lengths = {c.name: len(c.values) for c in self.chosen.columns.values()}
+        lengths = {c.name: len(c.values[self.kept]) for c in self.chosen.columns.values()}
         if len(set(lengths.values())) > 1:
             listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
-            raise ImportRefused(f"the columns differ in length: {listed}")
+            why = f"the columns differ in length: {listed}"
+            last = self.rows[max(min(lengths.values()), 1) - 1]
+            lines = f"`lines: {{last: {last}}}` in the map takes the rows that all have"
+            raise ImportRefused("; ".join([why, lines, *self.table.notes]))
         for quantity, column in self.chosen.columns.items():
             raw = column.values[self.kept]
             with np.errstate(over="ignore", invalid="ignore"):

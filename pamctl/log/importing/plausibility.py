@@ -26,7 +26,7 @@ from pamctl.log.importing.column_roles import (
     ChosenColumns,
     names_quantity,
 )
-from pamctl.log.importing.headers import UNITS
+from pamctl.log.importing.headers import NEED_A_GAIN, UNITS
 from pamctl.log.importing.measured_table import Floats, Ints, TableColumn
 from pamctl.log.importing.shown_map import NEVER_ABSOLUTE_PA
 from pamctl.log.record_problems import find_record_problems, measured_columns, nominal_period_s
@@ -106,6 +106,9 @@ def judge_units(
             said = named and named.header.measures == quantity and named.header.unit
             if said and "unit" in change and said != part.unit:
                 text, change = f"is this {said}, as the column's name says?", {"unit": said}
+            if change and all(getattr(part, key) == value for key, value in change.items()):
+                text = "no rig has that: is it another column, or does it need another gain?"
+                name, change = "", {}
             if name:
                 ((key, value),) = change.items()
                 said = to_json(value).decode().strip('"')
@@ -174,7 +177,14 @@ _Doubt = tuple[str, str, dict[str, Any]]
 def _doubt_quantity(part: ColumnMap, column: TableColumn | None) -> list[_Doubt]:
     """Return the doubt that a column has the unit of another quantity, and no gain turns it."""
     header = column.header if column else None
-    if not (column and header and header.measures) or abs(getattr(part, "gain", 1.0)) != 1.0:
+    if not (column and header) or abs(getattr(part, "gain", 1.0)) != 1.0:
+        return []
+    if header.said_unit.lower() in NEED_A_GAIN:
+        said, other = header.said_unit, header.quantity
+        hint = f"is it {other}? If not, add" if other not in ("", part.quantity) else "add"
+        text = f"{quote(column.name)} says {said}: {hint} `gain`, in {part.unit} per {said}"
+        return [(text, "", {})]
+    if not header.measures:
         return []
     is_any_sensor = header.measures == "valve_v" and not names_quantity(column, "valve_v")
     if header.measures == part.quantity or is_any_sensor:

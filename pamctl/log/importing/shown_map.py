@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pamctl.log.importing.column_map import KEYS, quote, write_key
-from pamctl.log.importing.headers import RADIANS, TIME, UNITS
+from pamctl.log.importing.headers import CURRENTS, NAMES, RADIANS, TIME, UNITS, split_words
 from pamctl.log.importing.measured_table import MeasuredTable, TableColumn
 
 NEVER_ABSOLUTE_PA = 80e3
@@ -77,12 +77,13 @@ def _propose_others(
         line = _propose(table, column, is_first=True)
         yield line if line.startswith("#") else f"# {line}  # if it is {column.header.quantity}"
     others = [column for column in rest if column not in guessed]
+    able = [column for column in others if _may_be_measured(column)]
     if others:
         open_ones = _EXAMPLES.keys() - known - {column.header.quantity for column in guessed}
         lines = []
         for quantity, example in _EXAMPLES.items():
             # What states a unit of its own is of that quantity, if of any.
-            free = [c for c in others if c.header.measures in ("", quantity)]
+            free = [c for c in able if c.header.measures in ("", quantity)]
             fits = [c for c in free if c.header.measures or not c.header.said_unit]
             # A gain may turn a motor's current into a force, but no oven into a rig.
             fits = fits or (free if "gain" in example and known - {TIME} else [])
@@ -93,6 +94,13 @@ def _propose_others(
         listed = ", ".join(quote(column.name) for column in others[:20])
         yield f"# other columns: {listed}" + ("; such as" if lines else "")
         yield from lines
+
+
+def _may_be_measured(column: TableColumn) -> bool:
+    """Tell whether a column may be a sensor's or a command: no constant, no status, no time."""
+    is_named = column.header.others and not column.header.measures
+    is_time = NAMES[TIME] & split_words(column.name)
+    return not (is_named or is_time) and bool((np.diff(column.values) != 0.0).any())
 
 
 def show_map(doubt: str, lines: Sequence[str]) -> str:
@@ -118,6 +126,8 @@ def _propose(table: MeasuredTable, column: TableColumn, *, is_first: bool) -> st
     if scale := _propose_scale(column):
         remark = f"if it spans -5 to 5 V, and more {header.said_unit} fill"
         return f"# {write_key(KEYS[header.quantity], keys | scale, remark)}"
+    if header.said_unit.lower() in CURRENTS and header.quantity == "force_n":
+        return f"# {line}  # a motor's current: add gain, its force in N per A"
     if not header.unit:
         per = f" per {header.said_unit}" if header.said_unit else ""
         return f"# {line}  # its unit is not known: write unit, or gain ({unit}{per}) and offset"

@@ -11,7 +11,7 @@ import os
 import platform
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from importlib import metadata
@@ -123,19 +123,8 @@ def connect_to_cluster(address: str) -> Iterator[Executor]:
             "`dask scheduler`, and give the address that it prints, such as tcp://HOST:8786"
         ) from error
     with client:
-        _require_equal_workers(address, _ask_workers(address, client))
+        _require_equal_workers(address, client)
         yield client.get_executor(pure=False)
-
-
-def _ask_workers(address: str, client: Any) -> dict[str, dict[str, str]]:
-    try:
-        found: dict[str, dict[str, str]] = client.run(describe_versions)
-    except Exception as error:
-        raise ClusterError(
-            f"--cluster {address}: a worker cannot import pamctl ({error}); install the same "
-            "version there as here"
-        ) from error
-    return found
 
 
 def describe_versions() -> dict[str, str]:
@@ -149,15 +138,21 @@ def describe_versions() -> dict[str, str]:
     }
 
 
-def _require_equal_workers(address: str, workers: Mapping[str, Mapping[str, Any]]) -> None:
+def _require_equal_workers(address: str, client: Any) -> None:
+    try:
+        workers: dict[str, dict[str, str]] = client.run(describe_versions)
+    except Exception as error:
+        raise ClusterError(
+            f"--cluster {address}: a worker cannot import pamctl ({error}); install the same "
+            "version there as here"
+        ) from error
     if not workers:
         raise ClusterError(
             f"--cluster {address}: the scheduler has no workers; start one on each machine with "
             f"`dask worker {address} --nthreads 1 --nworkers auto`"
         )
-    here = describe_versions()
     for worker, there in workers.items():
-        for name, version in here.items():
+        for name, version in describe_versions().items():
             if there.get(name) != version:
                 raise ClusterError(
                     f"--cluster {address}: {name} is {there.get(name)} on the worker {worker} and "

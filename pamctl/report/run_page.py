@@ -14,7 +14,7 @@ from pamctl.json_text import flatten_keys, to_json
 from pamctl.log import Log
 from pamctl.log.annotation import ANNOTATION, Annotation
 from pamctl.log.measured_signals import judge_ticks
-from pamctl.log.run_meta import describe_running_changes, list_gain_changes, spell_controller
+from pamctl.log.run_meta import describe_running_changes, spell_controller
 from pamctl.offline.merit import compute_log_merits, find_paper_rows, summarise_durations
 from pamctl.plain_text import clean_text
 from pamctl.report.axes import PlotAxis
@@ -187,24 +187,6 @@ def write_events(page: Report, runs: Sequence[ReportedRun]) -> None:
         page.add(ReportTable(["at, s", "event", "details"], rows[:MOST_EVENTS]))
         if len(rows) > MOST_EVENTS:
             page.add(Text(f"{len(rows) - MOST_EVENTS} more events are in the log."))
-        _write_gain_changes(page, run)
-
-
-def _write_gain_changes(page: Report, run: ReportedRun) -> None:
-    """Write the gains that changed while the law ran; the first are in the configuration."""
-    rows = [
-        [
-            _show_time(run, after),
-            name,
-            _show_short(before.get(name, "-")),
-            _show_short(after[name]),
-            _show_short(after.get("ramp_s", "-")),
-        ]
-        for before, after, name in list_gain_changes(run.log.gains)
-    ]
-    if rows:
-        header = ["at, s", "gain", "from", "to", "within, s"]
-        page.add(ReportTable(header, rows[:MOST_EVENTS], "Changed gains."))
 
 
 def _show_time(run: ReportedRun, event: Mapping[str, Any]) -> str:
@@ -262,7 +244,7 @@ def _format_yaml(value: Mapping[str, Any]) -> str:
     return yaml.safe_dump(dict(value), sort_keys=False, allow_unicode=True).rstrip()
 
 
-WORST = 10
+MOST_PLACES = 10
 FASTEST_US, SLOWEST_US = 0.1, 1e6
 
 _DURATIONS = (
@@ -285,7 +267,6 @@ def write_timing(page: Report, runs: Sequence[ReportedRun]) -> None:
             continue
         _write_spreads(page, run)
         _plot_histograms(page, run)
-        _write_worst(page, run)
         _write_missed(page, run)
 
 
@@ -333,37 +314,13 @@ def _compute_work_s(run: ReportedRun) -> np.ndarray | None:
     return np.sum(known, axis=0) if len(known) == len(parts) else None
 
 
-def _write_worst(page: Report, run: ReportedRun) -> None:
-    late, work = run.column("late_s"), _compute_work_s(run)
-    if late is None or work is None:
-        return
-    cost = np.nan_to_num(late + work)
-    worst = np.argsort(-cost, kind="stable")[:WORST]
-    rows = [
-        [
-            str(run.log["tick"][i]),
-            f"{run.t_s[i]:.3f}",
-            *(f"{run.log[name][i] * MICRO:.1f}" for name, _ in _DURATIONS),
-            str(run.log["missed"][i]),
-        ]
-        for i in worst
-    ]
-    page.add(
-        ReportTable(
-            ["tick", "at, s", "late", "read", "tick", "write", "missed before"],
-            rows,
-            f"The {len(rows)} worst ticks, in µs.",
-        )
-    )
-
-
 def _write_missed(page: Report, run: ReportedRun) -> None:
     missed = run.log["missed"]
     at = np.flatnonzero(missed > 0)
     if not len(at):
         page.add(Text("No tick was missed."))
         return
-    largest = at[np.argsort(-missed[at], kind="stable")][:WORST]
+    largest = at[np.argsort(-missed[at], kind="stable")][:MOST_PLACES]
     longest = ", ".join(f"{missed[i]} before {run.t_s[i]:.3f} s" for i in sorted(largest))
     page.add(
         Text(f"{int(missed.sum())} ticks were missed in {len(at)} places; the most: {longest}.")

@@ -108,26 +108,20 @@ def compute_log_merits(columns: Mapping[str, Any]) -> dict[str, Merit | None]:
     }
 
 
-class DurationSpread(NamedTuple):
-    """The distribution of durations, in s."""
-
-    p50_s: float
-    p99_s: float
-    max_s: float
-
-
-def summarise_durations(durations_s: Floats) -> DurationSpread:
-    """Summarise durations of shape (n,), n > 0."""
-    p50, p99 = np.percentile(durations_s, (50, 99))
-    return DurationSpread(float(p50), float(p99), float(durations_s.max()))
-
-
-def summarise_timing(log: Log) -> dict[str, DurationSpread]:
-    """Return the distributions of wake-up lateness, tick duration, rig reads and rig writes."""
-    return {
-        "wake_up": summarise_durations(log["late_s"]),
-        "tick": summarise_durations(log["compute_s"]),
-        "period_work": summarise_durations(log["read_s"] + log["compute_s"] + log["write_s"]),
-        "read": summarise_durations(log["read_s"]),
-        "write": summarise_durations(log["write_s"]),
+def summarise_timing(log: Log) -> dict[str, dict[str, float]]:
+    """Return, in s, the spread of wake-up lateness, tick duration, rig reads and rig writes."""
+    parts = {
+        "wake_up": log["late_s"],
+        "tick": log["compute_s"],
+        "period_work": log["read_s"] + log["compute_s"] + log["write_s"],
+        "read": log["read_s"],
+        "write": log["write_s"],
     }
+    return {name: _find_spread(part[np.isfinite(part)]) for name, part in parts.items()}
+
+
+def _find_spread(durations_s: Floats) -> dict[str, float]:
+    if not len(durations_s):
+        return dict.fromkeys(("p50_s", "p99_s", "max_s"), np.nan)
+    p50, p99 = np.percentile(durations_s, (50, 99)).tolist()
+    return {"p50_s": p50, "p99_s": p99, "max_s": float(durations_s.max())}

@@ -203,9 +203,7 @@ def summarise_run(log: Log) -> dict[str, Any]:
             for name, merit in compute_log_merits(log.columns).items()
         },
         "paper": [{"law": r.law, **r.merit.as_dict()} for r in find_paper_rows(experiment)],
-        "timing": None
-        if log.config.get("fast")
-        else {name: spread._asdict() for name, spread in summarise_timing(log).items()},
+        "timing": None if log.config.get("fast") else summarise_timing(log),
         "not_real_time": {
             step: said.removeprefix(refused)
             for step, said in setup.items()
@@ -244,18 +242,18 @@ def report_run(figures: Mapping[str, Any], law: str) -> Report:
         ]
         report.add(ReportTable(MERIT_HEADER, [*tracked, *papers]))
     if figures["timing"] is not None:
-        rows = [
-            [name, *(spell_um(figures["timing"][key][part]) for part in _SPREAD)]
-            for key, name in _TIMING_NAMES.items()
-        ]
-        report.add(ReportTable(("timing, µs", "p50", "p99", "max"), rows))
+        report.add(tabulate_timing(figures["timing"]))
     refused = figures["not_real_time"].items()
     return report.add(*(Text(f"not real time: {step} refused: {why}") for step, why in refused))
 
 
-_SPREAD = ("p50_s", "p99_s", "max_s")
-_TIMING_NAMES = {
-    "wake_up": "wake-up behind deadline",
-    "tick": "tick, sample to command",
-    "period_work": "read, tick and write",
-}
+def tabulate_timing(timing: Mapping[str, Mapping[str, float]]) -> ReportTable:
+    """Return the table of a run's durations, as `summarise_run` has them."""
+    named = {
+        "wake_up": "wake-up behind deadline",
+        "tick": "tick, sample to command",
+        "period_work": "read, tick and write",
+    }
+    parts = ("p50_s", "p99_s", "max_s")
+    rows = [[name, *(spell_um(timing[key][part]) for part in parts)] for key, name in named.items()]
+    return ReportTable(("timing, µs", "p50", "p99", "max"), rows)

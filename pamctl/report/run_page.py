@@ -15,7 +15,7 @@ from pamctl.log import Log
 from pamctl.log.annotation import ANNOTATION, Annotation
 from pamctl.log.measured_signals import judge_ticks
 from pamctl.log.run_meta import describe_running_changes, spell_controller
-from pamctl.offline.merit import compute_log_merits, find_paper_rows, summarise_durations
+from pamctl.offline.merit import compute_log_merits, find_paper_rows, summarise_timing
 from pamctl.plain_text import clean_text
 from pamctl.report.axes import PlotAxis
 from pamctl.report.figure import Plot
@@ -27,6 +27,7 @@ from pamctl.report.reported_run import (
     ReportedRun,
     make_merit_row,
     name_runs,
+    tabulate_timing,
 )
 from pamctl.report.run_motion import write_law, write_motion
 from pamctl.safety import VERDICTS
@@ -247,13 +248,6 @@ def _format_yaml(value: Mapping[str, Any]) -> str:
 MOST_PLACES = 10
 FASTEST_US, SLOWEST_US = 0.1, 1e6
 
-_DURATIONS = (
-    ("late_s", "wake-up behind deadline"),
-    ("read_s", "reading the rig"),
-    ("compute_s", "tick, sample to command"),
-    ("write_s", "writing the rig"),
-)
-
 
 def write_timing(page: Report, runs: Sequence[ReportedRun]) -> None:
     """Write the durations of a tick's parts, and which ticks were late or missed."""
@@ -265,22 +259,10 @@ def write_timing(page: Report, runs: Sequence[ReportedRun]) -> None:
         if len(run) < 2:
             page.add(Text("Too few ticks for timing figures."))
             continue
-        _write_spreads(page, run)
+        if run.column("late_s") is not None:
+            page.add(tabulate_timing(summarise_timing(run.log)))
         _plot_histograms(page, run)
         _write_missed(page, run)
-
-
-def _write_spreads(page: Report, run: ReportedRun) -> None:
-    spreads = [
-        [
-            label,
-            *(f"{part * MICRO:.1f}" for part in summarise_durations(values[np.isfinite(values)])),
-        ]
-        for name, label in _DURATIONS
-        if (values := run.column(name)) is not None
-    ]
-    if spreads:
-        page.add(ReportTable(["µs", "p50", "p99", "max"], spreads))
 
 
 def _plot_histograms(page: Report, run: ReportedRun) -> None:

@@ -2,7 +2,9 @@
 
     python scripts/generate_reference.py [--check]
 
-Writes into pamctl/manual/reference/. `--check` writes nothing and leaves with 3 if a page differs.
+Writes into pamctl/manual/reference/, between the comments `<!-- begin NAME -->` and
+`<!-- end NAME -->` of a page; what stands around them is written by hand. `--check` writes nothing
+and leaves with 3 if a page differs.
 """
 
 from __future__ import annotations
@@ -15,13 +17,14 @@ import re
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import typer
-from measured_table import format_table
+from measured_table import format_table, replace_between
 
 import pamctl
 from hal import rig
@@ -37,10 +40,6 @@ from pamctl.session.experiment_form import FORMS, list_keys, list_models
 
 ROOT = Path(__file__).resolve().parents[1]
 REFERENCE = ROOT / "pamctl" / "manual" / "reference"
-
-_HEAD = (
-    "<!-- Written by `python scripts/generate_reference.py`: change the code, not this page. -->"
-)
 
 
 def read_attribute_docs(module: Any) -> dict[str, dict[str, str]]:
@@ -80,27 +79,17 @@ def walk_verbs() -> Iterator[tuple[str, Any]]:
     yield from walk(typer.main.get_command(app), "pamctl")
 
 
-def write_verbs() -> str:
-    """Return the page of every verb: its help, as the terminal shows it."""
+def write_verbs() -> dict[str, str]:
+    """Return the help of every verb, as the terminal shows it, and the exit codes."""
     verbs = dict(walk_verbs())
     does = {
         words: _plain((command.help or "").split("\n\n")[0]) for words, command in verbs.items()
     }
-    parts = [
-        "# Verbs and options\n",
-        _HEAD,
-        "\n`pamctl VERB --help` says the same at the terminal. `--set` takes any key of "
-        "[Settings](settings.md). [Exit codes](#exit-codes) are the same for every verb.\n",
-        format_table(
-            ["verb", "does"],
-            [[f"[`{words}`](#{_anchor(words)})", told] for words, told in does.items()],
-        ),
-        "",
-    ]
+    table = [[f"[`{words}`](#{_anchor(words)})", told] for words, told in does.items()]
+    parts = [format_table(["verb", "does"], table), ""]
     for words, command in verbs.items():
         parts += [f"## `{words}`\n", f"```\n{_print_help(words, command)}\n```\n"]
-    parts.append(write_exit_codes())
-    return "\n".join(parts)
+    return {"verbs": "\n".join(parts), "exit_codes": write_exit_codes()}
 
 
 def _print_help(words: str, command: Any) -> str:
@@ -204,22 +193,14 @@ _FILES = (
 )
 
 
-def write_settings() -> str:
-    """Return the page of every key of every configuration file."""
+def write_settings() -> dict[str, str]:
+    """Return the tables of every key of every configuration file."""
     from pamctl.settings.resolve import build_config_schema
 
     schema = build_config_schema()
     definitions: dict[str, Any] = schema["$defs"]
     roots = [_reference_in(one) for one in schema["anyOf"]]
-    parts = [
-        "# Settings\n",
-        _HEAD,
-        "\nEvery number that a user may change stands in a YAML file: controller, experiment, rig "
-        "and plant. `--set` changes one key of them: `--set rig.limits.pressure_pa=400e3`. A key "
-        "ends in its unit. Unknown keys are errors, with the nearest name. "
-        "`pamctl config show` prints every value of a run, `pamctl config schema` this page as a "
-        "JSON schema.\n",
-    ]
+    parts: list[str] = []
     done: set[str] = set()
     for title, prefix, belongs in _FILES:
         files = [name for name in roots if belongs(definitions[name]["properties"])]
@@ -240,7 +221,7 @@ def write_settings() -> str:
             sections.setdefault(alike, []).append(_title_of(name, definitions))
         for (told, table), titles in sections.items():
             parts += [f"### {', '.join(titles)}\n", f"{told}\n", table, ""]
-    return "\n".join(parts)
+    return {"settings": "\n".join(parts)}
 
 
 def _format_keys(spec: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
@@ -259,8 +240,8 @@ def _format_keys(spec: Mapping[str, Any], definitions: Mapping[str, Any]) -> str
 # --- log schema -------------------------------------------------------------------------
 
 
-def write_log_schema() -> str:
-    """Return the page of the log's channels and columns."""
+def write_log_schema() -> dict[str, str]:
+    """Return the tables of the log's channels and columns."""
     docs = read_attribute_docs(signals)
     hal_docs = read_attribute_docs(rig)
     kinds = {**signals.TICK_STAGES, "compensation": signals.Compensated}
@@ -271,7 +252,6 @@ def write_log_schema() -> str:
         meaning = docs.get(owner, {}).get(name) or hal_docs.get(owner, {}).get(name, "")
         unit = log_schema.unit_of_column(name) if kind is not bool else ""
         rows.append([str(number), f"`{name}`", kind.__name__, unit, stage, _plain(meaning)])
-    phases = ", ".join(f"{phase.value} {phase.name.lower()}" for phase in signals.Phase)
     verdicts = [
         [str(bit.bit_length() - 1), _plain(meaning)] for bit, meaning in safety.VERDICTS.items()
     ]
@@ -280,89 +260,35 @@ def write_log_schema() -> str:
          ", ".join(f"`{key}`" for key in json.loads(text)["properties"])]
         for topic, (name, text) in log_schema.JSON_SCHEMAS.items()
     ]  # fmt: skip
-    imported = ", ".join(f"`{name}`" for name in log_schema.IMPORTED_QUANTITIES)
-    fields = format_table(["number", "field", "type", "unit", "stage", "meaning"], rows)
-    return f"""# The log
-
-{_HEAD}
-
-A log is an [MCAP](https://mcap.dev) file, schema version {log_schema.SCHEMA_VERSION}. \
-`pamctl log info LOG` says what it holds.
-
-## `{log_schema.TICK_TOPIC}`
-
-Protobuf message `{log_schema.TICK_MESSAGE}`, proto3, every field optional and of fixed width, \
-NaN kept. The message's `sequence` is the tick. SI units; pressure is absolute; a contraction is a \
-positive displacement.
-
-{fields}
-
-Only a run that compensates known effects has the fields of the stage `compensation`.
-
-Values of `phase`: {phases}.
-
-## Bits of `verdicts`
-
-{format_table(["bit", "meaning"], verdicts)}
-
-Bits below 8 cut the command. Bits from 8 on trip: the run ends at the safe voltage.
-
-## JSON channels
-
-{format_table(["topic", "schema", "what", "keys"], channels)}
-
-## Attachments and metadata
-
-Attachment `config.json` holds the resolved configuration. Metadata records: `run` (law, backend, \
-experiment), `pamctl` (versions), `timing_setup` (scheduling, and what was not permitted), `rig` \
-(the rig's description of itself), `import` (imported logs only: source, its SHA-256, how each \
-column was read), `annotation` (tags, note, operator, sample; the last record counts), `sweep` \
-(place of the run in a sweep). Data CRCs are on.
-
-## Imported logs
-
-A log of another system has `tick`, `t_s`, `dt_s`, `missed` and those of {imported} that were \
-measured. The tick channel's metadata says `origin: {log_schema.IMPORTED}`.
-"""
+    header = ["number", "field", "type", "unit", "stage", "meaning"]
+    phases = ", ".join(f"{phase.value} {phase.name.lower()}" for phase in signals.Phase)
+    return {
+        "fields": format_table(header, rows),
+        "phases": f"Values of `phase`: {phases}.",
+        "verdicts": format_table(["bit", "meaning"], verdicts),
+        "channels": format_table(["topic", "schema", "what", "keys"], channels),
+    }
 
 
 # --- exit codes, effects, shipped files ---------------------------------------------------
 
 
 def write_exit_codes() -> str:
-    """Return the section of exit codes."""
+    """Return the table of exit codes."""
     meanings = read_attribute_docs(exit_codes)["ExitCode"]
     rows = [
         [str(code.value), f"`{code.name}`", meanings[code.name]] for code in exit_codes.ExitCode
     ]
-    head = "## Exit codes\n\nThe same for every verb; they do not change between versions.\n"
-    return "\n".join([head, format_table(["code", "name", "meaning"], rows)])
+    return format_table(["code", "name", "meaning"], rows)
 
 
-def write_effects() -> str:
-    """Return the page of the catalogue of effects."""
-    parts = [
-        "# Effects\n",
-        _HEAD,
-        "\nWhat the paper's model leaves out, and a plant file can switch on under `effects:`. At "
-        "the neutral values of its sizes an effect is off, and the model is the paper's to the "
-        "bit. `pamctl diagnose` looks for these effects by these names. "
-        "[Add an effect](../how_to/add-an-effect.md) says how to add one.\n",
-        "Ranges of forces, lengths, areas and speeds are those of the paper's muscle. Of another "
-        "machine they follow its size or [its records](../how_to/describe-your-rig.md"
-        "#describe-a-mechanism-without-a-muscle); a plant file limits only their sign.\n",
-        "## Places\n",
-        "Where effects enter, in the order in which a step comes to them. A kernel names the "
-        "arguments that it wants.\n",
-        format_table(
-            ["place", "result of a kernel", "arguments", "effects"],
-            [
-                [f"`{name}`", _plain(place.result), _code(place.gives), _code(_effects_at(name))]
-                for name, place in PLACES.items()
-            ],
-        ),
-        "",
+def write_effects() -> dict[str, str]:
+    """Return the places, and the catalogue of effects."""
+    places = [
+        [f"`{name}`", _plain(place.result), _code(place.gives), _code(_effects_at(name))]
+        for name, place in PLACES.items()
     ]
+    parts: list[str] = []
     for effect in CATALOGUE.values():
         parts += [f"## `{effect.name}`\n", f"Equation: {_plain(effect.equation)}.\n"]
         words = [f"Block: {effect.block}."]
@@ -396,7 +322,8 @@ def write_effects() -> str:
         ]
         head = ["key", "unit", "role", "neutral", "range", "smallest of interest", "meaning"]
         parts += [format_table(head, rows), ""]
-    return "\n".join(parts)
+    header = ["place", "result of a kernel", "arguments", "effects"]
+    return {"places": format_table(header, places), "effects": "\n".join(parts)}
 
 
 def _code(names: Iterable[str]) -> str:
@@ -411,21 +338,16 @@ def _effects_at(place: str) -> list[str]:
     ]
 
 
-def write_shipped_files() -> str:
-    """Return the page of the files under config/, by what each says of itself."""
-    parts = [
-        "# Shipped files\n",
-        _HEAD,
-        "\nThe options `--controller`, `--experiment`, `--rig` and `--plant` take these names, or "
-        "the path of a file of your own.\n",
-    ]
+def write_shipped_files() -> dict[str, str]:
+    """Return the tables of the files under config/, by what each says of itself."""
+    parts: list[str] = []
     for folder in ("controller", "experiment", "rig", "plant"):
         rows = [
             [f"`{path.stem}`", _plain(_first_words(path))]
             for path in sorted((ROOT / "config" / folder).glob("*.yaml"))
         ]
         parts += [f"## `--{folder}`\n", format_table(["name", "what"], rows), ""]
-    return "\n".join(parts)
+    return {"shipped_files": "\n".join(parts)}
 
 
 def _first_words(path: Path) -> str:
@@ -490,13 +412,25 @@ def _type_in_stub(kind: Any) -> str:
     return "Mapping[str, Any]" if issubclass(kind, Configured) else str(kind.__name__)
 
 
-PAGES: dict[str, Callable[[], str]] = {
+_MAKERS: dict[str, Callable[[], dict[str, str]]] = {
     "verbs": write_verbs,
     "settings": write_settings,
     "log-schema": write_log_schema,
     "effects": write_effects,
     "shipped-files": write_shipped_files,
 }
+
+
+def fill_page(name: str) -> str:
+    """Return a page with what the code says now between its comments."""
+    path = REFERENCE / f"{name}.md"
+    page = path.read_text(encoding="utf-8")
+    for part, text in _MAKERS[name]().items():
+        page = replace_between(part, text, page, path)
+    return page
+
+
+PAGES = {name: partial(fill_page, name) for name in _MAKERS}
 
 
 def main() -> int:

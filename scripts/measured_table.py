@@ -59,16 +59,21 @@ def find_page(name: str, root: Path = ROOT) -> Path:
 
 
 def write_between(name: str, text: str, page: Path) -> None:
-    """Replace the text between the comments of this name.
+    """Replace the text between the comments of this name, as `replace_between`."""
+    old = page.read_text(encoding="utf-8")
+    new = replace_between(name, text, old, page)
+    if new != old:
+        page.write_text(new, encoding="utf-8")
+
+
+def replace_between(name: str, text: str, old: str, page: Path) -> str:
+    """Return a page's text with another one between the comments of this name.
 
     Raises ValueError if the comments are not there, once each and in order.
     """
-    old = page.read_text(encoding="utf-8")
     begin, end = f"<!-- begin {name} -->", f"<!-- end {name} -->"
     if old.count(begin) != 1 or old.count(end) != 1 or old.index(begin) > old.index(end):
         raise ValueError(f"{page} needs the lines '{begin}' and '{end}', once each, in order")
     before, rest = old.split(begin)
     _, after = rest.split(end)
-    new = f"{before}{begin}\n{text.strip()}\n{end}{after}"
-    if new != old:
-        page.write_text(new, encoding="utf-8")
+    return f"{before}{begin}\n{text.strip()}\n{end}{after}"

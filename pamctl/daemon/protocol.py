@@ -5,8 +5,8 @@
         def goto(self, position_m: Annotated[float, Field(description="Position to hold")]) -> ...
 
 The signature, with its limits, is what the socket checks; the decorator says who may give the
-order, and how often. `methods_of` makes a method of the protocol of each, JSON-RPC 2.0 with one
-document a line; `daemon/client.py`, the Python session, the page and the verbs ask for the same
+order, and how often. Each is a method of the protocol, JSON-RPC 2.0 with one document a line;
+`daemon/client.py`, the Python session, the page and the verbs ask for the same
 ones by their names. Nothing here opens a socket or knows a rig. Any bytes get an answer.
 """
 
@@ -44,10 +44,6 @@ class Params(BaseModel):
     """Parameters of a method. An unknown one is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-class NoParams(Params):
-    """A method without parameters."""
 
 
 class RequestRefusedError(Exception):
@@ -98,7 +94,12 @@ class Order:
             name: (one.annotation, ... if one.default is one.empty else one.default)
             for name, one in self.signature.parameters.items()
         }
-        return create_model(self.name, __base__=Params, **fields) if fields else NoParams
+        return create_model(self.name, __base__=Params, **fields)
+
+    def carry_out(self, taker: OrderTaker, params: Params) -> Any:
+        """Give the order to a session, with parameters that are checked."""
+        given = {name: getattr(params, name) for name in type(params).model_fields}
+        return getattr(taker, self.name)(**given)
 
 
 class OrderTaker:
@@ -142,31 +143,6 @@ def list_orders(taker: type[OrderTaker]) -> dict[str, Order]:
     return {name: member.told for name, member in members.items() if hasattr(member, "told")}
 
 
-@dataclass(frozen=True)
-class Method:
-    """A method of the protocol: its parameters, and what it calls."""
-
-    params: type[Params]
-    call: Callable[[Any], Any]
-    changes: bool = True
-    """It may block for a while; such methods are carried out one after the other."""
-    at_once: bool = False
-
-
-def methods_of(taker: OrderTaker) -> dict[str, Method]:
-    """Return the methods of the protocol, one for each order of a session."""
-
-    def call(name: str, params: Params) -> Any:
-        return getattr(taker, name)(
-            **{key: getattr(params, key) for key in type(params).model_fields}
-        )
-
-    return {
-        name: Method(told.params, functools.partial(call, name), told.changes, told.at_once)
-        for name, told in list_orders(type(taker)).items()
-    }
-
-
 # --- lines -----------------------------------------------------------------------------------
 
 
@@ -175,12 +151,11 @@ class Request:
     """One valid request."""
 
     id: int | str | None
-    name: str
-    method: Method
+    order: Order
     params: Params
 
 
-def parse_request(line: bytes, methods: Mapping[str, Method]) -> Request:
+def parse_request(line: bytes, orders: Mapping[str, Order]) -> Request:
     """Parse one line; raise `RequestError`."""
     try:
         document = json.loads(line)
@@ -192,12 +167,12 @@ def parse_request(line: bytes, methods: Mapping[str, Method]) -> Request:
     if not isinstance(request_id, int | str | None) or isinstance(request_id, bool):
         raise RequestError(INVALID_REQUEST, "id must be a number or a text")
     name = document.get("method")
-    method = methods.get(name) if isinstance(name, str) else None
-    if method is None:
-        known = ", ".join(methods)
+    asked = orders.get(name) if isinstance(name, str) else None
+    if asked is None:
+        known = ", ".join(orders)
         raise RequestError(METHOD_NOT_FOUND, f"no method {name!r}; there are {known}", request_id)
-    params = check_params(method.params, document.get("params", {}), request_id)
-    return Request(request_id, str(name), method, params)
+    params = check_params(asked.params, document.get("params", {}), request_id)
+    return Request(request_id, asked, params)
 
 
 def check_params(model: type[Params], given: object, request_id: int | str | None = None) -> Params:

@@ -24,12 +24,13 @@ from pamctl.daemon.protocol import (
     LARGEST_REQUEST,
     REFUSED,
     TOO_MANY,
-    Method,
+    OrderTaker,
     Request,
     RequestError,
     RequestRefusedError,
     encode_failure,
     encode_result,
+    list_orders,
     parse_request,
 )
 from pamctl.exit_codes import ExitCode
@@ -47,8 +48,6 @@ _STEPS_OF_A_WELCOME = 4
 """Rounds of the event loop from a client's connection to its first line: see, accept, attach."""
 
 _NO_LINE = (asyncio.IncompleteReadError, asyncio.LimitOverrunError)
-
-Methods = dict[str, Method]
 
 
 class Turns:
@@ -90,10 +89,10 @@ class SocketError(Exception):
 class Server:
     """Answers requests on a Unix socket."""
 
-    def __init__(self, methods: Methods) -> None:
-        """`methods` are what can be asked; none may end the process."""
-        self._methods = methods
-        self._at_once = {name.encode() for name, method in methods.items() if method.at_once}
+    def __init__(self, taker: OrderTaker) -> None:
+        """Give orders to `taker`; none may end the process."""
+        self._taker, self._orders = taker, list_orders(type(taker))
+        self._at_once = {name.encode() for name, told in self._orders.items() if told.at_once}
         self._clients = 0
         self._turns = Turns()
         # One after the other in one thread: each further thread would keep memory of its own.
@@ -168,37 +167,36 @@ class Server:
         if len(line) > _LONGEST_EMERGENCY or not any(name in line for name in self._at_once):
             return None
         try:
-            request = parse_request(line, self._methods)
-            if not request.method.at_once:
+            request = parse_request(line, self._orders)
+            if not request.order.at_once:
                 return None
         except RequestError:
             return None
         try:
-            return encode_result(request.id, _carry_out(request))
+            return encode_result(request.id, self._carry_out(request))
         except RequestError as error:
             return encode_failure(error)
 
     async def _answer(self, line: bytes) -> bytes:
         try:
             async with self._turns.take_turn():
-                request = parse_request(line, self._methods)
-                if not request.method.changes:
-                    return encode_result(request.id, _carry_out(request))
+                request = parse_request(line, self._orders)
+                if not request.order.changes:
+                    return encode_result(request.id, self._carry_out(request))
             events = asyncio.get_running_loop()
-            result = await events.run_in_executor(self._worker, _carry_out, request)
+            result = await events.run_in_executor(self._worker, self._carry_out, request)
             return encode_result(request.id, result)
         except RequestError as error:
             return encode_failure(error)
 
-
-def _carry_out(request: Request) -> object:
-    try:
-        return request.method.call(request.params)
-    except RequestRefusedError as error:
-        raise RequestError(REFUSED, str(error), request.id) from error
-    except Exception as error:  # our own fault: report it to the client, and continue
-        message = f"{type(error).__name__}: {error}"
-        raise RequestError(INTERNAL_ERROR, message, request.id) from error
+    def _carry_out(self, request: Request) -> object:
+        try:
+            return request.order.carry_out(self._taker, request.params)
+        except RequestRefusedError as error:
+            raise RequestError(REFUSED, str(error), request.id) from error
+        except Exception as error:  # our own fault: report it to the client, and continue
+            message = f"{type(error).__name__}: {error}"
+            raise RequestError(INTERNAL_ERROR, message, request.id) from error
 
 
 async def _drain_writer(writer: asyncio.StreamWriter) -> None:

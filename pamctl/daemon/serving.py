@@ -21,7 +21,6 @@ from types import FrameType
 from typing import Any
 
 from pamctl import __version__
-from pamctl.daemon.protocol import methods_of
 from pamctl.daemon.rig_session import RigSession
 from pamctl.daemon.server import Server, find_group, require_no_daemon
 from pamctl.daemon.session import Workshop
@@ -129,7 +128,7 @@ async def _serve(service: RigSession, path: Path, group: str | None, tell: Tell)
     _listen_for_signals(  # an ending by a signal is the normal one
         lambda number: _stop(stop, service, Ending(ExitCode.OK, f"stopped by {number.name}"))
     )
-    server = Server(methods_of(service))
+    server = Server(service)
     await server.listen(path, group)
     watch = _Watch(
         service, tell, partial(events.call_soon_threadsafe, _stop, stop, service, _OWN_ERROR)

@@ -94,17 +94,6 @@ class GridClock:
         OSError: this system has no clock_nanosleep (only Linux runs the loop).
     """
 
-    __slots__ = (
-        "_deadline_ns",
-        "_phase_ns",
-        "_rehearsal_ns",
-        "_sleep_until",
-        "_spin_ns",
-        "_tick",
-        "now_ns",
-        "period_ns",
-    )
-
     def __init__(
         self,
         period_ns: int,
@@ -208,8 +197,6 @@ class SampleClock:
             through `wait`.
     """
 
-    __slots__ = ("_await_edge", "_tick", "now_ns", "period_ns", "wall_offset_ns")
-
     def __init__(self, host: Clock, await_edge: Callable[[], Edge]) -> None:
         """Check the arguments; the class describes them."""
         self.period_ns = host.period_ns
@@ -233,8 +220,6 @@ class VirtualClock:
         period_ns: distance of two ticks, ns.
         missed: what a test wants missed: `{5: 3}` makes the tick due as 5 come as 8.
     """
-
-    __slots__ = ("_missed", "_now_ns", "_tick", "period_ns")
 
     def __init__(self, period_ns: int, missed: Mapping[int, int] | None = None) -> None:
         """Check the arguments; the class describes them."""

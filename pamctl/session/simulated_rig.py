@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Any, cast
 
 from pamctl.daemon.in_process import InProcessLoop, InProcessMaker
 from pamctl.daemon.protocol import (
-    NoParams,
     RequestError,
     RequestRefusedError,
     check_params,
-    methods_of,
+    list_orders,
 )
 from pamctl.daemon.rig_session import RigSession
 from pamctl.daemon.shelf import Latch, Shelf
@@ -94,7 +93,7 @@ class _OwnLink:
 
     def __init__(self, session: RigSession) -> None:
         self._session = session
-        self._methods = methods_of(session)
+        self._orders = list_orders(type(session))
         self._is_open = True
 
     @property
@@ -102,18 +101,18 @@ class _OwnLink:
         return self._session.run_has_end
 
     def ask(self, name: str, params: Mapping[str, object]) -> Any:
-        method = self._methods[name]
-        if method.changes and not self._is_open:
+        order = self._orders[name]
+        if order.changes and not self._is_open:
             raise PamctlError("this simulation is closed; begin another", ExitCode.USAGE)
         try:
-            checked = check_params(method.params, dict(params))
+            checked = check_params(order.params, dict(params))
         except RequestError as error:
             raise RequestRefusedError(str(error)) from error
         with self._raise_new_fault():
-            return method.call(checked)
+            return order.carry_out(self._session, checked)
 
     def ask_at_once(self, name: str) -> Any:
-        answer = self._methods[name].call(NoParams())
+        answer = getattr(self._session, name)()
         self._session.look()
         return answer
 

@@ -17,16 +17,30 @@ from support.processes.daemons import Daemon, daemon
 
 from pamctl.daemon.protocol import (
     LARGEST_REQUEST,
-    Method,
-    NoParams,
+    OrderTaker,
     RequestError,
     encode_failure,
     encode_result,
+    list_orders,
+    order,
     parse_request,
 )
 from pamctl.daemon.server import Server
 
-METHODS = {"status": Method(NoParams, lambda _: {}, changes=False)}
+STOPS: list[object] = []
+
+
+class Told(OrderTaker):
+    @order(changes=False)
+    def status(self) -> dict[str, Any]:
+        return {}
+
+    @order(changes=False, at_once=True)
+    def estop(self) -> None:
+        STOPS.append(None)
+
+
+ORDERS = list_orders(Told)
 
 anything = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
@@ -55,7 +69,7 @@ def test_any_document_gets_one_line_of_json_as_answer(document):
 
 def assert_refused_in_one_line(line: bytes) -> None:
     with pytest.raises(RequestError) as caught:
-        parse_request(line, METHODS)
+        parse_request(line, ORDERS)
     answer = encode_failure(caught.value)
     assert answer.count(b"\n") == 1
     told = json.loads(answer)
@@ -66,7 +80,7 @@ def assert_refused_in_one_line(line: bytes) -> None:
 @given(st.integers() | st.text())
 def test_an_answer_carries_the_number_of_its_request(number):
     line = json.dumps({"jsonrpc": "2.0", "id": number, "method": "status"}).encode()
-    request = parse_request(line, METHODS)
+    request = parse_request(line, ORDERS)
     assert json.loads(encode_result(request.id, {"state": "idle"})) == {
         "jsonrpc": "2.0",
         "id": number,
@@ -177,14 +191,10 @@ def test_a_client_that_sends_a_hundred_megabytes_is_disconnected_early(held):
 
 
 def test_a_client_that_floods_is_answered_in_its_order_and_may_stop(tmp_path):
-    stops: list[object] = []
-    methods = {
-        "status": METHODS["status"],
-        "estop": Method(NoParams, stops.append, changes=False, at_once=True),
-    }
+    STOPS.clear()
 
     async def flooded() -> list[dict[str, Any]]:
-        server = Server(methods)
+        server = Server(Told())
         await server.listen(tmp_path / "socket")
         answers, client = await asyncio.open_unix_connection(tmp_path / "socket")
         client.write(request("status") * 400 + request("estop"))
@@ -196,7 +206,7 @@ def test_a_client_that_floods_is_answered_in_its_order_and_may_stop(tmp_path):
 
     told = asyncio.run(flooded())
     assert [answer["result"] for answer in told] == [*[{}] * 400, None]
-    assert len(stops) == 1
+    assert len(STOPS) == 1
 
 
 def test_a_client_that_never_reads_is_disconnected(held):
@@ -212,7 +222,7 @@ def test_a_client_that_never_reads_is_disconnected(held):
 @pytest.mark.parametrize("turns", [0, 2, 5])
 def test_a_client_that_connects_as_the_socket_closes_is_answered(tmp_path, turns):
     async def late() -> bytes:
-        server = Server({"status": Method(NoParams, lambda _: "there", changes=False)})
+        server = Server(Told())
         await server.listen(tmp_path / "socket")
         with socket.socket(socket.AF_UNIX) as client:
             client.connect(str(tmp_path / "socket"))
@@ -223,7 +233,7 @@ def test_a_client_that_connects_as_the_socket_closes_is_answered(tmp_path, turns
             client.settimeout(PATIENCE_S)
             return await asyncio.to_thread(client.recv, 1000)
 
-    assert b"there" in asyncio.run(late())
+    assert b'"result":{}' in asyncio.run(late())
     assert not (tmp_path / "socket").exists()
 
 

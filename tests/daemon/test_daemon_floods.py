@@ -19,7 +19,7 @@ from support.processes import flood
 from support.processes.daemons import NOT_HOMED, Daemon, daemon
 
 from pamctl.daemon.client import Client, DaemonDeclinedError
-from pamctl.daemon.protocol import TOO_MANY, Method, NoParams
+from pamctl.daemon.protocol import TOO_MANY, OrderTaker, order
 from pamctl.daemon.server import Server
 from pamctl.processes.backends import ao_path
 
@@ -154,15 +154,24 @@ def serve(tmp_path: Path, work: Callable[[Path], object]) -> list[object]:
     """Run a server that is slow to answer `wait` while `work` uses it; return the stops."""
     stops: list[object] = []
     is_over = threading.Event()
-    methods = {
-        "status": Method(NoParams, lambda _: "here", changes=False),
-        "wait": Method(NoParams, lambda _: is_over.wait(PATIENCE_S)),
-        "estop": Method(NoParams, stops.append, changes=False, at_once=True),
-    }
+
+    class SlowTaker(OrderTaker):
+        @order(changes=False)
+        def status(self) -> str:
+            return "here"
+
+        @order()
+        def wait(self) -> bool:
+            return is_over.wait(PATIENCE_S)
+
+        @order(changes=False, at_once=True)
+        def estop(self) -> None:
+            stops.append(None)
+
     path = tmp_path / "socket"
 
     async def listen() -> None:
-        server = Server(methods)
+        server = Server(SlowTaker())
         await server.listen(path)
         try:
             await asyncio.to_thread(work, path, is_over.set)

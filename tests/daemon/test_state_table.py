@@ -28,7 +28,7 @@ from pamctl.cli.orders import make_verb
 from pamctl.cli.verbs import VERBS
 from pamctl.daemon.client import Client, DaemonDeclinedError
 from pamctl.daemon.in_process import InProcessLoop, InProcessMaker
-from pamctl.daemon.protocol import INVALID_PARAMS, list_orders, methods_of, order
+from pamctl.daemon.protocol import INVALID_PARAMS, list_orders, order
 from pamctl.daemon.rig_session import RigSession
 from pamctl.daemon.server import Server
 from pamctl.daemon.session_life import STATES, RigState
@@ -65,7 +65,7 @@ def listening(session: RigSession, path: Path) -> Iterator[None]:
     events = asyncio.new_event_loop()
 
     def serve() -> None:
-        server = Server(methods_of(session))
+        server = Server(session)
         events.run_until_complete(server.listen(path))
         ready.set()
         events.run_forever()

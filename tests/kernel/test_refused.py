@@ -122,6 +122,8 @@ return (x, x)[:1]  # no
 
 return x << 1  # no
 
+return pair + x  # no
+
 return n**2  # no
 
 return ~n  # no

@@ -11,8 +11,6 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from standin.standin import Card, here
 from support.benches import Reversed, Unsupplied, bench_of, card_rig
 from support.card_rigs import use_card
@@ -30,7 +28,6 @@ from pamctl.commissioning.calibrations import (
     calibrate_encoder_by_muscle,
     calibrate_pressure,
     calibrate_valve,
-    slope,
 )
 from pamctl.commissioning.guided import (
     CalibrationError,
@@ -224,11 +221,6 @@ def test_an_unplugged_encoder_is_no_scale():
     rig = Rig(resolve(), faults=[FaultSettings(kind="stuck_encoder", from_tick=0)])
     with pytest.raises(CalibrationError, match="counted 0"):
         calibrate_encoder_by_muscle(rig.bench, PreparedAnswers([15.0]), (200.0,))
-
-
-@given(st.lists(st.floats(1.0, 1e5), min_size=1, max_size=6), st.floats(1e-8, 1e8))
-def test_the_slope_of_points_on_a_line_is_that_line_s(x, gain):
-    assert slope(x, [gain * value for value in x]) == pytest.approx(gain, rel=1e-12)
 
 
 # --- the valve ---------------------------------------------------------------------------

@@ -21,7 +21,6 @@ from pamctl.control.experiment import (
     plan_experiment,
 )
 from pamctl.control.waves import Motion, rest_to_rest
-from pamctl.offline.closed_loop import tabulate_references
 from pamctl.settings.config_files import config_dir
 from pamctl.signals import Phase, Reference
 
@@ -88,12 +87,6 @@ def test_a_shortened_course_ends_at_its_new_end():
     said = f"the duration of 1.5 s ended the experiment of {whole_s:g} s"
     assert course.end_reason == said
     assert Course(shipped("tracking-2"), 1e4).end_reason == "the experiment is complete"
-
-
-def test_after_the_end_there_is_no_reference():
-    course = Course(shipped("square-2"))
-    assert course.at(course.duration_s) is None
-    assert course.at(course.duration_s + 1.0) is None
 
 
 @given(
@@ -180,20 +173,6 @@ def test_the_position_is_constant_before_and_after_the_motion(start, end, durati
 
 
 # --- the excitation for a diagnosis --------------------------------------------------------------
-
-
-def shipped_command(*overrides: str) -> np.ndarray:
-    settings = run_settings(*overrides, experiment="diagnosis").experiment
-    table = tabulate_references(plan_experiment(settings).segments, 1e-3)
-    assert set(table[:, Reference._fields.index("phase")]) == {Phase.OPEN_LOOP}
-    return table[:, Reference._fields.index("reference_valve_v")]
-
-
-def test_the_shipped_program_starts_vented_and_stays_within_the_valves_range():
-    command = shipped_command()
-    assert (command[:1000] == -5.0).all()
-    assert np.abs(command).max() == 5.0
-    assert 55_000 < len(command) < 65_000
 
 
 def test_the_shipped_file_says_how_long_it_takes():

@@ -43,18 +43,6 @@ def test_the_filter_is_scipys_third_order_butterworth(cutoff_hz):
     np.testing.assert_allclose(filtered(cutoff_hz, values.tolist()), expected, rtol=0, atol=4e-12)
 
 
-@pytest.mark.parametrize("dt_s", [2e-3, 5e-3, 20e-3, 50e-3])
-def test_the_300_hz_filter_lets_the_sample_through_after_missed_ticks(dt_s):
-    """The cut-off is above half the rate there: SciPy has no such filter; pamctl needs none."""
-    values = np.random.default_rng(3).normal(size=500)
-    expected = signal.sosfilt(signal.butter(3, 0.45, fs=1.0, output="sos"), values)
-    found = filtered(300.0, values.tolist(), dt_s)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
-    step = filtered(300.0, [1.0] * 100, dt_s)
-    assert step[0] > 0.7
-    assert step[-1] == pytest.approx(1.0, abs=1e-6)
-
-
 cutoffs = st.sampled_from([0.5, 10.0, 185.0, 300.0, 1000.0])
 tick_lengths = st.lists(st.floats(1e-4, 50e-3), min_size=1, max_size=60)
 

@@ -152,13 +152,6 @@ def test_a_channel_that_was_stored_twice_is_told():
     assert (problem.kind, problem.column) == ("duplicated", "position_m")
 
 
-def test_an_answer_to_the_command_is_no_spike():
-    """A pressure may jump for a sample where the command did."""
-    pulse = put(3000, 3001, 4.0)
-    kinds = {p.kind for p in find(valve_v=pulse, pressure_pa=put(3001, 3002, 4e5))}
-    assert "spikes" not in kinds
-
-
 @given(st.integers(1, 50), st.floats(1e-9, 1e3), st.floats(-10.0, 10.0))
 def test_the_step_of_a_converter_is_found(spread, step, offset):
     levels = np.random.default_rng(spread).integers(-spread, spread + 1, 500)

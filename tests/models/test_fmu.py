@@ -228,15 +228,6 @@ def test_the_verb_writes_a_unit_or_says_what_is_wrong(tmp_path, monkeypatch):
     assert not (tmp_path / "b.fmu").exists()
 
 
-@pytest.mark.parametrize("plant", ["ball-screw", "pneumatic-cylinder"])
-def test_a_mechanism_that_no_valve_drives_is_refused(plant, tmp_path):
-    """A piston has no chamber behind a valve: its FMU would have the paper's tank and volume."""
-    done = CliRunner().invoke(app, ["plant", "export", plant, str(tmp_path / "a.fmu")])
-    assert done.exit_code == 2
-    assert "nothing to move it" in done.stderr
-    assert not (tmp_path / "a.fmu").exists()
-
-
 # --- a chamber whose record holds a position too: all verbs agree --------------------------------
 
 VOLUME_M3, GAIN_M2_PER_V, LEAK_M2 = 1e-3, 1e-6, 5e-8

@@ -116,21 +116,6 @@ def test_a_tick_that_ends_exactly_on_its_deadline_is_not_an_overrun():
     assert clock.wait()[0::3] == (1, 0)
 
 
-def test_the_sleep_ends_early_by_the_spin_and_the_tick_does_not(fake):
-    wake = fake.clock(spin_ns=100_000).wait()
-    assert fake.alarms_ns == [wake.deadline_ns - 100_000]
-    assert 0 <= wake.now_ns - wake.deadline_ns <= fake.read_ns
-
-
-def test_no_sleep_is_begun_within_the_spin(fake):
-    clock = fake.clock(spin_ns=100_000)
-    clock.wait()
-    fake.alarms_ns.clear()
-    fake.work(950_000)
-    assert clock.wait().missed == 0
-    assert fake.alarms_ns == []
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -221,13 +206,6 @@ def test_a_handler_that_raises_ends_the_wait_and_leaves_the_grid_valid():
 
 
 # No clock at all.
-
-
-def test_the_virtual_clock_misses_what_a_test_wants_missed():
-    clock = VirtualClock(MS, missed={2: 3})
-    wakes = [clock.wait() for _ in range(4)]
-    assert [(wake.tick, wake.missed) for wake in wakes] == [(0, 0), (1, 0), (5, 3), (6, 0)]
-    assert wakes[2].now_ns == wakes[2].deadline_ns == 5 * MS
 
 
 def test_a_virtual_clock_without_a_period_is_refused():

@@ -61,12 +61,6 @@ def test_scalars_follow_the_core_schema_of_yaml_1_2(text, value):
     assert type(read) is type(value)
 
 
-def test_nan_is_read_as_a_float_for_the_model_to_refuse():
-    value = parse_yaml_value(".nan")
-    assert isinstance(value, float)
-    assert math.isnan(value)
-
-
 def test_every_key_and_item_knows_its_line_and_column(tmp_path):
     document = load_yaml(written(tmp_path, "# gains\nlaw: qsmc\neffects:\n  spool: {hz: 109}\n"))
     assert document.data == {"law": "qsmc", "effects": {"spool": {"hz": 109}}}

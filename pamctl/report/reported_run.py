@@ -22,7 +22,6 @@ from pamctl.offline.merit import (
     find_paper_rows,
     summarise_timing,
 )
-from pamctl.plant.model import PlantSettings
 from pamctl.report.report import Report, ReportTable, Text, spell_um
 from pamctl.settings.resolve import resolve, settings_to_data
 from pamctl.signals import Phase
@@ -177,7 +176,7 @@ def find_paper_experiment(config: Mapping[str, Any]) -> str | None:
     None for another experiment, and for another muscle than the paper's; what its model lacks, the
     `effects`, do not count.
     """
-    paper, plant = settings_to_data(PlantSettings()), config.get("plant", {})
+    paper, plant = settings_to_data(resolve().plant), config.get("plant", {})
     if any(plant.get(key, paper.get(key)) != paper.get(key) for key in ("actuator", "parameters")):
         return None
     return next(

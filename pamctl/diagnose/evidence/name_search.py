@@ -23,6 +23,8 @@ from pamctl.diagnose.evidence.pool import Hypothesis, Variant
 from pamctl.diagnose.evidence.scores import EvidenceScore, drop_name, extend_model, score_all
 
 ROUGH_STEPS = 3
+FITTED_AGAIN = 2
+"""Hypotheses that are fitted again in a round for what they gained in one before."""
 POLISHED = 4
 """Fits of a shortlist that are carried to the end."""
 
@@ -73,6 +75,8 @@ class NameSearch:
         """The model of the search that did less well, where there were two."""
         self.best_scores: dict[str, float] = {}
         """The best gain that each hypothesis of a shortlist promised in any round."""
+        self.best_fits: dict[str, float] = {}
+        """The most that each hypothesis gained when it was fitted, in any round."""
         self._scored: dict[frozenset[str], list[EvidenceScore]] = {}
         self._without: dict[tuple[object, ...], WeighedModel] = {}
         self._fitted: dict[frozenset[str], WeighedModel] = {}
@@ -120,9 +124,10 @@ class NameSearch:
             self.tell(f"{len(scored)} explanations asked; they promise, in nats: {best}")
             least = max(NAME_NATS, NAME_SHARE * scored[0].gain) if scored else 0.0
             hopeful = [s for s in scored if s.gain > least and s.shows]
+            hopeful = [*hopeful[:SHORTLIST], *self._list_again(m, scored, hopeful)]
             if not hopeful:
                 break
-            fits = self.refit(m, hopeful)
+            fits = self.refit(m, hopeful, len(hopeful))
             best = ", ".join(f"{f.names[-1]} {m.total - f.total:.0f}" for f in fits[:3])
             self.tell(f"fitted, they gain, in nats: {best}")
             taken = self.take(m, fits[:3])
@@ -133,6 +138,18 @@ class NameSearch:
             m = self.choose_forms_again(m)
         self.found = self.prune(m)
         return self.found
+
+    def _list_again(
+        self, m: WeighedModel, scored: Sequence[EvidenceScore], hopeful: Sequence[EvidenceScore]
+    ) -> list[EvidenceScore]:
+        """Return what gained most when it was fitted before, and promises little now.
+
+        Where much is left, what a fit found is worth more than what a tangent promises.
+        """
+        if not self.weigher.is_much_left(m):
+            return []
+        known = [s for s in scored if s.name in self.best_fits and s not in hopeful[:SHORTLIST]]
+        return sorted(known, key=lambda s: -self.best_fits[s.name])[:FITTED_AGAIN]
 
     def take(self, m: WeighedModel, fits: Sequence[WeighedModel]) -> WeighedModel | None:
         """Return the first that counts; what is too small by its name counts by no law either."""
@@ -273,6 +290,8 @@ class NameSearch:
             if rough[k][0] < best < score.gain:  # it promised more: the dose's tangent misled it
                 e = weigher.fit(extend_model(weigher, m, score), ROUGH_STEPS)
                 rough[k] = max(rough[k], (before - float(e.cost.by_block.sum()), e), key=_gain_of)
+        for gain, e in rough:
+            self.best_fits[e.names[-1]] = max(gain, self.best_fits.get(e.names[-1], 0.0))
         rough.sort(key=_gain_of, reverse=True)
         least, fits = 0.5 * max(least, rough[0][0]), list[WeighedModel]()
         for gain, e in rough:

@@ -281,3 +281,43 @@ def slow_axis(mass_kg):
 def test_a_slow_axis_of_which_friction_takes_most_is_moved_by_its_force_all_the_same():
     assert judge_motion([slow_axis(6.2)], "direct", 1e-3) == (False, True)
     assert judge_motion([slow_axis(0.0)], "direct", 1e-3) == (True, True)
+
+
+def move_in_a_loop() -> Record:
+    """Return an axis in a position loop, which cogs by 4.5 N, and sticks by 5.4 N more at rest."""
+    period_s, parts, mass_kg = 1e-3, 10, 6.2
+    t_s = np.arange(0.0, 10.0, period_s)
+    wanted_m = 0.04 * np.sin(2.6 * t_s) + 0.012 * np.sin(11.0 * t_s) + 0.002 * np.sin(43.0 * t_s)
+    wanted_m *= np.minimum(t_s, 1.0) ** 2
+    noise = np.random.default_rng(4).normal(0.0, 0.5, len(t_s))
+    x, v, summed, before, speed, step_s = 0.0, 0.0, 0.0, 0.0, 0.0, period_s / parts
+    read_m, force_n = np.zeros((2, len(t_s)))
+    for k in range(len(t_s)):
+        read_m[k] = round(x / 1e-6) * 1e-6
+        speed += 0.2 * ((read_m[k] - before) / period_s - speed)
+        before, off = read_m[k], wanted_m[k] - read_m[k]
+        summed += off * period_s
+        force_n[k] = 9000.0 * off + 30000.0 * summed - 260.0 * speed + noise[k]
+        for _ in range(parts):
+            net = force_n[k] - 4.5 * sin(2.0 * pi * x / 0.024 + 0.7) - 18.0 * v
+            pushed = v + step_s / mass_kg * net
+            held = step_s / mass_kg * 9.0 * (1.0 + 0.6 * exp(-((v / 0.006) ** 2)))
+            v = copysign(max(abs(pushed) - held, 0.0), pushed)
+            x += v * step_s
+    return Record("loop", t_s, position_m=read_m, force_n=force_n)
+
+
+def test_cogging_and_stiction_of_an_axis_in_its_loop_are_found_with_their_numbers():
+    plant = axis_plant(6.0, 20.0, coulomb_friction={"force_n": 9.0})
+    asked = "force~wave", "stribeck", "viscous_asymmetry", "spring_hysteresis"
+    found = diagnose([move_in_a_loop()], [], plant, without=ask_only(*asked))
+    assert {f.name for f in found.findings} == {"force~wave(position)", "stribeck"}
+    numbers = numbers_of(found)
+    assert numbers["stribeck.rise"] == pytest.approx(0.6, abs=0.05)
+    assert numbers["force_term.inner"] == pytest.approx(0.024, rel=0.01)
+
+
+def test_a_jump_of_the_encoder_is_no_noise_where_windows_begin():
+    axis = slow_axis(6.2)
+    jumped = np.asarray(axis.position_m) + 0.01 * (axis.t_s > 12.0)
+    assert find_starts(jumped, 1e-3, axis.t_s)["speed_error"].max() < 1e-4

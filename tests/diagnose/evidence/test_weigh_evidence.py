@@ -221,3 +221,16 @@ def test_the_knots_of_a_curve_are_those_beside_the_number_that_does_as_well() ->
     low, high = found["kinetic_friction_per_m"]
     assert (high - low) / bent.values["kinetic_friction_per_m"] > 0.5, "alone it is not known"
     assert sorted(wide.values())[2] < 0.2, "beside it the curve is"
+
+
+@pytest.mark.parametrize(("effects", "again"), [({"coulomb_friction": 10}, ["stribeck"]), ({}, [])])
+def test_what_gained_when_it_was_fitted_is_fitted_again_only_where_much_is_left(
+    effects: dict[str, int], again: list[str]
+) -> None:
+    weigher, start = prepare_weigher(records_of(effects, 40715)[0], [], PAPER)
+    base = weigher.settle(start)
+    search = NameSearch(weigher, {h.name: h for h in list_pool(weigher.train, weigher.base, PAPER)})
+    search.best_fits = {"stribeck": 500.0, "creep": 20.0}
+    scored = search.score(base, ["stribeck", "return_friction"])
+    hopeful = [s for s in scored if s.name == "return_friction"]
+    assert [s.name for s in search._list_again(base, scored, hopeful)] == again

@@ -274,3 +274,12 @@ def test_a_trip_of_the_monitor_does_not_wait_for_a_mark_that_is_held_up():
     held_up.set()
     assert len(tripped) == 1
     assert time.monotonic() - began_s < PATIENCE_S / 2
+
+
+def test_a_monitor_that_is_closed_is_not_announced_as_ended():
+    announced: list[str] = []
+    desk = MonitorHandle(resolve().plant, lambda name, **_: announced.append(name), print, None)
+    desk.close()
+    desk._reader.join(PATIENCE_S)
+    desk._process.stdout.close()
+    assert announced == []

@@ -192,8 +192,8 @@ def thin_cloud(x: Floats, y: Floats, cell: float) -> Indices:
     """Return one point of every cell that a cloud of points visits, and the extremes of x and y."""
     if not len(x):
         return np.zeros(0, np.intp)
-    cells = np.floor(x / cell) + 1j * np.floor(y / cell)
-    _, first = np.unique(cells, return_index=True)
+    across, up = (np.floor(values / cell).astype(np.int64) for values in (x, y))
+    _, first = np.unique(across * (1 << 32) + up, return_index=True)
     outermost = (x.argmin(), x.argmax(), y.argmin(), y.argmax())
     return np.unique(np.concatenate((first, outermost)))
 

@@ -74,6 +74,9 @@ def diagnose(
         found = weigh_evidence(
             train, holdout, plant, without=[*without], noise=stated, jobs=cores, tell=progress
         )
+        for channel in sorted((noise or {}).keys() - found.noise_rms.keys()):
+            compared = " and ".join(found.noise_rms)
+            progress(f"noise of {channel} has no effect: the model is compared with {compared}")
     except (BadData, CannotBeWeighed) as error:
         return Diagnosis(Verdict.BAD_DATA, plant, plant, str(error), train=tuple(records))
     verdict = decide_verdict(found)

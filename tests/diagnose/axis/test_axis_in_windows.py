@@ -194,17 +194,22 @@ def random_tones(seed: int) -> list[tuple[float, float]]:
     return [*zip(random.uniform(6e-3, 20e-3, 5), random.uniform(0.2, 2.2, 5), strict=True)]
 
 
-def diagnose_belt() -> Diagnosis:
+def diagnose_belt(told) -> Diagnosis:
     records = [drive_belt(seed) for seed in (1, 2, 3, 4)]
     plant = axis_plant(2.0 * BELT_KG, 2.0 * BELT_DAMPING)
     asked = ask_only(
         "encoder", "late", "coulomb_friction", "presliding", of=list_asked(records, plant)
     )
-    return diagnose(records[:2], records[2:], plant, without=asked)
+    stated = {"force_n": 0.01}
+    return diagnose(
+        records[:2], records[2:], plant, without=asked, noise=stated, progress=told.append
+    )
 
 
 def test_play_is_named_where_the_mass_is_judged_in_windows():
-    found = diagnose_belt()
+    told: list[str] = []
+    found = diagnose_belt(told)
+    assert "noise of force_n has no effect: the model is compared with position_m" in told
     assert names_of(found)[0] == "encoder_backlash"
     assert found.verdict is Verdict.NAMED
     values = numbers_of(found)

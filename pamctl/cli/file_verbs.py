@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import sys
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -56,7 +57,7 @@ def check_files(asked: FilesOptions) -> None:
     checked: list[tuple[Path, str, tuple[Problem, ...]]] = []
     for path in asked.files or shipped:
         try:
-            checked.append((path, check_config_file(path, read_tables), ()))
+            checked.append((path, check_config_file(path, partial(read_tables, tell=tell)), ()))
         except ConfigError as error:
             checked.append((path, "", error.problems))
     documents = [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -10,6 +11,7 @@ import typer
 
 from hal.entry_points import find_rig_points
 from pamctl.cli.options import CONTROLLER, CONTROLLER_FROM, NO_CHANGES, PLANT, Options, flag, option
+from pamctl.cli.output import tell
 from pamctl.errors import ConfigError, Problem
 from pamctl.log.run_meta import CHANGES, describe_changes
 from pamctl.settings.config_files import (
@@ -112,7 +114,8 @@ def resolve_options(
     from pamctl.settings.resolve import SECTIONS, resolve, settings_to_data
 
     named_rig = _choose_rig(backend, rig)
-    settings = resolve(rig=named_rig, overrides=overrides or (), prepare=read_tables, **options)
+    prepare = partial(read_tables, tell=tell)
+    settings = resolve(rig=named_rig, overrides=overrides or (), prepare=prepare, **options)
     _check_backend(settings, backend, rig)
     named = {"rig": named_rig, **options}
     if options.get("controller_from") and not options.get("controller"):

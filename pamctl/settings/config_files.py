@@ -6,7 +6,7 @@ No model is imported here: the help and the options of all verbs name these file
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -69,10 +69,11 @@ def read_section(section: str, path: Path, overrides: Sequence[str] = ()) -> dic
     return settings_to_data(read_section_file(section, path, overrides, read_tables))
 
 
-def read_tables(raw: RawSettings) -> None:
+def read_tables(raw: RawSettings, tell: Callable[[str], object] = lambda line: None) -> None:
     """Read the file of every table in raw settings; raise `ConfigError`, a line for each file.
 
-    A file's place is from the folder of the experiment file that names it.
+    A file's place is from the folder of the experiment file that names it. `tell` gets a line for
+    each table whose curve is far from what its points show.
     """
     problems: list[Problem] = []
     for at, table in _find_tables(raw.data, ()):
@@ -82,7 +83,8 @@ def read_tables(raw: RawSettings) -> None:
         key = (*at, "file")
         origin = raw.origin(key)
         try:
-            read_points(table, _find_folder(origin) / str(table["file"]))
+            if doubt := read_points(table, _find_folder(origin) / str(table["file"])):
+                tell(f"warning: {doubt}")
         except ValueError as error:
             problems.append(Problem(origin, ".".join(map(str, key)), str(error)))
     if problems:

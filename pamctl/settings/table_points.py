@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.control.forms import MOST_ROWS
+from pamctl.control.waves import Sampled
 from pamctl.log.importing.column_roles import names_quantity
 from pamctl.log.importing.file_formats import read_table
 from pamctl.log.importing.headers import TIME, UNITS
@@ -22,12 +24,37 @@ _QUANTITIES = {"table": ("position_m", "mm"), "valve_table": ("valve_v", "V")}
 _KEYS = {"table": "values_mm", "valve_table": "values_v"}
 
 
-def read_points(table: dict[str, Any], path: Path) -> None:
-    """Put the points of a file into the keys of its table; raise ValueError with the reason."""
+_BEYOND = 0.03
+"""Share of the points' range by which their curve may leave it without a word."""
+_LOOKS = (0.1, 0.25, 0.4, 0.6, 0.75, 0.9)
+"""Where the curve is looked at, in shares of the time between two points."""
+
+
+def read_points(table: dict[str, Any], path: Path) -> str:
+    """Put the points of a file into the keys of its table; raise ValueError with the reason.
+
+    Return what is doubtful of them; nothing where all is well.
+    """
     try:
         _put_points(table, path)
     except ImportRefused as refusal:
         raise ValueError(str(refusal)) from refusal
+    return _doubt_curve(table, path)
+
+
+def _doubt_curve(table: dict[str, Any], path: Path) -> str:
+    """Say where the curve leaves the range of its points, which corners make it do."""
+    t_s, values = table["t_s"], table[_KEYS[table["kind"]]]
+    curve, unit = Sampled(t_s, values), _QUANTITIES[table["kind"]][1]
+    between = [curve.at(a + look * (b - a)).position_m for a, b in pairwise(t_s) for look in _LOOKS]
+    low, high, beyond = min(values), max(values), _BEYOND * (max(values) - min(values))
+    if low - beyond <= min(between) and max(between) <= high + beyond:
+        return ""
+    return (
+        f"{path}: the curve through the points runs from {min(between):.4g} to "
+        f"{max(between):.4g} {unit}, beyond the points' own {low:.4g} to {high:.4g} {unit}: add "
+        "points beside the corners, or use `kind: ramps` for lines and holds"
+    )
 
 
 def _put_points(table: dict[str, Any], path: Path) -> None:

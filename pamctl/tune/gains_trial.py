@@ -202,6 +202,11 @@ class GainsTrial:
         return sum(plan_experiment(case.experiment).duration_s for case in self._list_cases())
 
     @property
+    def leaves_homing_out(self) -> bool:
+        """Whether a run homes before its motion, which no trial does."""
+        return bool(_read_base(self.base).rig.homing.enabled)
+
+    @property
     def highest_hz(self) -> float:
         """The highest cut-off of a filter at the rig's rate."""
         return float(HIGHEST_PER_RATE * _read_base(self.base).rig.loop.rate_hz)

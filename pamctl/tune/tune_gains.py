@@ -283,6 +283,10 @@ def format_gains_file(
 
 
 _SHOWN_FAILURES = 8
+_NO_HOMING = (
+    "Simulated from rest, without homing. A run homes first: where hysteresis or play remembers "
+    "that, its errors differ. `pamctl run --fast --set rig.homing.enabled=false` gives these."
+)
 
 
 def report_gains(
@@ -299,6 +303,8 @@ def report_gains(
         verdict = f"{task.law}, {_PLANT_SETS[which]}: {said}"
         report.add(*[Section(verdict)] * bool(report.verdict))
         report.verdict = report.verdict or verdict
+        if own and task.whole_trial.leaves_homing_out:
+            report.add(Text(_NO_HOMING))
         if not own:
             spread = f"median {one.median:.2f}, 95 % {one.p95:.2f}, worst {one.worst:.2f}"
             report.add(Text(f"largest error over its bound: {spread}"))

@@ -217,3 +217,22 @@ def test_a_gain_that_cannot_change_while_it_runs_is_refused(change, said, tmp_pa
     done = dry_run("--experiment", str(path))
     assert done.exit_code == 78
     assert said in done.stderr
+
+
+CORNERS = "time_s,position_mm\n0,20\n1,20\n1.6,55\n3,55\n4,30\n6,30\n"
+SOFT = "time_s,position_mm\n0,8\n1,9\n2,11\n3,10\n"
+
+
+@pytest.mark.parametrize(("points", "is_told"), [(CORNERS, True), (SOFT, False)])
+def test_a_curve_that_leaves_the_range_of_its_points_is_told_with_both_ranges(
+    tmp_path, points, is_told
+):
+    mine = write_table(tmp_path, points)
+    room = ("--set", "rig.limits.stroke_high_mm=90")
+    told = [
+        CliRunner().invoke(app, ["config", "check", mine]).stderr,
+        dry_run("--experiment", mine, *room).stderr,
+    ]
+    said = "runs from 13.57 to 69.78 mm, beyond the points' own 20 to 55 mm"
+    assert [said in each for each in told] == [is_told, is_told]
+    assert [each.count("warning: ") for each in told] == [is_told, is_told]

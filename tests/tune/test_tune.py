@@ -323,6 +323,7 @@ def test_gains_are_sought_for_a_motion_of_ones_own_at_another_rate_and_on_a_card
     made = tune("--law", "pid", *which, *rate, *size, "--out", "g.yaml", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
     assert "pid, named plants: largest error " in made.stdout
+    assert "without homing. A run homes first" in made.stdout
     assert "paper" not in made.stdout + (tmp_path / "g.yaml").read_text().split("Score:")[1]
     found = yaml.safe_load((tmp_path / "g.yaml").read_text())
     assert max(found["lpf1_hz"], found["lpf2_hz"]) <= 225.0

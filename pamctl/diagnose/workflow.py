@@ -118,6 +118,11 @@ def _decide_next(
     if len(explanations) > 1:
         progress("choosing the program that decides: " + ", ".join(e.name for e in explanations))
         chosen = choose_deciding_program(explanations, records, seed=len(records))
+        if chosen is None:
+            progress(
+                "no program was found: it takes a muscle of which pressure and position were "
+                "measured, and limits that leave room; what to record instead is said below"
+            )
     return replace(
         diagnosis,
         explanations=tuple(e.name for e in explanations),

@@ -100,9 +100,9 @@ def choose_next_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
         run = advise_experiment(diagnosis, f"{NEXT_EXPERIMENT}.yaml")
         if not runs_here(diagnosis):
             run = (
-                f"play {NEXT_COMMANDS}, the valve's command over time, -5 to 5 V as behind your "
-                "map's gain and offset, of which each row holds until the next, and record as "
-                "before"
+                f"play {NEXT_COMMANDS}, the valve's command over time, and record as before. Each "
+                "row holds until the next. The commands are -5 to 5 V: where your map has a gain "
+                "or an offset, your card needs (command - offset) / gain"
             )
         return {**_describe_program(diagnosis.deciding), "do": run}
     experiment = _choose_experiment(diagnosis)
@@ -155,18 +155,39 @@ def spell_next(experiment: Mapping[str, Any]) -> str:
     """Return a line with what to do next: a command and a remark, or what to record, and why."""
     do, effects = experiment["do"], experiment["separates"]
     may_tell = len(effects) > 1 and experiment.get("promises", True)
-    apart = f"it tells {name_apart(effects)}" if may_tell else experiment["why"]
+    apart = f"it {tell_apart(effects)}" if may_tell else experiment["why"]
     if do.startswith("pamctl"):
         return f"next: {do}  # {apart}"
     return f"next {'' if do.startswith('record:') else 'step: '}{do}. Why: {apart}"
 
 
+_MOST_NAMES = 3
+"""Parts of an explanation that a sentence names; more cannot be read."""
+
+
+def tell_apart(explanations: Sequence[str]) -> str:
+    """Say which explanations an experiment tells apart; those of several parts as a list."""
+    names = name_apart(explanations, "; ").split("; ")
+    if len(names) == 2 and not any(" and " in name for name in names):
+        return f"tells {' from '.join(names)}"
+    return f"tells apart {'; '.join(f'({n}) {name}' for n, name in enumerate(names, 1))}"
+
+
 def name_apart(explanations: Sequence[str], joint: str = " from ") -> str:
-    """Return explanations as nouns, without what all of them have in common."""
+    """Return explanations as nouns, without what all of them have in common.
+
+    Of many parts come first those that the fewest of the others have.
+    """
     sets = [name.split(" and ") for name in explanations]
     shared = set(sets[0]).intersection(*sets)
-    own = [[part for part in parts if part not in shared] for parts in sets]
-    return joint.join(spell_names(*parts) if parts else "nothing more" for parts in own)
+    named = []
+    for parts in sets:
+        own = [part for part in parts if part not in shared]
+        own.sort(key=lambda part: sum(part in others for others in sets))
+        nouns = [spell_names(part) for part in own[:_MOST_NAMES]]
+        nouns += [f"{len(own) - _MOST_NAMES} more"] * (len(own) > _MOST_NAMES)
+        named.append(" and ".join(filter(None, [", ".join(nouns[:-1]), *nouns[-1:]])))
+    return joint.join(name or "nothing more" for name in named)
 
 
 def explain_choice(chosen: DecidingProgram) -> str:

@@ -15,8 +15,8 @@ from pamctl.diagnose.report.next_experiment import (
     NEXT_COMMANDS,
     advise_own_plant,
     choose_next_experiment,
-    name_apart,
     runs_here,
+    tell_apart,
     words_of_rig,
 )
 from pamctl.diagnose.report.verdict_phrases import (
@@ -217,7 +217,7 @@ def advise_next_steps(diagnosis: Diagnosis) -> Iterator[str]:
     if not experiment:
         return
     effects = experiment["separates"]
-    apart = f", which tells {name_apart(effects)}" if len(effects) > 1 else ""
+    apart = f". It {tell_apart(effects)}" if len(effects) > 1 else ""
     do = f"`{experiment['do']}`" if is_command else experiment["do"]
     yield f"Next experiment: {do}{apart}. Why: {experiment['why']}."
     done = {"diagnosis"} >= {record.experiment for record in diagnosis.train}

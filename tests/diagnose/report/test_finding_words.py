@@ -71,6 +71,18 @@ def test_explanations_are_told_apart_by_what_they_do_not_share():
     assert name_apart([shared, one], "; ") == f"nothing more; {curve}"
 
 
+def test_explanations_of_many_parts_are_a_list_that_names_three_parts_of_each():
+    shared = "valve_hysteresis and command_delay"
+    chain = f"{shared} and discharge_ratio and encoder_backlash and volume~curve(pressure)"
+    three = [f"{chain} and spring_hysteresis", f"{chain} and coulomb_friction", shared]
+    entry = {"do": "record: a sine", "separates": three, "why": "", "promises": True}
+    assert spell_next(entry) == (
+        "next record: a sine. Why: it tells apart "
+        "(1) spring hysteresis, discharge ratio, encoder backlash and 1 more; "
+        "(2) coulomb friction, discharge ratio, encoder backlash and 1 more; (3) nothing more"
+    )
+
+
 def test_a_next_step_is_a_command_with_a_remark_or_plain_words():
     asked = {"separates": ["null_offset", "valve_curve"], "why": "a long reason"}
     command = spell_next({**asked, "do": "pamctl run --experiment chirp"})

@@ -126,8 +126,8 @@ def test_imported_records_get_a_table_of_commands_to_play(done, tmp_path):
     entry = choose_next_experiment(found)
     assert entry is not None
     assert entry["do"].startswith("play next-experiment.csv, ")
-    assert "each row holds until the next" in entry["do"]
-    assert "-5 to 5 V as behind your map's gain and offset" in entry["do"]
+    assert "Each row holds until the next." in entry["do"]
+    assert "your card needs (command - offset) / gain" in entry["do"]
     names = write_diagnosis(found, tmp_path / "out", ["one.csv"], imported)
     assert "next-experiment.yaml" not in names
     at_s, level_v = np.loadtxt(

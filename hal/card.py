@@ -282,16 +282,13 @@ def judge_holder(
     return report_check(name, "fault", found, wanted, fix, data)
 
 
-def judge_parts(
-    busy: Mapping[str, RigError], holders: str, more: Mapping[str, object] = {}
-) -> Problem:
+def judge_parts(busy: Mapping[str, RigError], holders: str) -> Problem:
     """Say which parts of the card could not be taken; `holders` is the fix where all are held."""
     name = "card.reservations"
     if not busy:
         return report_check(name, "ok", "input, counter and output are free")
     found = "; ".join(describe_rig_error(error) for error in busy.values())
-    data = {"channels": sorted(busy), **more}
-    return report_check(name, "fault", found, "free", holders, data)
+    return report_check(name, "fault", found, "free", holders, {"channels": sorted(busy)})
 
 
 VoltRange = tuple[float, float]

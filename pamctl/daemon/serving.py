@@ -74,7 +74,7 @@ def serve_daemon(
     require_no_daemon(socket)
     shelf = Shelf(logs, keep)
     announcements = Announcements(sys.stdout.fileno()) if announce else None
-    tell: Tell = _announce_nothing if announcements is None else announcements.put
+    tell: Tell = (lambda event: None) if announcements is None else announcements.put
     try:
         require_open_files()
         require_backend(settings.rig)
@@ -96,7 +96,11 @@ def serve_daemon(
                 watched=watched,
                 monitor_trips=monitor_trips,
             )
-            _shorten_pauses()
+            # Threads of this process must not hold each other up: one of them stops the valve.
+            sys.setswitchinterval(_TURN_OF_A_THREAD_S)
+            # To look through all that was imported takes a tenth of a second, again and again.
+            gc.collect()
+            gc.freeze()
             ending = asyncio.run(_serve(service, socket, group, tell))
             ignore_signals()
         tell(_make_event("ended", exit_code=int(ending.code), reason=ending.reason))
@@ -104,17 +108,6 @@ def serve_daemon(
     finally:
         if announcements is not None:
             announcements.end()
-
-
-def _shorten_pauses() -> None:
-    """Keep the threads of this process from holding each other up: one of them stops the valve."""
-    sys.setswitchinterval(_TURN_OF_A_THREAD_S)
-    gc.collect()
-    gc.freeze()  # to look through all that was imported takes a tenth of a second, again and again
-
-
-def _announce_nothing(event: Mapping[str, object]) -> None:
-    """Drop the event: nobody asked for events."""
 
 
 def _make_event(event: str, **details: object) -> dict[str, object]:

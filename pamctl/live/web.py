@@ -209,7 +209,10 @@ class _Handler(BaseHTTPRequestHandler):
             if self.path.startswith("/news?"):
                 self._answer(HTTPStatus.OK, self._collect_news(), "application/json")
             elif self.path.startswith("/scope/"):
-                self._answer(HTTPStatus.OK, *self._ask_scope())
+                asked = urlsplit(self.path)
+                query = {name: values[0] for name, values in parse_qs(asked.query).items()}
+                body, kind = self.server.broadcast.scope.answer(asked.path, query)
+                self._answer(HTTPStatus.OK, body, kind)
             elif self.path == "/bench":
                 self._answer_json(describe_bench(self.server.broadcast.newest_status()))
             elif self.path == "/runs":
@@ -291,11 +294,6 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _answer_json(self, document: object) -> None:
         self._answer(HTTPStatus.OK, json.dumps(document).encode(), "application/json")
-
-    def _ask_scope(self) -> tuple[bytes, str]:
-        asked = urlsplit(self.path)
-        query = {name: values[0] for name, values in parse_qs(asked.query).items()}
-        return self.server.broadcast.scope.answer(asked.path, query)
 
     def _answer(self, status: HTTPStatus, body: bytes, kind: str) -> None:
         self._begin(status, kind, len(body))

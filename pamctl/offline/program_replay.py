@@ -67,8 +67,10 @@ class ProgramReplay:
         """
         if begin in self._recording.orders:
             self._program = self._resume_order(begin)
-        if begin in self._recording.losses and begin > 0 and self._depends_on_history(begin):
-            self._program = None
+        if begin in self._recording.losses and begin > 0:
+            phases = {*self._phase[begin - 1 : begin + 1].tolist()}
+            if not phases.isdisjoint(_BY_HISTORY):
+                self._program = None
         if self._program is None:
             self._program = self._resume_program(begin)
         if self._program is None:
@@ -84,9 +86,6 @@ class ProgramReplay:
         t_s = self._recording.log.t[begin:end]
         rows = trace_course(course, course_begin_s, t_s)
         return None if rows is None else ProgramAnswer(rows, {})
-
-    def _depends_on_history(self, tick: int) -> bool:
-        return self._phase[tick - 1] in _BY_HISTORY or self._phase[tick] in _BY_HISTORY
 
     def _resume_program(self, begin: int) -> Program | None:
         """Return a program that has run up to `begin`; None if the log does not tell how."""

@@ -108,7 +108,9 @@ class LoopSupervisor:
         # Every few milliseconds is often enough.
         self._is_time_to_look = not self._asked % self._look_every
         if self._is_time_to_look and self._loss is None:
-            self._loss = self._find_sleep() or self._find_loss()
+            lost = self._name_lost_process()
+            loss = Ending(ExitCode.UNEXPECTED, lost) if lost else None
+            self._loss = self._find_sleep() or loss
         return self._loss is not None or len(self._signals) > 1 or self._is_emergency
 
     def find_stop(self, tick: int) -> Ending | None:
@@ -147,12 +149,8 @@ class LoopSupervisor:
         slept_s = slept_ns * 1e-9
         return Ending(ExitCode.SAFETY_TRIP, f"{_SLEPT} for {slept_s:.1f} s during the run")
 
-    def _find_loss(self) -> Ending | None:
-        """Return which of the other processes is gone; None where all are alive."""
-        lost = self._name_lost_process()
-        return Ending(ExitCode.UNEXPECTED, lost) if lost else None
-
     def _name_lost_process(self) -> str:
+        """Return which of the other processes is gone; nothing where all are alive."""
         ring, recorded = self._ring, self._recorded
         flags = recorded.recorder_flags if recorded else 0
         if flags & RecorderFlag.FAILED and not flags & RecorderFlag.DISK_FULL:

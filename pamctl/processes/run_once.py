@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -276,17 +277,14 @@ def build_machine_code(settings: RunSettings, *, quiet: bool = False) -> None:
     Raise `NotInC` for a law that is no kernel.
     """
     if not quiet:
-        build.progress.begin = _tell_building
+        said = "note: building machine code, once: some seconds"
+        build.progress.begin = partial(print, said, file=sys.stderr, flush=True)
     setup = build_tick_setup(settings)
     TickRunner(setup)
     make_plant(settings)
     if settings.fast:
         parts = build_rig(settings, build_clock(settings, may_spin=False))
         find_many_ticks(setup, parts.rig, parts.clock)
-
-
-def _tell_building() -> None:
-    print("note: building machine code, once: some seconds", file=sys.stderr, flush=True)
 
 
 _LOG_DIRECTORY = Path("logs")

@@ -230,14 +230,15 @@ def raise_front_priority(mode: Mode) -> Iterator[None]:
     """
     with ExitStack() as undo:
         if mode != "off":
-            _attempt("fifo", _run_front_as_fifo, _how_to_run_as_fifo, undo)
+            # Without the reset on fork: only root may take that back, and the front has more to do.
+            _attempt(
+                "fifo",
+                lambda undo: _schedule(os.SCHED_FIFO, FRONT_PRIORITY, undo),
+                _how_to_run_as_fifo,
+                undo,
+            )
             _free_foreign_threads(frozenset(os.sched_getaffinity(0)))
         yield
-
-
-def _run_front_as_fifo(undo: ExitStack) -> str:
-    # Without the reset on fork: only root may take that back, and the front has more to do.
-    return _schedule(os.SCHED_FIFO, FRONT_PRIORITY, undo)
 
 
 def _attempt(

@@ -130,17 +130,13 @@ def make_rig_plan(
     plan = RigPlan(budget, limits, backend, start, None, "", 0.0, None, period_s)
     if experiment is None:
         return plan
-    data, keys, lasts_s = _read_experiment(experiment)
+    path = find_config_file("experiment", experiment, "--experiment")
+    data = read_section_file("experiment", path, (), read_tables)
+    keys, lasts_s = settings_to_data(data), plan_experiment(data).duration_s
     _require_time(experiment, lasts_s, budget)
     demand = require_inside(experiment, data, plan)
     name = file_safe_name(experiment)
     return replace(plan, first=keys, first_name=name, first_s=lasts_s, demand=demand)
-
-
-def _read_experiment(name: str) -> tuple[Any, dict[str, Any], float]:
-    path = find_config_file("experiment", name, "--experiment")
-    data = read_section_file("experiment", path, (), read_tables)
-    return data, settings_to_data(data), plan_experiment(data).duration_s
 
 
 def _require_time(experiment: str, lasts_s: float, budget: Budget) -> None:

@@ -23,7 +23,7 @@ from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import PlantParameters, rest_state
 from pamctl.plant.sample_grid import build_grid, count_steps
 
-REST, FILLING, EXHAUST, CHOKED, SWING = "rest", "filling", "exhaust", "choked flow", "swing"
+REST, CHOKED, SWING = "rest", "choked flow", "swing"
 CONTRACTION, EXTENSION, STROKE = "contraction", "extension", "strokes"
 FLOW_V = 0.3
 """RMS of a command that moves air (V)."""
@@ -163,7 +163,8 @@ class WindowJudge:
         self, p: PlantParameters, record: Record, judged: Array, random: np.random.Generator
     ) -> WindowMisfit:
         noise, measured_pa = self.noises["pressure_pa"], record["pressure_pa"]
-        position_m = _smooth(record, record["position_m"], _smooth_by_cubic)
+        cubic = partial(savgol_filter, window_length=CUBIC_SAMPLES, polyorder=3)
+        position_m = _smooth(record, record["position_m"], cubic)
         grid = build_grid(
             record.step_s, len(record), count_steps(record.period_s),
             record.acts_after_s, record.held_v,
@@ -217,10 +218,6 @@ def _smooth(record: Record, values: Array, smooth: Callable[[Array], Array]) -> 
     even_s = record.t_s[0] + np.arange(0.0, record.duration_s + record.period_s, record.period_s)
     even = smooth(np.interp(even_s, record.t_s, values))
     return np.asarray(np.interp(record.t_s, even_s, even))
-
-
-def _smooth_by_cubic(values: Array) -> Array:
-    return np.asarray(savgol_filter(values, CUBIC_SAMPLES, 3))
 
 
 def _start_pressure(measured_pa: Array) -> float:

@@ -201,8 +201,9 @@ MUCH = 0.2
 
 
 def describe_moved(diagnosis: Diagnosis) -> str:
-    """Say which numbers of the start model are far off; empty where none is."""
-    shifts = [(abs(relative_shift(diagnosis, n) or 0.0), n) for n in diagnosis.recalibrated]
+    """Say which stated numbers of the start model are far off; empty where none is."""
+    stated = [n for n in diagnosis.recalibrated if n.name not in diagnosis.nominal.guessed]
+    shifts = [(abs(relative_shift(diagnosis, n) or 0.0), n) for n in stated]
     moved = sorted((s for s in shifts if s[0] > MUCH), key=lambda s: -s[0])
     listed = [
         f"{n.name} is {spell_figure(n.value)}{f' {n.unit}' if n.unit else ''} and not "

@@ -309,3 +309,11 @@ def test_the_page_fits_a_phone_and_the_console_stays_empty(named, tmp_path, verd
     assert found["plots"] > 15
     assert found["smallest"] >= 11.5
     assert asked == [file.as_uri()]
+
+
+def test_a_stated_number_that_is_far_off_stands_in_the_sentence_and_a_guess_does_not(named) -> None:
+    far = with_values(named.nominal, {"damping_n_s_per_m": 300.0})
+    guess = far.model_copy(update={"guessed": ("damping_n_s_per_m",)})
+    told = [sentence(replace(named, nominal=plant)) for plant in (far, guess)]
+    assert "damping_n_s_per_m is 57" in told[0]
+    assert "damping_n_s_per_m is" not in told[1]

@@ -324,18 +324,6 @@ def test_gain_offset_and_a_shift_in_time_are_keys_of_a_column(tmp_path):
     np.testing.assert_allclose(measured.valve_v, VALVE_V[:58], atol=1e-9)
 
 
-@pytest.mark.parametrize("noise_v", [0.0, 0.01])
-@pytest.mark.parametrize("levels", [(0, 3.3), (10, 0), (10, 5, 0), (5, 5)])
-def test_a_valve_that_switches_gets_no_advice_which_way_round_it_is(tmp_path, levels, noise_v):
-    places = [VALVE_V > 0.5, VALVE_V > -0.5][-len(levels) + 1 :]
-    volts = np.select(places, levels[:-1], levels[-1]) + noise_v * np.sin(1e3 * T_S)
-    if levels == (5, 5) and noise_v:
-        return  # it rests, and is measured
-    done = Outcome(write(tmp_path, table(columns=(T_S, volts, BAR, MM))))
-    assert "does not say which level fills" in done.said["error", "unit"]
-    assert "offset" not in done.report["map_text"]
-
-
 def test_an_atmosphere_that_is_not_the_usual_one_is_told(tmp_path):
     text = (
         "time: {column: 1}\npressure: {column: 3, unit: bar, gauge: true}\n"

@@ -279,17 +279,6 @@ def test_a_header_that_leaves_a_doubt_is_refused_with_the_map_to_write(tmp_path,
     assert not done.path.exists()
 
 
-@pytest.mark.parametrize("named", [{}, {"P1 [bar]": GAUGE_BAR, "P2 [bar]": GAUGE_BAR}])
-def test_a_time_column_of_a_strange_name_stands_in_the_map_to_write(tmp_path, named):
-    columns = {"row": POSITION_MM, "zeit": T_S * 1e3, "Position [mm]": POSITION_MM, **named}
-    shown = import_columns(tmp_path, **columns).shown_map
-    (tmp_path / "map.yaml").write_text(shown)
-    assert shown.startswith("  time: {column: 'zeit', unit: ms}")
-    done = Outcome(tmp_path / "a.csv", "--map", str(tmp_path / "map.yaml"))
-    np.testing.assert_allclose(done.signals.t_s, T_S, atol=1e-9)
-    np.testing.assert_allclose(done.signals.position_m, POSITION_MM * 1e-3, atol=1e-9)
-
-
 def test_an_unnamed_sense_of_a_pressure_is_told_and_kept_in_the_log(tmp_path):
     done = import_columns(tmp_path, **TIME, **{"Pressure [bar]": ABSOLUTE_KPA / 100})
     assert "taken as absolute, as it falls to" in done.said["warning", "gauge"]

@@ -84,29 +84,6 @@ def test_the_standard_header_needs_no_map_and_every_number_survives_to_the_bit(t
     assert (measured.phase == pamctl.log.NO_PHASE).all()
 
 
-@pytest.mark.parametrize(
-    ("name", "values"),
-    [
-        ("time_ms", T_S * 1e3),
-        ("Position_mm", POSITION_M * 1e3),
-        ("pressure_gauge_pa", GAUGE_PA),
-        ("pressure_gauge_kPa", GAUGE_PA / 1e3),
-        ("pressure_kpa", (GAUGE_PA + ATMOSPHERE_PA) / 1e3),
-        ("pressure_absolute_mpa", (GAUGE_PA + ATMOSPHERE_PA) / 1e6),
-        ("pressure_bar", (GAUGE_PA + ATMOSPHERE_PA) / 1e5),
-        ("pressure_gauge_bar", GAUGE_PA / 1e5),
-    ],
-)
-def test_a_column_is_understood_by_its_suffix_and_a_pressure_becomes_absolute(
-    tmp_path, name, values
-):
-    word = name.lower().partition("_")[0].replace("time", "t")
-    columns = {key: column for key, column in GOOD.items() if not key.startswith(f"{word}_")}
-    measured = Outcome(write_csv(tmp_path / "a.csv", {**columns, name: values})).signals
-    for key, column in GOOD.items():
-        assert getattr(measured, key) == pytest.approx(column, rel=1e-12), key
-
-
 def test_what_excel_puts_around_a_table_is_no_part_of_it(tmp_path):
     text = write_csv(tmp_path / "plain.csv", GOOD, ";").read_text().replace(".", ",")
     source = tmp_path / "excel.csv"
@@ -347,19 +324,6 @@ def test_what_a_user_should_know_is_a_warning_and_goes_into_the_log(tmp_path, co
     report = json.loads(pamctl.log.read(done.path).metadata["import"]["report"])
     assert kind in {finding["kind"] for finding in report}
     assert CliRunner().invoke(app, ["log", "check", str(done.path)]).exit_code == 0
-
-
-@pytest.mark.parametrize("missed", [0, 1, 2])
-def test_jitter_of_the_time_is_no_missed_row_and_a_missed_row_is_found_beside_it(tmp_path, missed):
-    jitter_s = 3e-4 * np.random.default_rng(4).uniform(-1.0, 1.0, len(T_S))
-    columns = changed(t_s=np.where(np.arange(len(T_S)) < 50, T_S, T_S + missed * 1e-3) + jitter_s)
-    assert np.diff(columns["t_s"]).max() > 1.5e-3
-    done = Outcome(write_csv(tmp_path / "a.csv", columns))
-    assert ("warning", "jitter") in done.said
-    assert (("warning", "gap") in done.said) == bool(missed)
-    log = pamctl.log.read(done.path)
-    assert np.array_equal(np.flatnonzero(log["missed"]), [50] if missed else [])
-    assert log["missed"].sum() == missed
 
 
 # Resampling.

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
+from math import erf, sqrt
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -45,7 +46,12 @@ BLOCK = 50
 BESIDE = 12
 """Samples beside a held stretch that must show the noise which it lacks."""
 STILL_PUSHED = 0.35
-"""Share of another sensor's span that no friction holds."""
+"""Share of another sensor's span within which a sensor may rest."""
+ABRUPT, ABRUPT_STEPS = 0.4, 3.0
+"""The last step before a sensor halts, as a share of those around and in steps of its converter:
+what friction brings to rest is slower by then."""
+USUALLY = 0.995
+"""Share of the steps of a record among which its fastest motion is."""
 JUMP = 9.0
 """A spike is this many usual deviations away from its neighbours."""
 MOST_SPIKES = 0.02
@@ -324,6 +330,8 @@ class Sensor:
         every = -(-len(t_s) // MOST_SORTED)
         self.step = find_sensor_step(self.values[::every]) if column.step is None else column.step
         self.noise, flips = _measure_noise(self.values)
+        self.fastest = float(np.quantile(np.abs(np.diff(self.values)), USUALLY))
+        self.is_gap = find_gaps(t_s)
         uneven = ~(np.abs(np.diff(t_s) - nominal_period_s(t_s)) < JITTER * nominal_period_s(t_s))
         self.is_noisy = (
             self.noise > NOISE_STEPS * self.step
@@ -361,7 +369,9 @@ def judge_sensors(
     alive = [sensor for sensor, held in zip(sensors, frozen, strict=True) if not held]
     for sensor, held in zip(sensors, frozen, strict=True):
         others = [one for one in alive if one is not sensor]
-        why = "while its noise shows before and after"
+        why = "and the motion goes on from another place"
+        if sensor.is_noisy:
+            why = "while its noise shows before and after"
         yield from (
             _judge_resampled(t_s, sensor)
             or _describe_held(t_s, sensor, held, why)
@@ -382,15 +392,19 @@ def find_frozen(t_s: Floats, values: Floats) -> Flags:
 
 
 def _find_frozen(sensor: Sensor) -> list[tuple[int, int]]:
-    """Return where a sensor holds a value while its noise shows right before and after."""
-    if not sensor.is_noisy:
-        return []
-    return [stretch for stretch in _find_held(sensor) if _is_noise_beside(sensor, stretch)]
+    """Return where a sensor holds a value against its noise, or from a motion on to a jump."""
+    is_stuck = _is_noise_beside if sensor.is_noisy else _is_jump_behind
+    return [stretch for stretch in _find_held(sensor) if is_stuck(sensor, stretch)]
 
 
 def _judge_stopped(t_s: Floats, sensor: Sensor, others: Sequence[Sensor]) -> list[RecordProblem]:
-    """Return where a sensor holds a value while another one moves: no friction holds so much."""
+    """Return where a sensor holds a value while another one moves.
+
+    Friction holds a position, which comes to rest and leaves it gently: no sensor does so.
+    """
     held = sorted(_find_held(sensor), key=lambda stretch: stretch[0] - stretch[1])[:MOST_COMPARED]
+    if sensor.column.name == "position_m":
+        held = [stretch for stretch in held if _is_abrupt(sensor, stretch)]
     moving = [(stretch, _find_mover(others, [stretch])) for stretch in sorted(held)]
     stopped = [stretch for stretch, mover in moving if mover]
     movers = [mover for _, mover in moving if mover]
@@ -411,14 +425,17 @@ def _describe_held(
     }
     found = []
     for kind, (what, verdict) in texts.items():
-        is_clipped = kind == "clipped"
-        stretches = [s for s in held if (sensor.values[s[0]] in sensor.ends) == is_clipped]
+        stretches = [s for s in held if _is_clipped(sensor, s) == (kind == "clipped")]
         if stretches:
             start, _ = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
             value = f"{float(sensor.values[start]):.6g} {sensor.column.unit}".rstrip()
             text = f"{what} {value}, {why}: it is {verdict}"
             found.append(make_problem(t_s, kind, sensor.column.name, text, stretches))
     return found
+
+
+def _is_clipped(sensor: Sensor, stretch: tuple[int, int]) -> bool:
+    return sensor.values[stretch[0]] in sensor.ends and not _is_jump_behind(sensor, stretch)
 
 
 def _find_held(sensor: Sensor) -> list[tuple[int, int]]:
@@ -429,6 +446,9 @@ def _find_held(sensor: Sensor) -> list[tuple[int, int]]:
     long = lengths >= FEWEST_HELD - 1
     in_long = int(lengths[long].sum())
     share = (int(equal.sum()) - in_long) / max(len(equal) - in_long, 1)  # of equal neighbours
+    if sensor.is_noisy:  # at rest in the middle of a step it makes more of them than in a motion
+        white = sqrt(max(sensor.noise**2 - sensor.step**2 / 12.0, 1e-12 * sensor.noise**2))
+        share = max(share, erf(0.5 * sensor.step / (sqrt(2.0) * white)))
     least = np.log(CHANCE / len(equal)) / np.log(min(max(share, 1e-9), 0.99))
     return [(start, stop + 1) for start, stop in runs[long & (lengths > least)].tolist()]
 
@@ -439,6 +459,38 @@ def _is_noise_beside(sensor: Sensor, stretch: tuple[int, int]) -> bool:
     sides = (sensor.values[max(start - BESIDE, 0) : start], sensor.values[stop : stop + BESIDE])
     beside = [side for side in sides if len(side) == BESIDE]
     return bool(beside) and all(_measure_noise(b)[0] > 0.3 * sensor.noise for b in beside)
+
+
+def _is_jump_behind(sensor: Sensor, stretch: tuple[int, int]) -> bool:
+    """Tell whether a motion goes on from another place than where the sensor held.
+
+    A motion that halts abruptly shows its speed. A rest is left by a jump beyond all speeds of the
+    record, into a motion: where rows come slowly, a rig that settles makes jumps, too.
+    """
+    before, after = _steps_beside(sensor, stretch)
+    if len(before) < AROUND or len(after) < AROUND or sensor.is_gap[stretch[1] - 1]:
+        return False
+    usual = max(float(np.median(before)), float(np.median(after[1:])), sensor.step)
+    if _is_abrupt(sensor, stretch):
+        return bool(after[0] > JUMP * usual)
+    goes_on = float(np.median(after[1:])) > ABRUPT_STEPS * sensor.step
+    return goes_on and bool(after[0] > JUMP * max(usual, sensor.fastest))
+
+
+def _is_abrupt(sensor: Sensor, stretch: tuple[int, int]) -> bool:
+    """Tell whether a value is held and left at the speed of the motion around, if there is any."""
+    return all(
+        steps[0] > max(ABRUPT * float(np.median(steps)), ABRUPT_STEPS * sensor.step)
+        for steps in _steps_beside(sensor, stretch)
+        if len(steps)
+    )
+
+
+def _steps_beside(sensor: Sensor, stretch: tuple[int, int]) -> tuple[Floats, Floats]:
+    """Return the sizes of the steps before and after a stretch, the nearest one first."""
+    start, stop = stretch
+    before = np.abs(np.diff(sensor.values[max(start - AROUND, 0) : start + 1]))
+    return before[::-1], np.abs(np.diff(sensor.values[stop - 1 : stop + AROUND]))
 
 
 def _find_mover(others: Sequence[Sensor], stretches: Sequence[tuple[int, int]]) -> str | None:

@@ -96,6 +96,38 @@ def test_a_pressure_beyond_the_range_of_its_sensor_is_clipped():
     assert (make_columns()[1].values[inside] >= 2.7e5).mean() > 0.98
 
 
+def make_axis(seed: int, step_m: float = 1e-6) -> list[RecordColumn]:
+    """Return the force and the encoder of a mass whose dry friction holds it again and again."""
+    chance = np.random.default_rng(seed)
+    force_n = 30.0 * np.sin(6.0 * T_S) * np.sin(0.9 * T_S + 1.0) + chance.normal(0.0, 0.5, 6000)
+    x, v, places_m = 0.0, 0.0, np.zeros(len(T_S))
+    for k, push_n in enumerate(force_n):
+        rests = abs(v) < 1e-4 and abs(push_n) < 14.0
+        speed = 0.0 if rests else v + 1e-3 / 6.0 * (push_n - 18.0 * v - 14.0 * np.sign(v or push_n))
+        v = 0.0 if rests or v * speed < 0.0 else speed
+        x += 1e-3 * v
+        places_m[k] = np.rint(x / step_m) * step_m
+    return [RecordColumn("position_m", "m", places_m), RecordColumn("force_n", "N", force_n)]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_position_that_friction_holds_is_neither_frozen_nor_clipped(seed):
+    columns = make_axis(seed)
+    equal = np.diff(columns[0].values) == 0.0
+    assert sum(equal[k : k + 60].all() for k in range(len(equal) - 60)) > 100
+    assert find_record_problems(T_S, columns) == []
+
+
+@pytest.mark.parametrize("start", [1500, 3300, 4200])
+def test_an_encoder_that_sticks_and_jumps_is_frozen_beside_rests_by_friction(start):
+    position, force = make_axis(1)
+    position.values[start : start + 400] = position.values[start]
+    (problem,) = find_record_problems(T_S, [position, force])
+    assert (problem.kind, problem.column) == ("frozen", "position_m")
+    assert problem.stretches[-1][1] == start + 400
+    assert find_frozen(T_S, position.values)[start + 1 : start + 400].all()
+
+
 @pytest.mark.parametrize("every", [2, 5, 10])
 def test_a_column_of_fewer_samples_than_rows_is_told_with_its_own_rate(every):
     def hold(values: Any) -> Any:

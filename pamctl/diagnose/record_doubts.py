@@ -82,6 +82,9 @@ def doubt_actuator(record: Record, plant: PlantSettings) -> Iterator[Problem]:
         )
 
 
+ENTRY_SAMPLES, UNBRAKED = 10, 0.6
+"""Of the way before an extreme, the last samples make a third of those before if it is braked
+evenly, and as much if nothing brakes."""
 BEYOND_STROKE = 1.05
 """Stops give way, and a position sensor's scale is off, by less."""
 _ANOTHER_PLANT = "make the plant file of what was measured (`pamctl plant new`)"
@@ -272,7 +275,8 @@ def _doubt_extremes(record: Record, plant: PlantSettings, channel: str) -> Itera
             continue
         # A muscle that its pressure pushes cannot rest, unless its load, or a piston, is at a stop.
         muscle = plant.actuator == "muscle" and plant.stroke_m is None and channel == "position_m"
-        if noisy or (muscle and _is_still_pushed(record, at_end)):
+        pushed = muscle and _is_still_pushed(record, at_end) and _stops_short(values, at_end)
+        if noisy or pushed:
             yield Problem(
                 record.name,
                 "clipped",
@@ -291,6 +295,15 @@ def _is_still_pushed(record: Record, at_end: Flags) -> bool:
     span = float(np.ptp(record.pressure_pa))
     inside = record.pressure_pa[at_end]
     return bool(np.quantile(inside, 0.98) - np.quantile(inside, 0.02) > 0.35 * span)
+
+
+def _stops_short(values: Array, at_end: Flags) -> bool:
+    """Tell whether a signal comes to its extreme unbraked: friction slows down what it stops."""
+    begins = np.flatnonzero(np.diff(at_end.astype(np.int8)) == 1) + 1
+    begins = begins[begins >= 2 * ENTRY_SAMPLES]
+    now, before, earlier = (values[begins - k * ENTRY_SAMPLES] for k in range(3))
+    last, first = np.abs(now - before).sum(), np.abs(before - earlier).sum()
+    return bool(last > UNBRAKED * first and last > 2.0 * find_sensor_step(values) * len(begins))
 
 
 def _longest_run(flags: Flags) -> int:

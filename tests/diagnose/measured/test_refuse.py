@@ -11,7 +11,12 @@ from support.made_records import PERIOD_S, measured, pair
 import pamctl
 from pamctl.diagnose import Record, Verdict, diagnose
 from pamctl.diagnose.read_record import record_of
-from pamctl.diagnose.record_doubts import doubt_actuator, doubt_excitation, doubt_record
+from pamctl.diagnose.record_doubts import (
+    doubt_actuator,
+    doubt_excitation,
+    doubt_record,
+    doubt_sensors,
+)
 from pamctl.diagnose.refuse import (
     RULES,
     BadData,
@@ -260,3 +265,16 @@ def test_a_load_that_waits_on_its_floor_is_no_late_column_where_the_plant_file_h
     without = plant.model_copy(update={"stroke_m": None})
     with pytest.raises(BadData, match="where a stop held it, give the plant file stroke_m"):
         check_measured_runs([lifted], without)
+
+
+def test_a_muscle_that_friction_holds_at_its_highest_is_not_clipped_and_one_cut_in_motion_is() -> (
+    None
+):
+    t_s = np.arange(0.0, 10.0, 1e-3)
+    phase = (0.4 * t_s) % 1.0
+    braked = 0.5 - 0.5 * np.cos(np.pi * np.minimum(np.minimum(phase, 1.0 - phase) / 0.4, 1.0))
+    pressure_pa = 3e5 + 1.5e5 * np.sin(2.0 * np.pi * phase)
+    for shape, rules in ((braked, []), (np.minimum(1.5 * np.sin(np.pi * phase), 1.0), ["clipped"])):
+        position_m = 3e-6 * np.round(0.02 * shape / 3e-6)
+        record = Record("top", t_s, pressure_pa=pressure_pa, position_m=position_m)
+        assert [d.key for d in doubt_sensors(record, PAPER)] == rules

@@ -275,8 +275,8 @@ def _split_given(given: list[str], actuator: str) -> dict[str, str]:
             effect, _, key = name.partition(".")
             asked = f"; its numbers are {', '.join(names)}"
             if effect in CATALOGUE and key:
-                written = f"effects: {{{effect}: {{{key}: {number or 'NUMBER'}}}}}"
-                asked = f": write an effect into the plant file, below its numbers: `{written}`"
+                written = f"{effect}: {{{key}: {number or 'NUMBER'}}}"
+                asked = f": write `{written}` below the line `effects:` of the plant file"
             raise typer.BadParameter(
                 f"{text!r} is no NAME=NUMBER of the actuator {actuator}"
                 f"{hint_at_nearest(name, names)}{asked}",

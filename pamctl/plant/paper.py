@@ -28,7 +28,7 @@ class MuscleParameters(Configured):
     A direct mechanism has mass, damping, stiffness (0: no spring) and the atmosphere of them.
     """
 
-    mass_kg: Annotated[float, Field(ge=1e-9, le=1e9, description="moving mass, M")] = 0.05
+    mass_kg: Annotated[float, Field(ge=1e-9, le=1e6, description="moving mass, M")] = 0.05
     damping_n_s_per_m: Annotated[
         float,
         Field(ge=0, le=1e12, description="damping, force per speed, c; a guess will do"),

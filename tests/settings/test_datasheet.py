@@ -214,3 +214,17 @@ def test_a_file_whose_columns_are_not_clear_is_refused_with_the_way_to_a_map(tmp
     assert done.exit_code == 65
     assert str(source) in done.stderr
     assert "--map MAP.yaml" in done.stderr
+
+
+def test_an_effect_among_the_values_is_told_the_line_that_goes_below_effects(tmp_path):
+    out = tmp_path / "axis.yaml"
+    given = ["--actuator", "muscle", "--value", "mass_kg=6", "--value", "external_load.force_n=5"]
+    refused = make(*given, "--value", "cubic_stiffness.n_per_m3=9", "--out", str(out))
+    assert refused.exit_code == 2
+    said = " ".join(refused.stderr.split())
+    assert "write `cubic_stiffness: {n_per_m3: 9}` below the line `effects:` of the plant" in said
+    assert make(*given, "--out", str(out)).exit_code == 0
+    text = out.read_text()
+    assert text.count("effects:\n") == 1
+    out.write_text(text.replace("effects:\n", "effects:\n  cubic_stiffness: {n_per_m3: 9}\n"))
+    assert read_section_file("plant", out).effects.cubic_stiffness == {"n_per_m3": 9.0}

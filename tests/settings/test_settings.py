@@ -507,6 +507,9 @@ def test_config_show_keeps_problems_off_stdout():
         "--set plant.parameters.mass_kg=-1: plant.parameters.mass_kg: "
         "must be at least 1e-09 (got -1)\n"
     )
+    heavy = config("show", "--set", "plant.parameters.mass_kg=1e9")
+    assert heavy[0] == 78
+    assert "must be at most 1e+06" in heavy[2]
     assert config("show", "--no-such-option")[0] == 2
 
 

@@ -192,12 +192,11 @@ def _report_finding(diagnosis: Diagnosis, finding: Finding) -> Iterator[Part]:
     low, high = finding.interval_nats
     gain = f"gain {finding.gain_nats:.0f} nats ({low:.0f} to {high:.0f})"
     yield Text(f"{spell_finding(diagnosis, finding)}: {sure}; {gain}")
-    yield Points(
-        [
-            f"{spell_names(label_hypothesis(rival.hypothesis))}: {describe_standing(rival)}"
-            for rival in finding.judged[:MOST_RIVALS]
-        ]
-    )
+    standings: dict[str, str] = {}
+    for rival in finding.judged:  # the best first; the same one may come in two models
+        named = spell_names(label_hypothesis(rival.hypothesis))
+        standings.setdefault(named, describe_standing(rival))
+    yield Points([f"{named}: {said}" for named, said in standings.items()][:MOST_RIVALS])
 
 
 def _report_numbers(diagnosis: Diagnosis) -> Iterator[Part]:

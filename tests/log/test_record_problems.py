@@ -118,6 +118,16 @@ def test_a_position_that_friction_holds_is_neither_frozen_nor_clipped(seed):
     assert find_record_problems(T_S, columns) == []
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_noise_of_half_a_step_may_hide_for_long_at_rest_in_the_middle_of_a_step(seed):
+    chance, step_m = np.random.default_rng(seed), 1e-5
+    at = np.arange(12_000) % 3000
+    motion_m = np.where(at < 900, 0.0, 0.02 * np.sin(np.pi * (at - 900) / 2100) ** 2)
+    values = np.rint((motion_m + chance.normal(0.0, 5e-6, len(at))) / step_m) * step_m
+    position = RecordColumn("position_m", "m", values)
+    assert find_record_problems(1e-3 * np.arange(len(at)), [position]) == []
+
+
 @pytest.mark.parametrize("start", [1500, 3300, 4200])
 def test_an_encoder_that_sticks_and_jumps_is_frozen_beside_rests_by_friction(start):
     position, force = make_axis(1)

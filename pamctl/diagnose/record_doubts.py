@@ -12,7 +12,7 @@ from pamctl.diagnose.record import CHANNELS, Array, Record, estimate_white_noise
 from pamctl.diagnose.time_shifts import check_time_shifts, find_usual_ends
 from pamctl.errors import Problem
 from pamctl.log.importing.plausibility import is_switched
-from pamctl.log.record_problems import find_sensor_step
+from pamctl.log.record_problems import find_sensor_step, is_abrupt
 from pamctl.plant.effects.description import USED_SIGNALS
 from pamctl.plant.model import PlantSettings
 
@@ -82,9 +82,8 @@ def doubt_actuator(record: Record, plant: PlantSettings) -> Iterator[Problem]:
         )
 
 
-ENTRY_SAMPLES, UNBRAKED = 10, 0.6
-"""Of the way before an extreme, the last samples make a third of those before if it is braked
-evenly, and as much if nothing brakes."""
+LONG_RUN = 20
+"""Equal extremes in so many samples are no chance."""
 BEYOND_STROKE = 1.05
 """Stops give way, and a position sensor's scale is off, by less."""
 _ANOTHER_PLANT = "make the plant file of what was measured (`pamctl plant new`)"
@@ -271,11 +270,13 @@ def _doubt_extremes(record: Record, plant: PlantSettings, channel: str) -> Itera
     for end, extreme in (("highest", values.max()), ("lowest", values.min())):
         at_end = values == extreme
         share = float(at_end.mean())
-        if share < 0.02 or _longest_run(at_end) < 20:
+        runs = _list_runs(at_end)
+        if share < 0.02 or not runs:
             continue
         # A muscle that its pressure pushes cannot rest, unless its load, or a piston, is at a stop.
         muscle = plant.actuator == "muscle" and plant.stroke_m is None and channel == "position_m"
-        pushed = muscle and _is_still_pushed(record, at_end) and _stops_short(values, at_end)
+        is_cut = any(is_abrupt(values, find_sensor_step(values), run) for run in runs)
+        pushed = muscle and is_cut and _is_still_pushed(record, at_end)
         if noisy or pushed:
             yield Problem(
                 record.name,
@@ -297,18 +298,10 @@ def _is_still_pushed(record: Record, at_end: Flags) -> bool:
     return bool(np.quantile(inside, 0.98) - np.quantile(inside, 0.02) > 0.35 * span)
 
 
-def _stops_short(values: Array, at_end: Flags) -> bool:
-    """Tell whether a signal comes to its extreme unbraked: friction slows down what it stops."""
-    begins = np.flatnonzero(np.diff(at_end.astype(np.int8)) == 1) + 1
-    begins = begins[begins >= 2 * ENTRY_SAMPLES]
-    now, before, earlier = (values[begins - k * ENTRY_SAMPLES] for k in range(3))
-    last, first = np.abs(now - before).sum(), np.abs(before - earlier).sum()
-    return bool(last > UNBRAKED * first and last > 2.0 * find_sensor_step(values) * len(begins))
-
-
-def _longest_run(flags: Flags) -> int:
+def _list_runs(flags: Flags) -> list[tuple[int, int]]:
+    """Return where flags stand that are long enough to be no chance."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
-    return int((edges[1::2] - edges[::2]).max()) if len(edges) else 0
+    return [(a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a >= LONG_RUN]
 
 
 def _is_at_rest(record: Record, plant: PlantSettings) -> bool:

@@ -404,7 +404,7 @@ def _judge_stopped(t_s: Floats, sensor: Sensor, others: Sequence[Sensor]) -> lis
     """
     held = sorted(_find_held(sensor), key=lambda stretch: stretch[0] - stretch[1])[:MOST_COMPARED]
     if sensor.column.name == "position_m":
-        held = [stretch for stretch in held if _is_abrupt(sensor, stretch)]
+        held = [stretch for stretch in held if is_abrupt(sensor.values, sensor.step, stretch)]
     moving = [(stretch, _find_mover(others, [stretch])) for stretch in sorted(held)]
     stopped = [stretch for stretch, mover in moving if mover]
     movers = [mover for _, mover in moving if mover]
@@ -467,30 +467,33 @@ def _is_jump_behind(sensor: Sensor, stretch: tuple[int, int]) -> bool:
     A motion that halts abruptly shows its speed. A rest is left by a jump beyond all speeds of the
     record, into a motion: where rows come slowly, a rig that settles makes jumps, too.
     """
-    before, after = _steps_beside(sensor, stretch)
+    before, after = _steps_beside(sensor.values, stretch)
     if len(before) < AROUND or len(after) < AROUND or sensor.is_gap[stretch[1] - 1]:
         return False
     usual = max(float(np.median(before)), float(np.median(after[1:])), sensor.step)
-    if _is_abrupt(sensor, stretch):
+    if is_abrupt(sensor.values, sensor.step, stretch):
         return bool(after[0] > JUMP * usual)
     goes_on = float(np.median(after[1:])) > ABRUPT_STEPS * sensor.step
     return goes_on and bool(after[0] > JUMP * max(usual, sensor.fastest))
 
 
-def _is_abrupt(sensor: Sensor, stretch: tuple[int, int]) -> bool:
-    """Tell whether a value is held and left at the speed of the motion around, if there is any."""
+def is_abrupt(values: Floats, step: float, stretch: tuple[int, int]) -> bool:
+    """Tell whether a value is held and left at the speed of the motion around, if there is any.
+
+    `step` is the converter's. Friction slows down what it holds; a sensor is cut off in motion.
+    """
     return all(
-        steps[0] > max(ABRUPT * float(np.median(steps)), ABRUPT_STEPS * sensor.step)
-        for steps in _steps_beside(sensor, stretch)
+        steps[0] > max(ABRUPT * float(np.median(steps)), ABRUPT_STEPS * step)
+        for steps in _steps_beside(values, stretch)
         if len(steps)
     )
 
 
-def _steps_beside(sensor: Sensor, stretch: tuple[int, int]) -> tuple[Floats, Floats]:
+def _steps_beside(values: Floats, stretch: tuple[int, int]) -> tuple[Floats, Floats]:
     """Return the sizes of the steps before and after a stretch, the nearest one first."""
     start, stop = stretch
-    before = np.abs(np.diff(sensor.values[max(start - AROUND, 0) : start + 1]))
-    return before[::-1], np.abs(np.diff(sensor.values[stop - 1 : stop + AROUND]))
+    before = np.abs(np.diff(values[max(start - AROUND, 0) : start + 1]))
+    return before[::-1], np.abs(np.diff(values[stop - 1 : stop + AROUND]))
 
 
 def _find_mover(others: Sequence[Sensor], stretches: Sequence[tuple[int, int]]) -> str | None:

@@ -55,6 +55,7 @@ def test_data_that_would_mislead_are_refused_with_the_reason():
     pressure, position, command = good["pressure_pa"], good["position_m"], good["valve_v"]
     assert "kPa" in spoilt(pressure_pa=pressure * 1e-3)
     assert "gauge" in spoilt(pressure_pa=pressure - 101.3e3)
+    assert "is its sign turned" in spoilt(pressure_pa=-pressure)
     assert "mm or counts" in spoilt(position_m=position * 1e3)
     assert "driver's offset" in spoilt(valve_v=command + 5.0)
     assert "clipped" in spoilt(pressure_pa=np.minimum(pressure, 350e3))

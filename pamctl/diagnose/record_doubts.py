@@ -212,7 +212,14 @@ def _falls_while(record: Record, there: Flags) -> bool:
 def _doubt_pressure_unit(record: Record, plant: PlantSettings) -> Iterator[Problem]:
     low, high = find_usual_ends(record["pressure_pa"])
     atmosphere, tank = plant.parameters.atmospheric_pressure_pa, plant.parameters.tank_pressure_pa
-    if high < 5e3:
+    if low < -1.1 * atmosphere:
+        yield Problem(
+            record.name,
+            "pressure_unit",
+            f"pressure_pa falls to {low:.4g} Pa, and no gauge shows less than a vacuum",
+            fix="is its sign turned, or its zero off?",
+        )
+    elif high < 5e3:
         yield Problem(
             record.name,
             "pressure_unit",
@@ -220,15 +227,11 @@ def _doubt_pressure_unit(record: Record, plant: PlantSettings) -> Iterator[Probl
             fix="is it in kPa or bar?",
         )
     elif low < 0.5 * atmosphere:
-        is_gauge = low > -1.1 * atmosphere
         yield Problem(
             record.name,
             "pressure_unit",
-            f"pressure_pa falls to {low:.4g} Pa, below "
-            + ("the atmosphere" if is_gauge else "a vacuum, as absolute and as gauge pressure"),
-            fix="is it gauge pressure? It must be absolute"
-            if is_gauge
-            else "is its sign turned, or its zero off?",
+            f"pressure_pa falls to {low:.4g} Pa, below the atmosphere",
+            fix="is it gauge pressure? It must be absolute",
         )
     elif high > 2.0 * tank and plant.actuator != "direct":
         yield Problem(

@@ -96,8 +96,8 @@ def diagnose(asked: DiagnoseOptions) -> None:
     out = asked.out
     _require_one_kind(asked)
     if out is not None:
-        _clear_refused(out)
-        require_empty_folder(out)
+        if asked.on_rig or not _holds_refused(out):
+            require_empty_folder(out)
     elif not asked.dry_run:
         raise typer.BadParameter("name a folder for the results", param_hint="--out")
     plant = asked.read_plant()
@@ -142,6 +142,8 @@ def diagnose(asked: DiagnoseOptions) -> None:
     names = [path.name for path in (*asked.logs, *asked.holdout)]
     end = ""
     with Saving() as saving:
+        for left in list(out.iterdir()) if _holds_refused(out) else ():
+            left.unlink()  # the same command was typed again, with what it lacked
         written = write_diagnosis(diagnosis, out, names, records, interactive=asked.interactive)
         end = f"\n\n{out}: {', '.join(written)}"
     said = report_diagnosis(diagnosis)
@@ -149,15 +151,14 @@ def diagnose(asked: DiagnoseOptions) -> None:
     raise typer.Exit(ExitCode.BAD_DATA if diagnosis.reason else code)
 
 
-def _clear_refused(out: Path) -> None:
-    """Remove what a run left that refused its data: the same command may be typed again."""
+def _holds_refused(out: Path) -> bool:
+    """Tell whether a folder holds no more than what a run left that refused its data."""
     document = out / "diagnosis.json"
     if not document.is_file() or {path.name for path in out.iterdir()} - REFUSED_FILES:
-        return
+        return False
     with suppress(OSError, ValueError, AttributeError):
-        if json.loads(document.read_text()).get("verdict") == "bad_data":
-            for path in list(out.iterdir()):
-                path.unlink()
+        return bool(json.loads(document.read_text()).get("verdict") == "bad_data")
+    return False
 
 
 _FOR_RIG = ("experiment", "runs", "minutes", "dry_run", "yes", "socket")

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from pamctl.diagnose.evidence.measured_motion import SMOOTH_S, find_rates
+from pamctl.diagnose.evidence.weigh import LOAD
 from pamctl.diagnose.record import Record
 from pamctl.plant.effects.description import ACTUATORS
 from pamctl.plant.model import PlantSettings, values_of
@@ -39,7 +40,6 @@ LEAST_SHARE = 0.01
 UNLIKE_SHARE = 0.5
 """Of the braid's friction: by so much a muscle differs from Eq. 5 before a guess says so."""
 MOST_SAMPLES = 20_000
-LOAD = "external_load.force_n"
 HARDLY_SEEN = f"hardly seen: {100 * LEAST_SHARE:g} % of the force"
 DRY = "coulomb_friction.force_n"
 BY_FORCES = "from the balance of forces over the motion"

@@ -224,7 +224,7 @@ class PlantSettings(Configured):
         tuple[str, ...],
         Field(
             description="numbers that are guesses, by their dotted names: `pamctl diagnose` looks "
-            "for them from half of their value, at least, to twice it"
+            "for them at least from half to twice their value"
         ),
     ] = ()
     noise: Annotated[

@@ -8,10 +8,12 @@ import pytest
 from scipy.integrate import solve_ivp
 from support.command_line import run_pamctl
 
+from pamctl.cli.diagnose import REFUSED_FILES
 from pamctl.diagnose import Diagnosis, Verdict
 from pamctl.diagnose.read_record import record_of
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
+from pamctl.exit_codes import ExitCode
 from pamctl.plant.model import PlantSettings
 from pamctl.report.html_page import write_html
 
@@ -154,3 +156,19 @@ def test_a_map_that_fits_one_file_of_a_call_names_the_way_for_the_others(table, 
     assert "there is no column 'Zeit_ms'" in done.stderr
     assert "--map is for all files of the call" in done.stderr
     assert "pamctl log import" in done.stderr
+
+
+def test_a_refused_diagnosis_may_be_typed_again_and_no_other_folder_is_written_into(tmp_path):
+    table, out = write_muscle(tmp_path / "rig.csv"), tmp_path / "found"
+    plant = tmp_path / "chamber.yaml"
+    plant.write_text("actuator: chamber\nchamber_volume_m3: 1e-3\n")
+    asked = ["diagnose", table, "--plant", plant, "--out", out]
+    for _ in range(2):
+        assert run_pamctl(*asked).returncode == ExitCode.BAD_DATA
+    assert {path.name for path in out.iterdir()} == REFUSED_FILES
+    (out / "mine.txt").write_text("mine")
+    assert "it exists and is not an empty folder" in run_pamctl(*asked).stderr
+    (out / "mine.txt").unlink()
+    document = out / "diagnosis.json"
+    document.write_text(document.read_text().replace("bad_data", "named"))
+    assert "it exists and is not an empty folder" in run_pamctl(*asked).stderr

@@ -38,19 +38,19 @@ def find_intervals(weigher: Weigher, m: WeighedModel) -> dict[str, tuple[float, 
     scores = np.einsum("icbk,cbk->bi", weighed, m.d)
     steps = (weighed[..., -1] * np.sqrt(block * least2)[:, None]).reshape(len(m.x), -1)
     wide = np.array([(n.high - n.low) / n.scale for n in m.numbers])
-    alike = find_law_share(weigher, m)
+    begins = np.arange(0, n_blocks, max(1, min(STRETCH, n_blocks // 4)))
+    worth = 1.0 + (len(begins) - 1) * find_law_share(weigher, m)
+    times = float(stdtrit(max(len(begins) - 1, 1), 0.95))
 
     def spread(free: NDArray[np.intp]) -> Array:
         """Return the half widths of these numbers, all others held, in scales."""
         hessian = by_block[:, free][:, :, free].sum(axis=0) + np.diag(12.0 / wide[free] ** 2)
         inverse = np.linalg.inv(hessian)
-        begins = np.arange(0, n_blocks, max(1, min(STRETCH, n_blocks // 4)))
         pieces = np.add.reduceat(by_block[:, free][:, :, free], begins, axis=0)
         pulls = np.add.reduceat(scores[:, free], begins, axis=0)
         moves = np.linalg.solve(hessian - (1.0 - LEAST_LEFT) * pieces, pulls[..., None])
-        variance = (1.0 + (len(begins) - 1) * alike) * (moves[..., 0] ** 2).sum(axis=0)
+        variance = worth * (moves[..., 0] ** 2).sum(axis=0)
         variance += ((inverse @ steps[free]) ** 2).sum(axis=1)
-        times = float(stdtrit(max(len(begins) - 1, 1), 0.95))
         return np.asarray(times * np.sqrt(np.maximum(variance, np.diag(inverse))))
 
     off = spread(np.arange(len(m.x)))
@@ -86,9 +86,7 @@ def _list_curves(
             continue
         knots = np.array([places[u.name] for u in variant.sizes])
         inside = products[np.ix_(knots, knots)] + np.diag(1e-9 * products.diagonal()[knots])
-        free = []
-        for i, norm in enumerate(products.diagonal()):
-            made = products[i, knots] @ np.linalg.solve(inside, products[knots, i])
-            if i in named or norm - made > MADE_UP * norm:
-                free.append(i)
-        yield knots, np.array(free)
+        made = np.einsum("ik,ki->i", products[:, knots], np.linalg.solve(inside, products[knots]))
+        is_free = products.diagonal() - made > MADE_UP * products.diagonal()
+        is_free[named] = True
+        yield knots, np.flatnonzero(is_free)

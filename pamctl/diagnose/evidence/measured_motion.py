@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pamctl.diagnose.evidence.constants import REST_SHARE
 from pamctl.diagnose.evidence.sample_masks import find_resolution
+from pamctl.diagnose.record import estimate_white_noise
 from pamctl.plant.sample_grid import accumulate_times
 
 Array = NDArray[np.float64]
@@ -22,8 +23,6 @@ START_ORDER = 4
 """Of the polynomials that find the state where a window begins."""
 SPEED_S = 0.3
 """Over which the speed of an imposed motion is measured."""
-USUAL_OF_NORMAL = 0.6745
-"""The median of the size of normal noise, over its standard deviation."""
 SPRING_SHARE = 0.2
 """Of the force's span that a spring takes which makes a mechanism forget."""
 INERTIA_SHOWS = 1.02
@@ -98,8 +97,7 @@ def find_starts(position_m: Array, period_s: float, samples_s: Array) -> dict[st
 
     even_s = np.arange(0.0, samples_s[-1] + period_s, period_s)
     even_m = np.interp(even_s, samples_s, position_m)
-    rough_m = float(np.median(np.abs(np.diff(even_m, 4)))) / USUAL_OF_NORMAL  # a jump is no noise
-    noise_m = max(rough_m / sqrt(70.0), find_resolution(position_m) / sqrt(12.0))
+    noise_m = max(estimate_white_noise(even_m), find_resolution(position_m) / sqrt(12.0))
     widest = min(round(SMOOTH_S / period_s) | 1, (len(even_m) - 1) | 1)
     widths = [w for w in (7, 9, 13, 19, 27, 37, 51, 71, 101, 141, 201) if w < widest] + [widest]
     narrower = list[tuple[Array, float]]()

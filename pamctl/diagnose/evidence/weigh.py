@@ -319,7 +319,7 @@ def list_calibrated(
             low, high = max(low, p.low), min(high, p.high)
         found.append(Unknown(name, values[name], low, high, most / 500.0))
     loaded = plant.actuator in ("direct", "cylinder") and not runs.imposed
-    if loaded and LOAD not in values and "external_load" not in plant.known:
+    if loaded and LOAD not in values and LOAD not in plant.known:
         force = scales_of(runs, plant).force_n
         found.append(Unknown(LOAD, 0.0, -10.0 * force, 10.0 * force, 0.1 * force))
     if "force_n" in runs.stretches[0].inputs and not runs.imposed:

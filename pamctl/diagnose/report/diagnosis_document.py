@@ -31,7 +31,7 @@ from pamctl.diagnose.report.next_experiment import (
     spell_next,
 )
 from pamctl.diagnose.report.verdict_phrases import (
-    describe_noise,
+    describe_data,
     relative_shift,
     spell_end,
     spell_gap,
@@ -176,7 +176,7 @@ def report_diagnosis(diagnosis: Diagnosis) -> Report:
     accepted = [
         f"accepted ({a.rule}): {a.reason}: {'; '.join(a.doubts)}" for a in diagnosis.accepted
     ]
-    notes = [*masked, *describe_noise(diagnosis), *accepted]
+    notes = [*masked, *describe_data(diagnosis), *accepted]
     if notes:
         report.add(Section("about the data"), Points(notes))
     experiment, own = choose_next_experiment(diagnosis), advise_own_plant(diagnosis)

@@ -40,7 +40,7 @@ from pamctl.diagnose.report.next_experiment import (
 )
 from pamctl.diagnose.report.traces_part import ModelStage, list_stages, write_traces
 from pamctl.diagnose.report.verdict_phrases import (
-    describe_noise,
+    describe_data,
     explain_no_name,
     relative_shift,
     spell_end,
@@ -355,7 +355,7 @@ def write_compared_runs(page: Report, diagnosis: Diagnosis, records: Sequence[Re
             "does not begin at rest.",
         )
     )
-    faults = describe_noise(diagnosis)
+    faults = describe_data(diagnosis)
     if faults:
         page.add(Points([*faults]))
 

@@ -221,7 +221,7 @@ def list_shifts(diagnosis: Diagnosis) -> str:
     return listed or f"no number by more than {100.0 * LEAST_SHIFT:.1f} %"
 
 
-def describe_noise(diagnosis: Diagnosis) -> list[str]:
+def describe_data(diagnosis: Diagnosis) -> list[str]:
     """Say which channels have faults, a line each, and whether the force moves the axis at all."""
     faults = [fault.says for about in diagnosis.noise.values() for fault in about.faults]
     evidence = diagnosis.evidence

@@ -76,16 +76,12 @@ class LoopOptions(RigOptions):
 
     def resolve(self) -> ResolvedOptions:
         """Return the settings; raise `ConfigError`."""
-        return self.resolve_with(self.overrides)
-
-    def resolve_with(self, overrides: Sequence[str]) -> ResolvedOptions:
-        """Return the settings with other changes than those of `--set`; raise `ConfigError`."""
         given = vars(self)
         # A flag that was not given leaves what the files say.
         options = {
             name: given[name] for name in _OF_RUN if name in given and given[name] is not False
         }
-        return resolve_options(self.backend, self.rig, overrides, **options)
+        return resolve_options(self.backend, self.rig, self.overrides, **options)
 
 
 class SettingsOptions(LoopOptions):

@@ -106,11 +106,6 @@ _ALL: Mapping[str, Verb] = {
          "--law pid --plant plant.yaml --ensemble 40 --out robust.yaml"],
         "compiling and drawing plants", "Tune", "tune:tune", _FILES,
         "Search gains by simulation, or score given ones; Ctrl-C keeps the best so far."),
-    "sweep": Verb(
-        ["--fast --set controller.lambda_per_s=20,40,80 --repeat 3"],
-        "", "Tune", "tune:sweep", _RIG,
-        "Run every combination of some settings, repeated; write a table and a page beside the "
-        "logs."),
     "safe": Verb(
         ["--rig rig.yaml"], "", "Rig", "rig_verbs:safe", _CHECKS_RIG,
         "Drive the rig to its safe voltage, in any situation."),

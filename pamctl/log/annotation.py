@@ -18,8 +18,6 @@ from pamctl.plain_text import LONGEST_NAME, LONGEST_NOTE, MOST_TAGS, clean_text
 
 ANNOTATION = "annotation"
 """Name of the metadata record."""
-SWEEP = "sweep"
-"""Name of the metadata record that places a run in a sweep."""
 
 _TAG = re.compile(r"[\w][\w.:+@-]{0,63}")
 
@@ -102,14 +100,11 @@ def check_tag(tag: str) -> str:
     return clean
 
 
-def annotate_meta(
-    meta: RunMeta, said: Annotation, records: Mapping[str, Mapping[str, str]] | None = None
-) -> RunMeta:
-    """Return the description of a run with what is said of it, and further metadata records."""
-    metadata = {**meta.metadata, **(records or {})}
-    if said != NOTHING_SAID:
-        metadata[ANNOTATION] = said.to_metadata()
-    return replace(meta, metadata=metadata)
+def annotate_meta(meta: RunMeta, said: Annotation) -> RunMeta:
+    """Return the description of a run with what is said of it."""
+    if said == NOTHING_SAID:
+        return meta
+    return replace(meta, metadata={**meta.metadata, ANNOTATION: said.to_metadata()})
 
 
 def date_record(values: Mapping[str, str]) -> dict[str, str]:

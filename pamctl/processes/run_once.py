@@ -73,12 +73,11 @@ def run_once(
     quiet: bool,
     shows_progress: bool,
     said: Annotation = NOTHING_SAID,
-    records: Mapping[str, Mapping[str, str]] | None = None,
 ) -> FinishedRun:
     """Run once; `names` are those of the configuration files, by section.
 
-    What is `said` of the run goes into its log, and so do further metadata `records` by name.
-    Standard error gets a line of progress, and what is worth a note unless `quiet`.
+    What is `said` of the run goes into its log. Standard error gets a line of progress, and what is
+    worth a note unless `quiet`.
 
     Raises `LogPathError`, and `RigError` or `RingError` where the device cannot be had.
     """
@@ -87,7 +86,7 @@ def run_once(
     require_backend(settings.rig)
     build_machine_code(settings, quiet=quiet)
     path = choose_log_path(log, names["controller"], names["experiment"])
-    meta = annotate_meta(make_run_meta(settings, names, path), said, records)
+    meta = annotate_meta(make_run_meta(settings, names, path), said)
     length_s = plan_experiment(settings.experiment).duration_s
     length_s = min(length_s, settings.duration_s or length_s)
     progress = ProgressLine(quiet=not shows_progress, length_s=length_s)

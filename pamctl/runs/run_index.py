@@ -29,10 +29,10 @@ from pamctl.log.edit import read_annotation, write_annotation
 from pamctl.new_file import NewFileError, describe_irregular_file, write_files
 from pamctl.plain_text import hint_at_nearest
 from pamctl.report.report import Report, ReportTable
-from pamctl.runs.run_row import ENDING_WORDS, RunRow, find_varying_keys, read_row, read_value
+from pamctl.runs.run_row import ENDING_WORDS, RunRow, find_varying_keys, read_row
 
 INDEX_NAME = ".pamctl-runs.jsonl"
-_FORMAT = 3
+_FORMAT = 4
 """Counts up when rows change: rows of another format are made again."""
 _BATCH = 200
 """Rows that are written together: what was read is kept if the reading is interrupted."""
@@ -220,7 +220,7 @@ def select_runs(index: RunIndex, wanted: RunFilter) -> list[RunRow]:
     keys = [one.key for one in conditions if one.key not in (*_NUMBERS, *_TEXTS)]
     rows = index.select()
     for one in conditions:
-        if one.key in keys and all(read_value(row, one.key) is None for row in rows):
+        if one.key in keys and not any(one.key in row.gains for row in rows):
             known = {name for row in rows for name in row.gains}
             hint = hint_at_nearest(one.key, [*sorted(known), *_NUMBERS, *_TEXTS])
             raise FilterError(f"--where {one.text!r}: no run has {one.key}{hint}")
@@ -248,7 +248,7 @@ class _Condition(NamedTuple):
             pattern = str(self.asked).lower().replace("[", "[[]")
             is_alike = fnmatchcase(getattr(row, self.key).lower(), pattern)
             return is_alike == (self.operator != "!=")
-        value = getattr(row, self.key) if self.key in _NUMBERS else read_value(row, self.key)
+        value = getattr(row, self.key) if self.key in _NUMBERS else row.gains.get(self.key)
         if value is None:
             return False
         if isinstance(value, str) != isinstance(self.asked, str):
@@ -308,14 +308,14 @@ def _make_cells(row: RunRow) -> list[str]:
 
 def format_csv(rows: Sequence[RunRow]) -> str:
     """Return every column, and a column for each setting that differs between the runs."""
-    varying = find_varying_keys(rows, numbers_only=False)
-    plain = [one.name for one in fields(RunRow) if one.name not in ("gains", "sweep")]
+    varying = find_varying_keys(rows)
+    plain = [one.name for one in fields(RunRow) if one.name != "gains"]
     text = StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(["start", *plain, "sweep", *varying])
+    table.writerow(["start", *plain, *varying])
     for row in rows:
         start = datetime.fromtimestamp(row.when_s, UTC).isoformat(timespec="milliseconds")
         values = (" ".join(row.tags) if name == "tags" else getattr(row, name) for name in plain)
-        settings = (read_value(row, key) for key in varying)
-        table.writerow([start, *values, row.sweep.get("name", ""), *settings])
+        settings = (row.gains.get(key) for key in varying)
+        table.writerow([start, *values, *settings])
     return text.getvalue().rstrip("\n")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -16,7 +15,7 @@ import numpy as np
 
 from pamctl.exit_codes import EMERGENCY_STOP, ExitCode
 from pamctl.json_text import flatten_keys
-from pamctl.log.annotation import ANNOTATION, SWEEP, Annotation
+from pamctl.log.annotation import ANNOTATION, Annotation
 from pamctl.log.framing import LogError
 from pamctl.log.reader import Scan
 from pamctl.log.run_meta import bare_name
@@ -89,13 +88,8 @@ class RunRow:
     sample: str = ""
     marks: str = ""
     """The remarks of the run, one behind the other."""
-    sweep: Mapping[str, Any] = field(default_factory=dict)
-    """Place in a sweep: `name`, `point`, `repeat`; empty for others."""
     gains: Mapping[str, Any] = field(default_factory=dict)
     """Settings of controller and experiment, and the seed, by dotted key."""
-
-
-METRICS = {"max_um": "largest error", "rms_um": "RMS error", "steady_um": "steady-state error"}
 
 
 def read_row(path: Path) -> RunRow:
@@ -137,7 +131,6 @@ def _describe_run(bare: RunRow, scan: Scan) -> RunRow:
         operator=annotation.operator,
         sample=annotation.sample,
         marks="; ".join(marks[:_MOST_MARKS]),
-        sweep=_read_sweep(scan.metadata.get(SWEEP, {})),
         gains=_collect_gains(config),
     )
 
@@ -194,14 +187,6 @@ def _date_file(path: Path, mtime_s: float) -> float:
     return mtime_s
 
 
-def _read_sweep(values: Mapping[str, str]) -> dict[str, Any]:
-    with suppress(ValueError, KeyError, TypeError, AttributeError):
-        point = {str(k): v for k, v in json.loads(values["point"]).items()}
-        place = {"point": point, "repeat": int(values["repeat"])}
-        return {"name": clean_text(values["name"]), "base": values.get("base", ""), **place}
-    return {}
-
-
 def _collect_gains(config: Mapping[str, Any]) -> dict[str, Any]:
     kept = {name: config[name] for name in ("controller", "experiment", "seed") if name in config}
     return {
@@ -211,30 +196,10 @@ def _collect_gains(config: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-SettingValue = str | int | float | bool | None
-
-
-def read_value(row: RunRow, key: str) -> SettingValue:
-    """Return a setting of a run by its dotted key; None if the run does not have it."""
-    value: SettingValue = row.sweep.get("point", {}).get(key, row.gains.get(key))
-    return value
-
-
-def find_varying_keys(rows: Sequence[RunRow], *, numbers_only: bool = True) -> list[str]:
-    """Return the keys whose values differ: those of sweeps first, then in the order of the file.
+def find_varying_keys(rows: Sequence[RunRow]) -> list[str]:
+    """Return the settings whose values differ, in the order of the file.
 
     The seed is left out: it differs between repeats.
     """
-    swept = dict.fromkeys(key for row in rows for key in row.sweep.get("point", {}))
-    keys = [*swept, *dict.fromkeys(k for row in rows for k in row.gains if k not in swept)]
-    values = {key: {read_value(row, key) for row in rows} - {None} for key in keys if key != "seed"}
-    return [
-        key
-        for key, found in values.items()
-        if len(found) > 1 and (not numbers_only or all(map(is_number, found)))
-    ]
-
-
-def is_number(value: SettingValue) -> bool:
-    """Tell whether a value has a place on an axis."""
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    keys = dict.fromkeys(key for row in rows for key in row.gains if key != "seed")
+    return [key for key in keys if len({row.gains.get(key) for row in rows} - {None}) > 1]

@@ -1,9 +1,8 @@
-"""Many runs of one rig: asked for from Python, by a sweep, or by the diagnosis itself.
+"""Many runs of one rig: asked for from Python, or by the diagnosis itself.
 
 `import pamctl` offers the public names, `pamctl.connect()` and `pamctl.simulate()` first, and loads
 them when they are first used: steered_rig, daemon_rig, simulated_rig, run.
 
-    sweep       every combination of some settings, repeated: run_sweep, sweep_result
     on the rig  `pamctl diagnose --on-rig`: run, diagnose, run the program that decides, until one
                 explanation is left or nothing separates the rest: rig_plan, decide_on_rig
 

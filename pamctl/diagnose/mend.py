@@ -1,6 +1,7 @@
 """What sensors and software added to a record: taken off, or left out; and what is known of it.
 
-Stamps that scatter give way to the regular grid. Spikes and dropouts are bridged and do not count.
+Stamps that scatter give way to the regular grid. Spikes, dropouts and missing cells are bridged and
+do not count.
 Mains hum is taken off. The zeros that homing gave the pressure sensor are aligned.
 """
 
@@ -14,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
+from scipy.ndimage import binary_opening, median_filter
 
 from pamctl.diagnose.record import CHANNELS, REST_V, SENSORS, Array, FaultKind, Record, SensorFault
 from pamctl.log.record_problems import find_sensor_step
@@ -27,7 +28,12 @@ def mend_records(records: Sequence[Record]) -> tuple[list[Record], list[SensorFa
 
     A record that cannot be used at all is returned as it is: the checks of the data refuse it.
     """
-    mended, faults = [*records], list[SensorFault]()
+    mended, faults = list[Record](), list[SensorFault]()
+    for record in records:
+        whole, missing = fill_missing(record)
+        mended.append(whole)
+        faults += missing
+    records = [*mended]
     usable = [k for k, record in enumerate(records) if _is_usable(record)]
     grids = find_regular_times([records[k] for k in usable])
     for k, times in zip(usable, grids, strict=True):
@@ -43,6 +49,31 @@ def mend_records(records: Sequence[Record]) -> tuple[list[Record], list[SensorFa
     return mended, faults
 
 
+def fill_missing(record: Record) -> tuple[Record, list[SensorFault]]:
+    """Return a record whose missing cells are bridged and do not count, and what was missing.
+
+    Where the command or the force is missing for long nothing is known of what acted: these rows
+    go, and time has a gap there. A record that lacks much of a channel is returned as it is.
+    """
+    missing = {c: ~np.isfinite(record[c]) for c in record.channels}
+    missing = {c: gone for c, gone in missing.items() if gone.any()}
+    if not missing or any(gone.mean() > GONE for gone in missing.values()):
+        return record, []
+    faults, filled, kept = [], dict[str, Any](), np.ones(len(record), np.bool_)
+    for channel, gone in missing.items():
+        says = f"{record.name}: {channel} is missing in {int(gone.sum())} samples, the first at "
+        says += f"{record.t_s[int(np.argmax(gone))]:.6g} s; they do not count"
+        faults.append(SensorFault(channel, "dropouts", says))
+        filled[channel] = bridge(record[channel], gone)
+        if channel in ("valve_v", "force_n"):
+            kept &= ~binary_opening(gone, np.ones(LONGEST_DROPOUT + 1))
+        if channel == "valve_v":  # a card holds it
+            last = np.maximum.accumulate(np.where(gone, 0, np.arange(len(gone))))
+            filled[channel] = np.where(gone[last], filled[channel], record[channel][last])
+    counts = ~np.any([*missing.values()], axis=0)
+    return replace(record, **filled, counts=counts).keep_rows(kept), faults
+
+
 def _is_usable(record: Record) -> bool:
     usable = len(record) >= 100 and bool(np.all(record.step_s > 0.0))
     return usable and all(np.isfinite(record[c]).all() for c in record.channels)
@@ -51,7 +82,7 @@ def _is_usable(record: Record) -> bool:
 def _mend_channels(record: Record) -> tuple[Record, list[SensorFault]]:
     """Bridge outliers and dropouts, and take off hum."""
     faults: list[SensorFault] = []
-    counts = np.ones(len(record), np.bool_)
+    counts = np.ones(len(record), np.bool_) if record.counts is None else record.counts.copy()
     mended: dict[str, Any] = {}
     for channel in (c for c in record.channels if c in SENSORS):
         spikes, dropouts = find_outliers(record, channel)
@@ -161,6 +192,8 @@ def _leave(values: Array, t_s: Array) -> Array:
 
 # --- spikes and dropouts -------------------------------------------------------------------------
 
+GONE = 0.1
+"""Share of a channel's cells that may be missing."""
 LONGEST_DROPOUT = 20
 """Samples that a dropout may last; a longer one is not mended here."""
 MOST = 0.02

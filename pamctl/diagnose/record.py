@@ -55,7 +55,7 @@ class Record:
     is_imported: bool = field(default=False, compare=False)
     """Whether another system measured it: this one cannot be asked to run an experiment."""
     counts: NDArray[np.bool_] | None = None
-    """False where a sample is an outlier or a dropout, shape (n,); None if all samples count."""
+    """False where a sample is an outlier, a dropout or missing, shape (n,); None if all count."""
     stated_noise: Mapping[str, float] = field(default_factory=dict)
     """Standard deviation of a reading by channel, in SI, where the user states it."""
     atmosphere_pa: float | None = field(default=None, compare=False)
@@ -123,13 +123,20 @@ class Record:
 
     def cut_samples(self, start: int, stop: int, name: str) -> Record:
         """Return the samples [start, stop) as a record of their own."""
-        arrays = ("t_s", *self.channels, "reference_m", "acts_after_s", "counts")
-        cut: dict[str, Any] = {
-            c: getattr(self, c)[start:stop] for c in arrays if getattr(self, c) is not None
-        }
         before = start and self.valve_v is not None
         held_v = float(self["valve_v"][start - 1]) if before else self.held_v
-        return replace(self, name=name, held_v=held_v, **cut)
+        return replace(self._take(slice(start, stop)), name=name, held_v=held_v)
+
+    def keep_rows(self, kept: NDArray[np.bool_]) -> Record:
+        """Return the record with the samples that are `kept`, shape (n,)."""
+        return self if kept.all() else self._take(kept)
+
+    def _take(self, rows: slice | NDArray[np.bool_]) -> Record:
+        arrays = ("t_s", *self.channels, "reference_m", "acts_after_s", "counts")
+        taken: dict[str, Any] = {
+            c: getattr(self, c)[rows] for c in arrays if getattr(self, c) is not None
+        }
+        return replace(self, **taken)
 
 
 def estimate_white_noise(values: Array) -> float:

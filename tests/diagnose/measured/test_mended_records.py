@@ -52,6 +52,34 @@ def test_spikes_and_dropouts_do_not_count(channel):
     assert np.abs(mended[channel] - record[channel]).max() < 0.05 * np.ptp(record[channel])
 
 
+def test_missing_cells_do_not_count_and_a_command_holds_over_them():
+    record = measured("fit", 7)
+    pressure_pa, valve_v = record["pressure_pa"].copy(), record["valve_v"].copy()
+    pressure_pa[[700, 701, 1500]], valve_v[2500] = np.nan, np.nan
+    valve_v[3000:3050] = np.nan
+    (mended,), faults = mend_records([replace(record, pressure_pa=pressure_pa, valve_v=valve_v)])
+    assert [f.channel for f in faults] == ["valve_v", "pressure_pa"]
+    assert "3 samples, the first at 0.7 s" in faults[1].says
+    assert mended.counts is not None
+    assert [*np.flatnonzero(~mended.counts)] == [700, 701, 1500, 2500]
+    assert mended["valve_v"][2500] == record["valve_v"][2499]
+    assert np.array_equal(mended.t_s, np.delete(record.t_s, np.s_[3000:3050]))
+    whole = np.delete(record["pressure_pa"], np.s_[3000:3050])
+    assert np.abs(mended["pressure_pa"] - whole).max() < 0.01 * np.ptp(whole)
+    found = diagnose([mended], [], PlantSettings(), without=ask_only("stribeck"))
+    assert found.evidence is not None
+    assert found.evidence.findings == ()
+    assert found.evidence.gap["extended"]["position_m"] < 1e-6
+
+
+def test_a_channel_that_is_mostly_missing_is_left_to_the_refusal():
+    record = measured("fit", 7)
+    gone = np.where(np.arange(len(record)) % 5 == 0, np.nan, record["pressure_pa"])
+    (same,), faults = mend_records([replace(record, pressure_pa=gone)])
+    assert faults == []
+    assert np.isnan(same["pressure_pa"]).any()
+
+
 def test_dropouts_close_together_and_beside_a_jump_of_the_command_do_not_count():
     record = measured("fit", 7)
     assert record.valve_v is not None

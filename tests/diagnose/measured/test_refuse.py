@@ -68,8 +68,8 @@ def test_data_that_would_mislead_are_refused_with_the_reason():
         position_m=np.concatenate([np.zeros(110), position[:-110]])
     )
     broken = position.copy()
-    broken[77] = np.nan
-    assert "row 77" in spoilt(position_m=broken)
+    broken[77::5] = np.nan
+    assert "the first is row 77" in spoilt(position_m=broken)
 
 
 def test_the_longest_lags_of_the_catalogue_are_not_taken_for_a_shifted_column():

@@ -12,7 +12,6 @@ loaded when they are first used: no verb of the shell waits for them.
 
 __version__ = "0.1.0"
 
-_MODULES = ("gym",)
 _HOMES = {
     name: home
     for home, names in {
@@ -29,7 +28,7 @@ _HOMES = {
     for name in names.split()
 }
 """The module of `pamctl.session` that each public name comes from; `__init__.pyi` has them too."""
-__all__ = sorted((*_HOMES, *_MODULES))
+__all__ = sorted((*_HOMES, "gym"))
 
 
 def __getattr__(name: str) -> object:
@@ -39,8 +38,8 @@ def __getattr__(name: str) -> object:
     if name == "aio":
         fix = "await asyncio.to_thread(rig.run, ...), and so each method of a rig"
         raise AttributeError(f"pamctl.aio is gone; {fix}")
-    if name in _MODULES:
-        return import_module(f"pamctl.{name}")
+    if name == "gym":
+        return import_module("pamctl.session.gym")
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"pamctl.session.{_HOMES[name]}"), name)

@@ -2,7 +2,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
-from pamctl import gym as gym
+from pamctl.session import gym as gym
 from pamctl.session.daemon_rig import DaemonRig as DaemonRig
 from pamctl.session.daemon_rig import connect as connect
 from pamctl.session.experiment_form import ExperimentForm as ExperimentForm

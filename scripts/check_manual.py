@@ -36,7 +36,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
-from pamctl.exit_codes import ExitCode  # noqa: E402
+from pamctl.base.errors import ExitCode  # noqa: E402
 from pamctl.manual import list_pages  # noqa: E402
 
 _FENCE = re.compile(

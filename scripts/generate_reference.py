@@ -29,7 +29,8 @@ from measured_table import format_table, replace_between
 import pamctl
 from hal import rig
 from hal.calibration import Configured
-from pamctl import exit_codes, safety, signals
+from pamctl import safety, signals
+from pamctl.base import errors
 from pamctl.cli.app import app
 from pamctl.control.forms import Drawn
 from pamctl.log import schema as log_schema
@@ -275,10 +276,8 @@ def write_log_schema() -> dict[str, str]:
 
 def write_exit_codes() -> str:
     """Return the table of exit codes."""
-    meanings = read_attribute_docs(exit_codes)["ExitCode"]
-    rows = [
-        [str(code.value), f"`{code.name}`", meanings[code.name]] for code in exit_codes.ExitCode
-    ]
+    meanings = read_attribute_docs(errors)["ExitCode"]
+    rows = [[str(code.value), f"`{code.name}`", meanings[code.name]] for code in errors.ExitCode]
     return format_table(["code", "name", "meaning"], rows)
 
 
@@ -367,7 +366,7 @@ def write_stub() -> str:
         "from collections.abc import Mapping, Sequence",
         "from typing import Any, Literal",
         "",
-        *(f"from pamctl import {name} as {name}" for name in pamctl._MODULES),
+        "from pamctl.session import gym as gym",
     ]
     forms = {form.__name__: form for form in FORMS.values()}
     for name, home in sorted(pamctl._HOMES.items(), key=lambda item: (item[1], item[0])):
@@ -448,7 +447,7 @@ def main() -> int:
                 path.write_text(text, encoding="utf-8")
     for name in differ:
         print(f"{name}: {'differs from the code' if check else 'written'}")
-    return exit_codes.ExitCode.CHECK_FAILED if check and differ else exit_codes.ExitCode.OK
+    return errors.ExitCode.CHECK_FAILED if check and differ else errors.ExitCode.OK
 
 
 if __name__ == "__main__":

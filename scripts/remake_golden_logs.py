@@ -20,7 +20,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from pamctl.exit_codes import ExitCode
+from pamctl.base.errors import ExitCode
 from pamctl.log import read
 from pamctl.offline.tick_replay import replay_log
 from pamctl.processes.backends import SHARED_MEMORY

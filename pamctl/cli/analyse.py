@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from pamctl.base.errors import ExitCode
+from pamctl.base.new_file import require_empty_folder, require_folder, require_place, write_files
+from pamctl.base.texts import to_json
 from pamctl.cli.options import (
     CONTROLLER_FROM,
     INTERACTIVE,
@@ -31,9 +34,6 @@ from pamctl.cli.output import (
     tell,
     warn,
 )
-from pamctl.exit_codes import ExitCode
-from pamctl.json_text import to_json
-from pamctl.new_file import require_empty_folder, require_folder, require_place, write_files
 
 if TYPE_CHECKING:
     from pamctl.log import Log
@@ -251,13 +251,13 @@ def health(asked: HealthOptions) -> None:
     """
     require_empty_folder(asked.out)
     plant = asked.read_plant()
+    from pamctl.base.worker_processes import start_workers
     from pamctl.diagnose.refuse import read_acceptances
     from pamctl.report.html_page import write_html
     from pamctl.runs.run_index import RunIndex
     from pamctl.runs.run_row import UNREADABLE
     from pamctl.watch.follow_health import Stated, follow_health
     from pamctl.watch.health_words import format_good_plant, report_health
-    from pamctl.worker_processes import start_workers
 
     stated = Stated(read_acceptances(asked.accept), asked.read_noise())
     folder = asked.folder

@@ -14,6 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from pamctl.base.errors import ExitCode, end_on_signals, name_interrupt
+from pamctl.base.new_file import require_empty_folder
+from pamctl.base.texts import hint_at_nearest
 from pamctl.cli.failure import Failed, print_error
 from pamctl.cli.options import (
     INTERACTIVE,
@@ -31,9 +34,6 @@ from pamctl.cli.options import (
 )
 from pamctl.cli.output import Saving, print_report, print_result, read_records, tell
 from pamctl.cli.settings_from_options import find_argument_file
-from pamctl.exit_codes import ExitCode, end_on_signals, name_interrupt
-from pamctl.new_file import require_empty_folder
-from pamctl.plain_text import hint_at_nearest
 
 if TYPE_CHECKING:
     from pamctl.diagnose import Record

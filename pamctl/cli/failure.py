@@ -19,10 +19,9 @@ from typing import Any, Protocol, runtime_checkable
 import typer
 from typer.core import TyperGroup
 
+from pamctl.base.errors import ConfigError, ExitCode
+from pamctl.base.texts import PlainStream, clean_lines
 from pamctl.cli.verbs import EXAMPLES, SLOW_VERBS, write_epilog
-from pamctl.errors import ConfigError
-from pamctl.exit_codes import ExitCode
-from pamctl.plain_text import PlainStream, clean_lines
 from pamctl.report.progress_line import WorkProgress
 from pamctl.session.pamctl_error import explain_error
 

@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hal.backend import find_backends
+from pamctl.base.errors import ConfigError, ExitCode, Problem
+from pamctl.base.new_file import require_place, write_files
+from pamctl.base.texts import hint_at_nearest
 from pamctl.cli.failure import Failed
 from pamctl.cli.options import MAP, Options, argument, flag, option, verb
 from pamctl.cli.output import print_result, print_run_settings, read_records, tell
 from pamctl.cli.settings_from_options import SettingsOptions, find_argument_file
-from pamctl.errors import ConfigError, Problem
-from pamctl.exit_codes import ExitCode
-from pamctl.new_file import require_place, write_files
-from pamctl.plain_text import hint_at_nearest
 from pamctl.settings.config_files import config_dir, read_tables
 from pamctl.settings.resolve import (
     SECTIONS,

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from pamctl.base.errors import ConfigError, ExitCode, Problem
+from pamctl.base.texts import escape_name
 from pamctl.cli.failure import print_error
 from pamctl.cli.options import MAP, Options, argument, flag, option, verb
 from pamctl.cli.output import print_report, print_result, read_map
-from pamctl.errors import ConfigError, Problem
-from pamctl.exit_codes import ExitCode
-from pamctl.plain_text import escape_name
 
 if TYPE_CHECKING:
     from pamctl.log.importing.pipeline import ImportedColumn, ImportSummary

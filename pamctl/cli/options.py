@@ -23,8 +23,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_type
 
 import typer
 
+from pamctl.base.errors import ExitCode
 from pamctl.cli.failure import Failed
-from pamctl.exit_codes import ExitCode
 from pamctl.settings.config_files import DEFAULT_NAMES
 
 if TYPE_CHECKING:

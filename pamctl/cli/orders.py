@@ -21,6 +21,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pamctl.base.errors import ExitCode
+from pamctl.base.texts import LONGEST_REMARK, clean_text
 from pamctl.cli.failure import Failed
 from pamctl.cli.options import (
     NO_CHANGES,
@@ -36,8 +38,6 @@ from pamctl.cli.options import (
 )
 from pamctl.cli.output import print_result
 from pamctl.cli.verbs import VERBS
-from pamctl.exit_codes import ExitCode
-from pamctl.plain_text import LONGEST_REMARK, clean_text
 
 if TYPE_CHECKING:
     from pamctl.daemon.protocol import Order

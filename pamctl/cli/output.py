@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from pamctl.base.new_file import NewFileError
+from pamctl.base.texts import escape_name, to_json
 from pamctl.cli.failure import Failed
-from pamctl.json_text import to_json
-from pamctl.new_file import NewFileError
-from pamctl.plain_text import escape_name
 
 if TYPE_CHECKING:
     from pamctl.diagnose.record import Record

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from hal.problem import Problem, worst_level
+from pamctl.base.errors import ConfigError, ExitCode
 from pamctl.cli.failure import Failed, print_error
 from pamctl.cli.options import (
     MAY_MOVE,
@@ -29,8 +30,6 @@ from pamctl.cli.settings_from_options import (
     read_file_gains,
     resolve_options,
 )
-from pamctl.errors import ConfigError
-from pamctl.exit_codes import ExitCode
 
 if TYPE_CHECKING:  # no other verb waits for these
     from collections.abc import Callable, Sequence

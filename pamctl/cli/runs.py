@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from pamctl.base.texts import escape_name
 from pamctl.cli.options import LOGS, Options, argument, flag, option, verb
 from pamctl.cli.output import print_json, print_report
-from pamctl.plain_text import escape_name
 
 if TYPE_CHECKING:
     from pamctl.log.annotation import Annotation

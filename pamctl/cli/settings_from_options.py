@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import typer
 
 from hal.entry_points import find_rig_points
+from pamctl.base.errors import ConfigError, Problem
 from pamctl.cli.options import CONTROLLER, CONTROLLER_FROM, NO_CHANGES, PLANT, Options, flag, option
 from pamctl.cli.output import tell
-from pamctl.errors import ConfigError, Problem
 from pamctl.log.run_meta import CHANGES, describe_changes
 from pamctl.settings.config_files import (
     DEFAULT_NAMES,

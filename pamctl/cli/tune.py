@@ -8,6 +8,7 @@ from pathlib import Path
 
 import typer
 
+from pamctl.base.errors import ExitCode
 from pamctl.cli.options import (
     CLUSTER,
     CONTROLLER_FROM,
@@ -20,7 +21,6 @@ from pamctl.cli.options import (
 )
 from pamctl.cli.output import print_report
 from pamctl.cli.settings_from_options import resolve_options
-from pamctl.exit_codes import ExitCode
 
 
 class TuneOptions(Options):

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 from hal.calibration import Zero, calibration, output_v, pressure_pa, valve_v
 from hal.rig import RawSample, Rig, open_rig
-from pamctl.exit_codes import ExitCode
+from pamctl.base.errors import ExitCode
 from pamctl.processes.backends import build_clock, build_rig, hold_device
 from pamctl.processes.guardian_main import keep_watchman
 from pamctl.processes.interrupts import Interrupts

@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hal.rig import RawSample
+from pamctl.base.errors import ConfigError, ExitCode, Problem
+from pamctl.base.new_file import NewFileError, require_place, write_files
 from pamctl.commissioning.bench import (
     Bench,
     SensorStatistics,
@@ -23,9 +25,6 @@ from pamctl.commissioning.bench import (
     open_workplace,
     summarise_samples,
 )
-from pamctl.errors import ConfigError, Problem
-from pamctl.exit_codes import ExitCode
-from pamctl.new_file import NewFileError, require_place, write_files
 from pamctl.processes.backends import require_backend
 from pamctl.report.report import Facts, Report, Text
 from pamctl.settings.config_files import find_config_file

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from hal.calibration import Configured
-from pamctl.chosen_model import AnyModel, ChosenModel
+from pamctl.base.chosen_model import AnyModel, ChosenModel
 from pamctl.control.course import Plan
 from pamctl.control.forms import FORMS, Count, Drawn, Hertz, Seconds, find_form, require_rising
 from pamctl.control.sketch import Sketch

@@ -17,7 +17,7 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar, cast
 from pydantic import ConfigDict, Field, create_model, model_validator
 
 from hal.calibration import Configured
-from pamctl.chosen_model import build_once
+from pamctl.base.chosen_model import build_once
 from pamctl.control.sketch import Sketch
 from pamctl.control.waves import (
     MOST_TONES,

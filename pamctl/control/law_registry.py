@@ -20,7 +20,7 @@ from typing import Annotated, Any, NamedTuple
 
 from hal.entry_points import find_entry_points
 from pamctl import __version__
-from pamctl.chosen_model import ChosenModel, build_once
+from pamctl.base.chosen_model import ChosenModel, build_once
 from pamctl.control.law import Law, LawSettings, LawTerms, Term, answer
 
 GROUP = "pamctl.laws"

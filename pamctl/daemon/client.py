@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pamctl.exit_codes import ExitCode
-from pamctl.plain_text import clean_document
+from pamctl.base.errors import ExitCode
+from pamctl.base.texts import clean_document
 
 _PATIENCE_S = 60.0
 """Starting a session may take a driver several seconds."""

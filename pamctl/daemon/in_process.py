@@ -15,8 +15,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from pamctl.base.errors import EMERGENCY_STOP, Ending, ExitCode
 from pamctl.daemon.protocol import RequestRefusedError
-from pamctl.exit_codes import EMERGENCY_STOP, Ending, ExitCode
 from pamctl.log.run_meta import RunMeta
 from pamctl.processes.backends import new_ring_path, require_backend
 from pamctl.processes.loop_main import compose_loop

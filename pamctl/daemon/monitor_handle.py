@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from hal.child import child_command
-from pamctl.plain_text import LONGEST_REMARK
+from pamctl.base.texts import LONGEST_REMARK
 from pamctl.plant.model import PlantSettings
 
 _PATIENCE_S = 2.0

@@ -24,7 +24,7 @@ from typing import Any, TypeVar, cast, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 
-from pamctl.exit_codes import ExitCode
+from pamctl.base.errors import ExitCode
 
 LARGEST_REQUEST = 1 << 18
 """Bytes of a line. The largest sensible request is an experiment of a few thousand steps."""

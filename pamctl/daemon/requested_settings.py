@@ -11,11 +11,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from pamctl.base.errors import ConfigError
+from pamctl.base.texts import to_json
 from pamctl.control.course import Course, pack_handed_course
 from pamctl.control.experiment import ExperimentSettings, plan_experiment
 from pamctl.daemon.protocol import RequestRefusedError
-from pamctl.errors import ConfigError
-from pamctl.json_text import to_json
 from pamctl.realtime.gain_ramp import GainRampError, require_blendable
 from pamctl.recording.rows import PAYLOAD_BYTES
 from pamctl.settings.envelope import find_excesses

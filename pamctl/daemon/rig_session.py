@@ -19,11 +19,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import AfterValidator, Field
 
 from pamctl import __version__
+from pamctl.base.errors import EMERGENCY_STOP
+from pamctl.base.texts import (
+    LONGEST_NAME,
+    LONGEST_NOTE,
+    LONGEST_REMARK,
+    MOST_TAGS,
+    clean_text,
+    replace_nan,
+)
 from pamctl.daemon.protocol import RequestRefusedError, order
 from pamctl.daemon.session_life import SessionLife
-from pamctl.exit_codes import EMERGENCY_STOP
-from pamctl.json_text import replace_nan
-from pamctl.plain_text import LONGEST_NAME, LONGEST_NOTE, LONGEST_REMARK, MOST_TAGS, clean_text
 
 if TYPE_CHECKING:
     from pamctl.daemon.requested_settings import GainEdit

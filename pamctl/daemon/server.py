@@ -18,6 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 
+from pamctl.base.errors import ExitCode
 from pamctl.daemon.protocol import (
     INTERNAL_ERROR,
     INVALID_REQUEST,
@@ -33,7 +34,6 @@ from pamctl.daemon.protocol import (
     list_orders,
     parse_request,
 )
-from pamctl.exit_codes import ExitCode
 
 MOST_CLIENTS = 256
 """Whoever comes then may only stop."""

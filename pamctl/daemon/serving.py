@@ -21,12 +21,12 @@ from types import FrameType
 from typing import Any
 
 from pamctl import __version__
+from pamctl.base.errors import Ending, ExitCode
 from pamctl.daemon.rig_session import RigSession
 from pamctl.daemon.server import Server, find_group, require_no_daemon
 from pamctl.daemon.session import Workshop
 from pamctl.daemon.session_life import RigState
 from pamctl.daemon.shelf import Latch, Shelf
-from pamctl.exit_codes import Ending, ExitCode
 from pamctl.plant.model import PlantSettings
 from pamctl.processes.backends import (
     SHARED_MEMORY,

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from hal.rig import Rig
+from pamctl.base.errors import Ending, ExitCode
 from pamctl.daemon.protocol import RequestRefusedError
-from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log.run_meta import RunMeta
 from pamctl.processes.backends import new_ring_path
 from pamctl.processes.front import LoopTree

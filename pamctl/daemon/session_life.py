@@ -16,8 +16,8 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
+from pamctl.base.errors import Ending, ExitCode
 from pamctl.daemon.protocol import Order, OrderTaker, RequestRefusedError
-from pamctl.exit_codes import Ending, ExitCode
 
 if TYPE_CHECKING:
     from pamctl.daemon.in_process import InProcessLoop, InProcessMaker

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from hal.reservation import explain_shared_file, open_regular, open_shared
 from hal.rig import RigError
+from pamctl.base.errors import ExitCode
 from pamctl.daemon.protocol import RequestRefusedError
-from pamctl.exit_codes import ExitCode
 from pamctl.log.run_meta import flight_record_path, make_dated_path
 
 _NAMING = threading.Lock()

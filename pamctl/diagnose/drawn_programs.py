@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from hal.calibration import Calibration, CalibrationSettings, Zero, calibration, sensor_v
 from hal.rig import RawSample
+from pamctl.base.errors import ConfigError
 from pamctl.control.course import Segment, make_valve_reference
 from pamctl.control.experiment import ProgramSettings, plan_experiment
 from pamctl.diagnose.record import Array, Record
-from pamctl.errors import ConfigError
 from pamctl.kernel.calls import machine
 from pamctl.safety import INITIAL_SAFETY_STATE, Limits, SafetyState, admit
 from pamctl.settings.build import build_tick_setup

@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import pamctl.log
+from pamctl.base.errors import ExitCode
+from pamctl.base.texts import escape_name
 from pamctl.diagnose.record import Record
-from pamctl.exit_codes import ExitCode
 from pamctl.log.check import Severity
 from pamctl.log.framing import MAGIC, map_log_file
 from pamctl.log.measured_signals import judge_ticks
 from pamctl.log.reader import Log
 from pamctl.log.run_meta import Moment, list_moments
-from pamctl.plain_text import escape_name
 from pamctl.signals import Phase
 
 if TYPE_CHECKING:

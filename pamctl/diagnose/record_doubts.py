@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from pamctl.base.errors import Problem
 from pamctl.diagnose.record import CHANNELS, Array, Record, estimate_white_noise
 from pamctl.diagnose.time_shifts import check_time_shifts, find_usual_ends
-from pamctl.errors import Problem
 from pamctl.log.importing.plausibility import is_switched
 from pamctl.log.record_problems import find_sensor_step, is_abrupt
 from pamctl.plant.effects.description import USED_SIGNALS

@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from pamctl.base.errors import ExitCode, Problem
+from pamctl.base.texts import hint_at_nearest
 from pamctl.diagnose.record import Record, SensorFault
 from pamctl.diagnose.record_doubts import (
     FEWEST_SAMPLES,
@@ -21,9 +23,6 @@ from pamctl.diagnose.record_doubts import (
     doubt_sensors,
     list_used_channels,
 )
-from pamctl.errors import Problem
-from pamctl.exit_codes import ExitCode
-from pamctl.plain_text import hint_at_nearest
 from pamctl.plant.effects.description import describe_unused
 from pamctl.plant.model import PlantSettings
 

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from pamctl.base.errors import Problem
 from pamctl.diagnose.record import Array, Record
-from pamctl.errors import Problem
 
 STEP_SHARE, LEFT_SHARE = 0.3, 0.25
 """Share of the command's span that counts as a step; share of a step by which it is left."""

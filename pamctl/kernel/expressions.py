@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from types import BuiltinFunctionType, FunctionType
 from typing import Any, NamedTuple
 
-from pamctl.exit_codes import ExitCode
+from pamctl.base.errors import ExitCode
 from pamctl.kernel.c_source import (
     BOOL,
     BUILTINS,

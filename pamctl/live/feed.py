@@ -10,6 +10,7 @@ from contextlib import closing, nullcontext, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from pamctl.base.texts import to_plain_json
 from pamctl.daemon.client import (
     Client,
     DaemonDeclinedError,
@@ -17,7 +18,6 @@ from pamctl.daemon.client import (
     read_ticks,
     restore_nan,
 )
-from pamctl.json_text import to_plain_json
 from pamctl.log.run_meta import spell_controller
 from pamctl.report.progress_line import format_progress
 

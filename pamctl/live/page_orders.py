@@ -18,11 +18,11 @@ from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
+from pamctl.base.errors import ConfigError, Problem
 from pamctl.control.law_registry import find_law
 from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
 from pamctl.daemon.protocol import RequestError, check_params, list_orders
 from pamctl.daemon.rig_session import RigSession
-from pamctl.errors import ConfigError, Problem
 from pamctl.runs.run_index import RunFilter, RunIndex, RunsError, select_runs
 from pamctl.settings.config_files import config_dir, list_shipped, read_section
 from pamctl.signals import TICK_FIELDS, Phase

@@ -22,13 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, FiniteFloat, ValidationError, validate_call
 
-from pamctl.json_text import to_plain_json
+from pamctl.base.texts import clean_document, to_plain_json
 from pamctl.live.page_orders import PageRefusal
 from pamctl.live.tick_memory import TickMemory
 from pamctl.log.edit import cut_log
 from pamctl.log.framing import LogError
 from pamctl.log.reader import read
-from pamctl.plain_text import clean_document
 
 Slope = Literal["rising", "falling", "either"]
 

@@ -17,8 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.json_text import from_json
-from pamctl.plain_text import clean_document
+from pamctl.base.texts import clean_document, from_json
 from pamctl.recording.ring import Ring, RingError
 from pamctl.recording.rows import RowKind, row_dtype
 

@@ -35,7 +35,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from pamctl.json_text import to_plain_json
+from pamctl.base.texts import to_plain_json
 from pamctl.live.feed import COLUMNS, EVERY, LOOKS_PER_S, DaemonFeed, Glimpse, describe_glimpses
 from pamctl.live.page_orders import (
     PageOrders,

@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
-from pamctl.exit_codes import ExitCode
+from pamctl.base.errors import ExitCode
+from pamctl.base.texts import LONGEST_NAME, LONGEST_NOTE, MOST_TAGS, clean_text
 from pamctl.log.run_meta import RunMeta
-from pamctl.plain_text import LONGEST_NAME, LONGEST_NOTE, MOST_TAGS, clean_text
 
 ANNOTATION = "annotation"
 """Name of the metadata record."""

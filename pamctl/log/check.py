@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.errors import Problem
-from pamctl.json_text import from_json
+from pamctl.base.errors import Problem
+from pamctl.base.texts import escape_name, from_json
 from pamctl.log.file_index import IndexCheck
 from pamctl.log.framing import LogError
 from pamctl.log.measured_signals import (
@@ -38,7 +38,6 @@ from pamctl.log.schema import (
     unit_of_column,
 )
 from pamctl.log.wire import SEQUENCE, TickBatch, UnknownLayout
-from pamctl.plain_text import escape_name
 from pamctl.signals import TICK_FIELDS
 
 MOST_OF_A_KIND = 5

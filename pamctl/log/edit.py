@@ -23,8 +23,9 @@ from mcap.opcode import Opcode
 from mcap.records import Metadata
 from numpy.typing import NDArray
 
-from pamctl.exit_codes import ExitCode
-from pamctl.json_text import to_json
+from pamctl.base.errors import ExitCode
+from pamctl.base.new_file import create_new_file, require_place
+from pamctl.base.texts import escape_name, to_json
 from pamctl.log.annotation import ANNOTATION, Annotation, date_record
 from pamctl.log.framing import (
     MAGIC,
@@ -38,8 +39,6 @@ from pamctl.log.record_walk import parse_messages, walk_records
 from pamctl.log.recover import LogCopy, resume_log
 from pamctl.log.schema import CUT, GAINS_TOPIC, JSON_SCHEMAS, KEYFRAME_TOPIC, TICK_TOPIC
 from pamctl.log.writer import LogWriter
-from pamctl.new_file import create_new_file, require_place
-from pamctl.plain_text import escape_name
 
 FEWEST_ROWS = 2
 """A stretch between gaps with fewer rows has no period: it is left out."""

@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.child import advise_install
-from pamctl.exit_codes import ExitCode
+from pamctl.base.errors import ExitCode
+from pamctl.base.new_file import create_new_file, require_place
+from pamctl.base.texts import escape_name
 from pamctl.log.framing import LogError
 from pamctl.log.reader import Log, NoSuchColumn, read
 from pamctl.log.run_meta import flight_record_path
 from pamctl.log.schema import TICK_TOPIC, unit_of_column
-from pamctl.new_file import create_new_file, require_place
-from pamctl.plain_text import escape_name
 
 Columns = Mapping[str, NDArray[Any]]
 

@@ -19,8 +19,8 @@ from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import DataEnd, Footer, McapRecord
 
-from pamctl.exit_codes import ExitCode
-from pamctl.new_file import describe_irregular_file
+from pamctl.base.errors import ExitCode
+from pamctl.base.new_file import describe_irregular_file
 
 MAGIC = b"\x89MCAP0\r\n"
 """The begin and the end of every MCAP file. Only `mcap.writer` has it, which no reader needs."""

@@ -21,7 +21,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 from numpy.typing import NDArray
 
-from pamctl.json_text import from_json
+from pamctl.base.texts import clean_document, escape_name, from_json, hint_at_nearest
 from pamctl.log.annotation import ANNOTATION, Annotation
 from pamctl.log.columns import WALL_TIME, GridRows, Page, Pages, TickColumns
 from pamctl.log.framing import (
@@ -54,7 +54,6 @@ from pamctl.log.schema import (
     unit_of_column,
 )
 from pamctl.log.wire import TickBatch, TickDecoder, UnknownLayout
-from pamctl.plain_text import clean_document, escape_name, hint_at_nearest
 from pamctl.signals import Phase
 
 __all__ = ["Log", "LogError", "NoSuchColumn", "Scan", "info", "read", "read_paged", "read_some"]

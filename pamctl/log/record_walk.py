@@ -22,7 +22,7 @@ from mcap.opcode import Opcode
 from mcap.records import Chunk
 from numpy.typing import NDArray
 
-from pamctl.json_text import from_json
+from pamctl.base.texts import from_json
 from pamctl.log.framing import (
     HELD_BYTES,
     MAGIC,

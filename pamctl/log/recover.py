@@ -20,6 +20,8 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
 from numpy.typing import NDArray
 
+from pamctl.base.new_file import create_new_file
+from pamctl.base.texts import escape_name
 from pamctl.log.file_index import DESCRIPTIONS
 from pamctl.log.framing import (
     MAGIC,
@@ -43,8 +45,6 @@ from pamctl.log.record_walk import (
 )
 from pamctl.log.schema import JSON_SCHEMAS, TICK_TOPIC
 from pamctl.log.writer import LogWriter, keep_freed_memory
-from pamctl.new_file import create_new_file
-from pamctl.plain_text import escape_name
 
 _LOOSE_BYTES = 1 << 20
 

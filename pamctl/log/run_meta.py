@@ -13,7 +13,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pamctl.json_text import from_json, to_json
+from pamctl.base.texts import from_json, to_json
 from pamctl.signals import TICK_FIELDS, Field
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from google.protobuf.descriptor_pb2 import (
     FileDescriptorSet,
 )
 
-from pamctl.json_text import to_json
+from pamctl.base.texts import to_json
 from pamctl.signals import Field
 
 SCHEMA_VERSION = 1

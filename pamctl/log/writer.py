@@ -30,7 +30,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 import pamctl
-from pamctl.json_text import to_json
+from pamctl.base.texts import to_json
 from pamctl.log.file_index import DESCRIPTIONS, FileIndex
 from pamctl.log.framing import FRAME, MAGIC, NO_CHECKSUM, FileRecord, encode_record, record_at
 from pamctl.log.record_walk import Loaded, MessageRun, Part, walk_messages

@@ -19,10 +19,10 @@ from string import Template
 from tempfile import TemporaryDirectory
 
 from pamctl import __version__
-from pamctl.exit_codes import ExitCode
+from pamctl.base.errors import ExitCode
+from pamctl.base.new_file import create_new_file, require_place
 from pamctl.kernel.build import CannotBuild, compile_library, require_compiler
 from pamctl.kernel.c_source import FLOAT, INT, NUMBERS, CSource, CType, Kernel, write_call
-from pamctl.new_file import create_new_file, require_place
 from pamctl.plant.model import PlantSettings, plant_parameters, values_of
 from pamctl.plant.parameters import PlantParameters, vented_state
 from pamctl.plant.simulated import LONGEST_STEP_S, advance_delayed_plant

@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 
 from hal.backend import find_backends
 from hal.calibration import Output, Zero
+from pamctl.base.errors import ConfigError, ExitCode
+from pamctl.base.texts import to_json
 from pamctl.control.law import LawSettings
 from pamctl.control.law_registry import compare_law_source, explain_absent_law
-from pamctl.errors import ConfigError
-from pamctl.exit_codes import ExitCode
-from pamctl.json_text import to_json
 from pamctl.kernel.calls import PlainCall, recall
 from pamctl.log import Log
 from pamctl.log.schema import CUT

@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.errors import ConfigError, Problem
+from pamctl.base.errors import ConfigError, Problem
+from pamctl.base.new_file import write_files
 from pamctl.log import Log
-from pamctl.new_file import write_files
 from pamctl.offline.replay_source import (
     REPLAYED_FIELDS,
     NotReplayable,

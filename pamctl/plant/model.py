@@ -17,7 +17,7 @@ from pydantic import (
 from pydantic_core import core_schema
 
 from hal.calibration import Configured
-from pamctl.plain_text import hint_at_nearest
+from pamctl.base.texts import hint_at_nearest
 from pamctl.plant.catalogue import CATALOGUE, WITH_TERMS
 from pamctl.plant.effects.description import (
     ACTUATORS,

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from math import nan
 from typing import Any, NamedTuple
 
-from pamctl.plain_text import hint_at_nearest
+from pamctl.base.texts import hint_at_nearest
 from pamctl.plant.bristles import Bristles
 from pamctl.plant.catalogue import (
     CATALOGUE,

@@ -25,7 +25,7 @@ from types import FrameType
 
 from hal.child import child_command
 from hal.rig import Rig
-from pamctl.exit_codes import Ending, ExitCode
+from pamctl.base.errors import Ending, ExitCode
 from pamctl.processes.guardian import POLL_MS, Silence, Takeover, read_state, take_over
 from pamctl.processes.interrupts import STOP_SIGNALS, block_signals
 from pamctl.realtime.clock import LoopSettings

@@ -22,7 +22,7 @@ from contextlib import contextmanager, suppress
 
 from hal.child import ParentPipe, child_command
 from hal.rig import Rig, RigError
-from pamctl.exit_codes import Ending, ExitCode
+from pamctl.base.errors import Ending, ExitCode
 from pamctl.processes.backends import build_safe_rig, require_backend
 from pamctl.processes.guardian import LoopProcess, Takeover, drive_safe, guard
 from pamctl.processes.loop_supervisor import STARTS_WITHIN_S

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType, TracebackType
 
-from pamctl.exit_codes import ExitCode
+from pamctl.base.errors import ExitCode
 
 STOP_SIGNALS = {
     signal.SIGINT: ExitCode.SIGINT,

@@ -19,7 +19,7 @@ from functools import partial
 from typing import NoReturn
 
 from hal.rig import RigError
-from pamctl.exit_codes import Ending, ExitCode
+from pamctl.base.errors import Ending, ExitCode
 from pamctl.processes.backends import build_clock, build_rig, make_plant, require_backend
 from pamctl.processes.loop_supervisor import LoopSupervisor
 from pamctl.realtime.loop import ControlLoop, Supervisor

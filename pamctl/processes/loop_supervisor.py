@@ -14,7 +14,7 @@ from collections.abc import Callable
 from types import FrameType
 
 from hal.child import ParentPipe
-from pamctl.exit_codes import EMERGENCY_STOP, LOG_DISK_FULL, Ending, ExitCode
+from pamctl.base.errors import EMERGENCY_STOP, LOG_DISK_FULL, Ending, ExitCode
 from pamctl.processes.interrupts import STOP_SIGNALS
 from pamctl.realtime.clock import LoopSettings, SleepWatch
 from pamctl.realtime.orders import Orders

@@ -11,8 +11,8 @@ from contextlib import closing, suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from pamctl.exit_codes import ExitCode
-from pamctl.plain_text import LONGEST_REMARK, clean_text
+from pamctl.base.errors import ExitCode
+from pamctl.base.texts import LONGEST_REMARK, clean_text
 from pamctl.processes.backends import SHARED_MEMORY
 from pamctl.realtime.orders import OrderError, Orders
 from pamctl.recording.ring import LoopStage, Ring, RingError

@@ -13,14 +13,14 @@ from typing import Any, NamedTuple
 
 from hal.backend import find_backends
 from hal.calibration import Zero, calibration
+from pamctl.base.errors import Ending, ExitCode
+from pamctl.base.texts import escape_name
 from pamctl.control.experiment import plan_experiment
 from pamctl.control.filters import warp_cutoff
 from pamctl.control.law_registry import describe_law, law_of
-from pamctl.exit_codes import Ending, ExitCode
 from pamctl.kernel import build
 from pamctl.log.annotation import NOTHING_SAID, Annotation, annotate_meta
 from pamctl.log.run_meta import RunMeta, bare_name, make_dated_path
-from pamctl.plain_text import escape_name
 from pamctl.processes.backends import (
     SHARED_MEMORY,
     build_clock,
@@ -258,9 +258,9 @@ def _compute_figures(
     figures = summarise_run(log)
     text = format_terminal(report_run(figures, settings.controller.law))
     if ending.code in (ExitCode.SAFETY_TRIP, ExitCode.OVERRUNS):
+        from pamctl.base.new_file import NewFileError
         from pamctl.log.export import dump_last_seconds
         from pamctl.log.reader import read_paged
-        from pamctl.new_file import NewFileError
 
         try:
             figures["flight_record"] = str(dump_last_seconds(read_paged(path)))

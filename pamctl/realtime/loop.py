@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Protocol
 
 from hal.calibration import Zero
 from hal.rig import RawSample, Rig, RigError, open_rig
+from pamctl.base.errors import Ending, ExitCode
 from pamctl.control.homing import HomingError
-from pamctl.exit_codes import Ending, ExitCode
 from pamctl.realtime.clock import Clock, Wake
 from pamctl.realtime.tick import TickSetup, first_state, rezero_state
 from pamctl.realtime.tick_runner import TickRunner

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from pamctl.json_text import from_json, to_json
+from pamctl.base.texts import from_json, to_json
 
 SESSION_SLOT_BYTES, MARK_SLOT_BYTES = 1 << 20, 1 << 14
 """A slot for all orders, with settings in them; and one for marks only."""

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 
 from hal.calibration import Zero
 from hal.rig import RawSample
+from pamctl.base.errors import Ending, ExitCode
+from pamctl.base.texts import to_json
 from pamctl.control.course import make_valve_reference, take_up_course
-from pamctl.exit_codes import Ending, ExitCode
-from pamctl.json_text import to_json
 from pamctl.realtime.program import CuedHelm, OrderSlot, Program
 from pamctl.realtime.tick import TickSetup, freeze_state
 from pamctl.realtime.tick_runner import RunningCourse, TickRunner

@@ -27,7 +27,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.json_text import from_json, to_json
+from pamctl.base.texts import from_json, to_json
 from pamctl.log.framing import Damage, LogError
 from pamctl.log.recover import Recovery, recover_file, resume_log, sign_recovery
 from pamctl.log.run_meta import RunMeta

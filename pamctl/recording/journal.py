@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 
-from pamctl.exit_codes import Ending
+from pamctl.base.errors import Ending
 from pamctl.recording.ring import LoopStage, RecorderFlag, Ring, RingFull
 
 SILENT_RECORDER_S = 3.0

@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from pamctl.exit_codes import Ending, ExitCode
+from pamctl.base.errors import Ending, ExitCode
 from pamctl.recording.journal import StandStill, end_for_dead_loop
 from pamctl.recording.recorder import RECORDER_PATIENCE_S, RecorderError, record, spawn_recorder
 from pamctl.recording.ring import RecorderFlag, Ring

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from hal.child import ParentPipe, child_command
-from pamctl.exit_codes import LOG_DISK_FULL, ExitCode
+from pamctl.base.errors import LOG_DISK_FULL, ExitCode
 from pamctl.recording.journal import StandStill
 from pamctl.recording.ring import LOOP_DEAD_NS, RecorderFlag, Ring, RingError
 

@@ -33,8 +33,8 @@ from pathlib import Path
 from time import monotonic_ns
 
 from hal.reservation import open_regular
-from pamctl.exit_codes import ExitCode
-from pamctl.json_text import to_json
+from pamctl.base.errors import ExitCode
+from pamctl.base.texts import to_json
 from pamctl.log.run_meta import RunMeta
 from pamctl.recording.rows import (
     PAYLOAD_BYTES,

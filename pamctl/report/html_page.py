@@ -18,8 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pamctl.json_text import to_json
-from pamctl.plain_text import clean_lines, clean_text
+from pamctl.base.texts import clean_lines, clean_text, to_json
 from pamctl.report.axes import Floats, PlotAxis, Scale
 from pamctl.report.figure import Levels, Plot, share_axis
 from pamctl.report.picture import draw_levels, draw_plot

@@ -21,7 +21,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from pamctl.errors import Problem
+from pamctl.base.errors import Problem
 from pamctl.report.figure import Levels, Plot
 
 

@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 import yaml
 
+from pamctl.base.errors import ExitCode
+from pamctl.base.texts import clean_text, flatten_keys, to_json
 from pamctl.control.law_registry import find_law
-from pamctl.exit_codes import ExitCode
-from pamctl.json_text import flatten_keys, to_json
 from pamctl.log import Log
 from pamctl.log.annotation import ANNOTATION, Annotation
 from pamctl.log.measured_signals import judge_ticks
 from pamctl.log.run_meta import describe_running_changes, spell_controller
 from pamctl.offline.merit import compute_log_merits, find_paper_rows, summarise_timing
-from pamctl.plain_text import clean_text
 from pamctl.report.axes import PlotAxis
 from pamctl.report.figure import Plot
 from pamctl.report.frequency import write_frequency_response

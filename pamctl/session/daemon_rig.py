@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from pamctl.base.errors import ExitCode
 from pamctl.daemon.client import (
     Client,
     DaemonDeclinedError,
@@ -15,7 +16,6 @@ from pamctl.daemon.client import (
     read_ticks,
     restore_nan,
 )
-from pamctl.exit_codes import ExitCode
 from pamctl.session.pamctl_error import PamctlError, translate_errors
 from pamctl.session.steered_rig import Goal, SteeredRig, require_well
 

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from hal.child import advise_install
-from pamctl.exit_codes import ExitCode
+from pamctl.base.errors import ExitCode
 
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-"""What a package or a cache may meet that does not write through `pamctl.new_file`."""
+"""What a package or a cache may meet that does not write through `pamctl.base.new_file`."""
 
 _NO_MORE_FILES = {errno.EMFILE, errno.ENFILE}
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from pamctl.base.errors import ExitCode
 from pamctl.control.experiment import Experiment, plan_experiment
 from pamctl.diagnose.deciding_program import MIXED, PROGRAMS
 from pamctl.diagnose.drawn_programs import ProgramRun, RigLimits, read_rig_limits, sample_levels
-from pamctl.exit_codes import ExitCode
 from pamctl.log.run_meta import file_safe_name
 from pamctl.plant.drive import drive_coupled
 from pamctl.plant.model import PlantSettings, plant_parameters

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.exit_codes import Ending, ExitCode
+from pamctl.base.errors import Ending, ExitCode
 from pamctl.log import Log, read
 from pamctl.session.pamctl_error import require_package, translate_errors
 from pamctl.settings.config_files import find_config_file
@@ -183,7 +183,7 @@ class Run:
 
     def report(self, path: str | Path) -> Path:
         """Write the page of `pamctl report`; raise `PamctlError` where it cannot be written."""
-        from pamctl.new_file import write_files
+        from pamctl.base.new_file import write_files
         from pamctl.report.html_page import write_html
         from pamctl.report.run_page import compose_report
 

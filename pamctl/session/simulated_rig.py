@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from pamctl.base.errors import ExitCode
+from pamctl.base.new_file import require_folder
 from pamctl.daemon.in_process import InProcessLoop, InProcessMaker
 from pamctl.daemon.protocol import (
     RequestError,
@@ -19,9 +21,7 @@ from pamctl.daemon.protocol import (
 )
 from pamctl.daemon.rig_session import RigSession
 from pamctl.daemon.shelf import Latch, Shelf
-from pamctl.exit_codes import ExitCode
 from pamctl.log.run_meta import file_safe_name
-from pamctl.new_file import require_folder
 from pamctl.session.pamctl_error import PamctlError, translate_errors
 from pamctl.session.steered_rig import Goal, SteeredRig, require_well
 from pamctl.settings.config_files import read_tables

@@ -18,10 +18,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar
 
+from pamctl.base.errors import ExitCode
 from pamctl.daemon.client import DaemonDeclinedError
 from pamctl.daemon.protocol import RequestRefusedError, list_orders
 from pamctl.daemon.rig_session import DEFAULT_RAMP_S, RigSession
-from pamctl.exit_codes import ExitCode
 from pamctl.log.run_meta import file_safe_name
 from pamctl.session.experiment_form import ExperimentForm, read_experiment
 from pamctl.session.pamctl_error import PamctlError, translate_errors

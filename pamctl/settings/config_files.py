@@ -11,7 +11,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pamctl.errors import ConfigError, Problem
+from pamctl.base.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from pamctl.settings.resolve import RawSettings

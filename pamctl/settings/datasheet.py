@@ -15,7 +15,7 @@ from typing import Any, get_args
 
 from pydantic import TypeAdapter
 
-from pamctl.exit_codes import ExitCode
+from pamctl.base.errors import ExitCode
 from pamctl.log.importing.headers import find_units
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import AXIS, PlantSettings

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
+from pamctl.base.texts import hint_at_nearest
 from pamctl.control.around_the_law import Compensation, limit_slope, list_wanted_v
 from pamctl.control.law import LawSettings
-from pamctl.plain_text import hint_at_nearest
 from pamctl.plant.catalogue import CATALOGUE, Effects, undo_reading, undo_valve_v
 from pamctl.plant.effects.description import acts
 from pamctl.plant.model import PlantSettings, plant_parameters, values_of

@@ -16,6 +16,7 @@ from typing import Any, Literal, TypeVar
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
 from hal.calibration import Configured, calibration, valve_v
+from pamctl.base.errors import ConfigError, Problem
 from pamctl.control.experiment import ExperimentSettings
 from pamctl.control.filters import HIGHEST_PER_RATE
 from pamctl.control.law_registry import (
@@ -23,7 +24,6 @@ from pamctl.control.law_registry import (
     LawError,
     add_law_file,
 )
-from pamctl.errors import ConfigError, Problem
 from pamctl.plant.model import PlantSettings
 from pamctl.settings.config_files import DEFAULT_NAMES, find_config_file, list_shipped
 from pamctl.settings.known_effects import build_compensation

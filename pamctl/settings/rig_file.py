@@ -16,7 +16,7 @@ from hal.backend import Backend, find_backends, get_backend
 from hal.calibration import CalibrationSettings, Configured
 from hal.faulty import FaultSettings
 from hal.rig import RigError
-from pamctl.chosen_model import ChosenModel, build_once
+from pamctl.base.chosen_model import ChosenModel, build_once
 from pamctl.control.homing import HomingSettings
 from pamctl.realtime.clock import LoopSettings
 from pamctl.safety import LimitSettings

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pamctl.base.new_file import describe_irregular_file
 from pamctl.control.forms import MOST_ROWS
 from pamctl.control.waves import Sampled
 from pamctl.log.importing.column_roles import names_quantity
 from pamctl.log.importing.file_formats import read_table
 from pamctl.log.importing.headers import TIME, UNITS
 from pamctl.log.importing.measured_table import ImportRefused, MeasuredTable, TableColumn
-from pamctl.new_file import describe_irregular_file
 
 Floats = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from typing import NamedTuple, NoReturn
 
 import yaml
 
-from pamctl.new_file import describe_irregular_file
+from pamctl.base.new_file import describe_irregular_file
 
 KeyPath = tuple[str | int, ...]
 """The path to a value: keys of mappings, indices of lists."""

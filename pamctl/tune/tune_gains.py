@@ -12,11 +12,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
+from pamctl.base.errors import ConfigError, ExitCode, Problem, end_on_signals, name_interrupt
+from pamctl.base.new_file import NewFileError, require_place, write_files
+from pamctl.base.worker_processes import start_workers
 from pamctl.control.law_registry import find_law, installed_laws
-from pamctl.errors import ConfigError, Problem
-from pamctl.exit_codes import ExitCode, end_on_signals, name_interrupt
 from pamctl.log.run_meta import bare_name
-from pamctl.new_file import NewFileError, require_place, write_files
 from pamctl.report.progress_line import WorkProgress
 from pamctl.report.report import Points, Report, Section, Text
 from pamctl.settings.config_files import find_config_file
@@ -40,7 +40,6 @@ from pamctl.tune.gains_trial import (
     Member,
     draw_ensemble,
 )
-from pamctl.worker_processes import start_workers
 
 _DEFAULT_SIZE = 16
 _FRESH = 200

@@ -13,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 
+from pamctl.base.errors import ExitCode
 from pamctl.diagnose.evidence.intervals import find_intervals
 from pamctl.diagnose.evidence.ladder import fit_number
 from pamctl.diagnose.evidence.pool import CHAIN
@@ -22,7 +23,6 @@ from pamctl.diagnose.plant_numbers import FittedNumber, with_values
 from pamctl.diagnose.read_record import record_of
 from pamctl.diagnose.record import Array, Record
 from pamctl.diagnose.refuse import BadData, check_measured_runs
-from pamctl.exit_codes import ExitCode
 from pamctl.log.framing import LogError
 from pamctl.plant.model import PlantSettings
 

@@ -21,13 +21,13 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pamctl.base.errors import ExitCode
+from pamctl.base.worker_processes import start_worker
 from pamctl.diagnose.record import Record
-from pamctl.exit_codes import ExitCode
 from pamctl.log.framing import LogError
 from pamctl.plant.model import PlantSettings
 from pamctl.recording.ring import RingError
 from pamctl.watch.watch_run import BlockReport, RingFollower, RunWatch
-from pamctl.worker_processes import start_worker
 
 if TYPE_CHECKING:  # the diagnosis is imported by the process that needs it
     from pamctl.diagnose import Diagnosis

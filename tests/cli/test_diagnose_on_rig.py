@@ -3,8 +3,8 @@
 import pytest
 from typer.testing import CliRunner
 
+from pamctl.base.errors import ExitCode
 from pamctl.cli.app import app
-from pamctl.exit_codes import ExitCode
 
 
 @pytest.mark.parametrize(

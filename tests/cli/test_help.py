@@ -17,11 +17,11 @@ from typer.testing import CliRunner
 
 import hal
 import pamctl
+from pamctl.base.errors import ExitCode
 from pamctl.cli.app import app, build_app, build_asked
 from pamctl.cli.verbs import EXAMPLES
 from pamctl.diagnose.audit import find_separating_experiment, find_showing_experiment
 from pamctl.diagnose.report.next_experiment import write_command
-from pamctl.exit_codes import ExitCode
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.settings.config_files import find_config_file
 from pamctl.settings.resolve import SECTIONS

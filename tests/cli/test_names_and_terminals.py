@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from support.command_line import run_pamctl
 from support.small_log import write_small
 
+from pamctl.base.texts import PlainStream, clean_document, clean_lines, clean_text, escape_name
 from pamctl.log import read
-from pamctl.plain_text import PlainStream, clean_document, clean_lines, clean_text, escape_name
 from pamctl.session.simulated_rig import simulate
 
 # --- names and characters ------------------------------------------------------------------------

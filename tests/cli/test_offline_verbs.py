@@ -14,8 +14,8 @@ from support.command_line import run_process
 from typer.testing import CliRunner
 
 import pamctl.log
+from pamctl.base.errors import ExitCode
 from pamctl.cli.app import app
-from pamctl.exit_codes import ExitCode
 from pamctl.processes.interrupts import restore_signals
 from pamctl.processes.run_once import make_run_meta, run_here
 from pamctl.settings.config_files import DEFAULT_NAMES

@@ -15,8 +15,8 @@ import pytest
 from support.command_line import run_pamctl
 from support.patience import PATIENCE_S
 
+from pamctl.base.new_file import NewFileError, write_files
 from pamctl.cli.output import Saving
-from pamctl.new_file import NewFileError, write_files
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 LOG = str(GOLDEN / "readonly.mcap")
@@ -159,7 +159,7 @@ def test_a_disk_that_fills_while_a_file_is_written_leaves_nothing(
 def test_a_comparison_whose_page_finds_no_room_is_printed(place: Path, tmp_path: Path) -> None:
     # The disk fills between the trial and the page. Nothing is compiled: the cache of machine
     # code would be the first to find no room.
-    start = "import pamctl.new_file as n; n._TRIAL_BYTES = 9; from pamctl.__main__ import main"
+    start = "import pamctl.base.new_file as n; n._TRIAL_BYTES = 9; from pamctl.__main__ import main"
     words = [word.format(tmp_path) for word in VERBS["compare"]]
     done = subprocess.run(
         [sys.executable, "-c", f"{start}; main()", *words, "--json"],

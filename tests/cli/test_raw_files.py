@@ -8,12 +8,12 @@ import pytest
 from scipy.integrate import solve_ivp
 from support.command_line import run_pamctl
 
+from pamctl.base.errors import ExitCode
 from pamctl.cli.diagnose import REFUSED_FILES
 from pamctl.diagnose import Diagnosis, Verdict
 from pamctl.diagnose.read_record import record_of
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
-from pamctl.exit_codes import ExitCode
 from pamctl.plant.model import PlantSettings
 from pamctl.report.html_page import write_html
 

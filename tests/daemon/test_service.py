@@ -21,10 +21,10 @@ from support.command_line import run_process
 from support.patience import BUSY_PC, PATIENCE_S, await_true
 from support.processes.daemons import NOT_HOMED, QUICK, Daemon, daemon, parked
 
+from pamctl.base.errors import Ending, ExitCode
 from pamctl.daemon.client import Client
 from pamctl.daemon.monitor_handle import MonitorHandle
 from pamctl.daemon.shelf import Latch, Shelf
-from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log import read
 from pamctl.offline.tick_replay import replay_log
 from pamctl.processes.backends import ao_path, new_ring_path

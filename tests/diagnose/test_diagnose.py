@@ -12,13 +12,13 @@ import pytest
 from support.command_line import start_process
 from support.made_records import ask_only, measured, names_of, pair
 
+from pamctl.base.errors import ExitCode
 from pamctl.diagnose import Diagnosis, DiagnosisInterrupted, Record, Verdict, diagnose, sentence
 from pamctl.diagnose.audit import audit_run
 from pamctl.diagnose.evidence.weigh import forecast_simulations
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page, format_plant_file
 from pamctl.diagnose.report.verdict_phrases import list_shifts
-from pamctl.exit_codes import ExitCode
 from pamctl.plant.model import PlantSettings
 from pamctl.report.html_page import write_html
 from pamctl.settings.resolve import SECTIONS, RawSettings, validate_settings

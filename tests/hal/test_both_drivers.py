@@ -37,7 +37,7 @@ from hal.comedi.comedi_backend import ComediSettings
 from hal.comedi.comedi_rig import ComediRig
 from hal.nidaq.card_settings import NidaqSettings
 from hal.rig import Rig, RigError, open_rig
-from pamctl.exit_codes import Ending, ExitCode
+from pamctl.base.errors import Ending, ExitCode
 from pamctl.processes.guardian import drive_safe
 from pamctl.realtime.clock import Clock
 from pamctl.realtime.loop import ControlLoop

@@ -21,7 +21,7 @@ from support.patience import BUSY_PC
 
 import hal
 import pamctl
-from pamctl.worker_processes import start_workers
+from pamctl.base.worker_processes import start_workers
 
 ROOT = Path(__file__).resolve().parents[2]
 MODULES = sorted(path for room in ("pamctl", "hal") for path in (ROOT / room).rglob("*.py"))
@@ -124,7 +124,7 @@ from pathlib import Path
 import sys
 (Path(__file__).parent / "sprung").open("a").write(f"{__name__}: {sys.orig_argv}\\n")
 """
-STARTERS = {"hal/child.py", "pamctl/worker_processes.py"}
+STARTERS = {"hal/child.py", "pamctl/base/worker_processes.py"}
 """Who may start Python: the one helper, and the one pool of workers."""
 WAYS = {
     "executable", "_base_executable", "get_context", "ProcessPoolExecutor", "Pool", "fork",
@@ -197,7 +197,7 @@ def test_nothing_else_starts_python():
             place = path.relative_to(ROOT).as_posix()
             if place not in STARTERS:
                 found += [f"{place}:{line}" for line in find_starts(path.read_text())]
-    assert not found, "use hal.child.child_command or cluster.worker_processes.start_workers"
+    assert not found, "use hal.child.child_command or pamctl.base.worker_processes.start_workers"
 
 
 def find_starts(source: str) -> list[int]:

@@ -18,6 +18,7 @@ from mcap.writer import MCAP0_MAGIC
 from support.command_line import run_process
 from support.small_log import CHUNK_TICKS, CHUNKS, rewritten, write_small
 
+from pamctl.base.new_file import create_new_file
 from pamctl.log import Log, LogError, info, read
 from pamctl.log.check import check_log
 from pamctl.log.framing import FRAME, encode_record, map_log_file
@@ -26,7 +27,6 @@ from pamctl.log.recover import Recovery, recover_file
 from pamctl.log.schema import TICK_MESSAGE, TICK_TOPIC, tick_descriptor
 from pamctl.log.wire import make_message_records
 from pamctl.log.writer import LogWriter
-from pamctl.new_file import create_new_file
 from pamctl.signals import Field
 
 

@@ -21,7 +21,7 @@ from support.installing import alone
 from support.made_up import columns, log_run, meta, recording, tick
 from support.patience import PATIENCE_S
 
-from pamctl.json_text import from_json, to_json
+from pamctl.base.texts import from_json, to_json
 from pamctl.log import LogError, info, read
 from pamctl.log.recover import recover_file
 from pamctl.log.schema import SCHEMA_VERSION, TICK_TOPIC, tick_descriptor, unit_of_column

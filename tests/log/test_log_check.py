@@ -13,6 +13,7 @@ from support.made_up import columns, tick
 from support.small_log import CHUNK_TICKS, rewritten, write_small
 from typer.testing import CliRunner
 
+from pamctl.base.new_file import create_new_file
 from pamctl.cli.app import app
 from pamctl.log import LogError, read
 from pamctl.log.check import LogCheckReport, Severity, check_log
@@ -24,7 +25,6 @@ from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import TICK_MESSAGE, TICK_TOPIC, tick_descriptor
 from pamctl.log.wire import TickLayout, make_message_records
 from pamctl.log.writer import DESCRIBED_EVERY, LogWriter, begin_log
-from pamctl.new_file import create_new_file
 from pamctl.signals import TICK_FIELDS
 
 

@@ -23,8 +23,8 @@ from support.runs import (
 
 from hal.faulty import FaultSettings
 from hal.sim import sensor_chain
+from pamctl.base.errors import Ending, ExitCode
 from pamctl.control.experiment import plan_experiment
-from pamctl.exit_codes import Ending, ExitCode
 from pamctl.kernel.calls import NativeCall, PlainCall
 from pamctl.log import read
 from pamctl.offline.closed_loop import (

@@ -15,7 +15,7 @@ from support.card_rigs import READ_COUNT, READ_VOLTS, WRITE, hardware_timed, on_
 from support.runs import AO_STEP_V, MemoryJournal, ScriptedSupervisor, run_settings, steered
 
 from hal.rig import RawSample, Rig
-from pamctl.exit_codes import Ending, ExitCode
+from pamctl.base.errors import Ending, ExitCode
 from pamctl.kernel.calls import PlainCall
 from pamctl.processes.loop_main import run_to_ending
 from pamctl.realtime import run_ticks

@@ -14,7 +14,7 @@ from support.made_up import START_MONO_NS, meta
 from support.patience import PATIENCE_S
 
 from hal.rig import RigError
-from pamctl.exit_codes import Ending, ExitCode
+from pamctl.base.errors import Ending, ExitCode
 from pamctl.processes import guardian_main
 from pamctl.processes.front import Guardianship
 from pamctl.processes.guardian import (

@@ -12,9 +12,9 @@ from support.runs import run_settings
 from typer.testing import CliRunner
 
 from hal.sim import peek_v
+from pamctl.base.texts import LONGEST_REMARK
 from pamctl.cli.app import app
 from pamctl.log import read
-from pamctl.plain_text import LONGEST_REMARK
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
 from pamctl.processes.marks import MarkError, list_running_runs, mark_run
 from pamctl.processes.run_once import make_run_meta

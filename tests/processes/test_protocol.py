@@ -15,7 +15,7 @@ from support.processes import protocol_model as model
 from support.processes.protocol_model import RULES, BrokenPromiseError, Life, Rules, explore
 
 from hal.rig import RigError
-from pamctl.exit_codes import Ending, ExitCode
+from pamctl.base.errors import Ending, ExitCode
 from pamctl.processes import front, guardian
 from pamctl.processes.front import Guardianship
 from pamctl.processes.guardian import Silence, Takeover

@@ -12,10 +12,10 @@ from support.runs import run, run_settings
 from typer.testing import CliRunner
 
 from hal.calibration import Zero
+from pamctl.base.errors import ConfigError
 from pamctl.cli.app import app
 from pamctl.control.around_the_law import Compensation, compensate_command, find_command_v
 from pamctl.control.course import make_valve_reference
-from pamctl.errors import ConfigError
 from pamctl.log.reader import read
 from pamctl.plant.catalogue import Effects, pass_command, pass_opening
 from pamctl.plant.model import PlantSettings, plant_parameters

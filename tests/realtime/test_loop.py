@@ -19,7 +19,7 @@ from support.runs import (
 
 from hal.faulty import FaultSettings
 from hal.rig import RigError
-from pamctl.exit_codes import Ending, ExitCode
+from pamctl.base.errors import Ending, ExitCode
 from pamctl.realtime import loop, run_ticks
 from pamctl.realtime.loop import KEYFRAME_TICKS
 from pamctl.realtime.tick import keyframe_fields

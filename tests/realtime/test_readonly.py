@@ -9,7 +9,7 @@ from support.command_line import run_pamctl
 from support.runs import AO_STEP_V, Run, run, run_settings
 
 from hal.faulty import FaultSettings
-from pamctl.exit_codes import ExitCode
+from pamctl.base.errors import ExitCode
 from pamctl.log.reader import read
 from pamctl.safety import PINNED, STROKE_LIMIT
 from pamctl.signals import Phase

@@ -11,8 +11,8 @@ from support.runs import MS, MemoryJournal, ScriptedSupervisor, pack_row, parts,
 from hal.calibration import Zero
 from hal.faulty import FaultSettings
 from hal.rig import RawSample
+from pamctl.base.errors import Ending
 from pamctl.control.law import answer
-from pamctl.exit_codes import Ending
 from pamctl.kernel.calls import NativeCall, PlainCall
 from pamctl.kernel.expressions import NotInC
 from pamctl.realtime.clock import Wake

@@ -20,7 +20,7 @@ from support.made_up import START_MONO_NS, columns, end, meta, put, recording, t
 from support.patience import PATIENCE_S
 
 from hal.child import child_command
-from pamctl.exit_codes import Ending, ExitCode
+from pamctl.base.errors import Ending, ExitCode
 from pamctl.log import info, read
 from pamctl.log.check import check_log
 from pamctl.log.framing import FileRecord

@@ -14,7 +14,7 @@ from support.patience import PATIENCE_S
 from support.processes.daemons import TRACKING, Daemon, daemon, parked
 
 import pamctl
-from pamctl.exit_codes import ExitCode
+from pamctl.base.errors import ExitCode
 from pamctl.offline.tick_replay import replay_log
 from pamctl.session.daemon_rig import connect
 

@@ -11,9 +11,9 @@ gymnasium = pytest.importorskip("gymnasium")
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
 from hal.calibration import valve_v  # noqa: E402
-from pamctl.gym import MuscleEnv  # noqa: E402
 from pamctl.plant.model import plant_parameters  # noqa: E402
 from pamctl.plant.simulated import SimulatedPlant  # noqa: E402
+from pamctl.session.gym import MuscleEnv  # noqa: E402
 from pamctl.settings.resolve import resolve  # noqa: E402
 
 SINE = pamctl.Sine(offset_mm=10, amplitude_mm=3, frequency_hz=1, cycles=2)

@@ -14,9 +14,9 @@ from support.processes.daemons import QUICK
 from support.runs import COUNT_M
 
 import pamctl
+from pamctl.base.errors import Ending, ExitCode
 from pamctl.daemon.in_process import InProcessLoop
 from pamctl.daemon.rig_session import RigSession
-from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log import read
 from pamctl.offline.closed_loop import simulate_run
 from pamctl.offline.tick_replay import replay_log

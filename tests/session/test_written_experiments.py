@@ -11,8 +11,8 @@ import pytest
 from support.command_line import run_process
 
 import pamctl
+from pamctl.base.errors import ExitCode
 from pamctl.control.forms import FORMS as FORMS_OF_FILES
-from pamctl.exit_codes import ExitCode
 from pamctl.manual import list_pages
 from pamctl.session.experiment_form import FORMS, list_keys, list_models
 from pamctl.settings.config_files import list_shipped

@@ -12,7 +12,7 @@ from support.command_line import run_pamctl
 from hal.calibration import CalibrationSettings
 from hal.rig import RigError
 from hal.sim import SimRig, SimSettings, sensor_chain
-from pamctl.errors import ConfigError
+from pamctl.base.errors import ConfigError
 from pamctl.processes.backends import SHARED_MEMORY
 from pamctl.settings import envelope
 from pamctl.settings.build import build_program, build_tick_setup

@@ -18,8 +18,8 @@ from support.command_line import run_process
 from typer.testing import CliRunner
 
 from hal.calibration import Configured
+from pamctl.base.errors import ConfigError
 from pamctl.cli.app import app
-from pamctl.errors import ConfigError
 from pamctl.settings.config_files import config_dir, find_config_file
 from pamctl.settings.resolve import (
     SECTIONS,

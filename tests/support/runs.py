@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from hal.backend import Plant
 from hal.faulty import FaultSettings, FaultyRig
 from hal.sim import SimRig, sensor_chain
-from pamctl.exit_codes import Ending
+from pamctl.base.errors import Ending
 from pamctl.kernel.calls import PlainCall, prepare
 from pamctl.kernel.layout import Block
 from pamctl.plant.model import plant_parameters

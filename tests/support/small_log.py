@@ -11,7 +11,8 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
-from pamctl.json_text import to_json
+from pamctl.base.new_file import create_new_file
+from pamctl.base.texts import to_json
 from pamctl.log.framing import FRAME, FileRecord, map_log_file
 from pamctl.log.record_walk import walk_records
 from pamctl.log.schema import (
@@ -25,7 +26,6 @@ from pamctl.log.schema import (
 )
 from pamctl.log.wire import TickLayout, make_message_record, make_message_records
 from pamctl.log.writer import NO_SCHEMA, LogWriter
-from pamctl.new_file import create_new_file
 
 CHUNKS = 2
 CHUNK_TICKS = 6

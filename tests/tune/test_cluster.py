@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pamctl import worker_processes as cluster
+from pamctl.base import worker_processes as cluster
+from pamctl.base.worker_processes import ClusterError, connect_to_cluster, describe_versions
 from pamctl.settings.resolve import resolve
 from pamctl.tune import GainsSearch, Jury, Member
-from pamctl.worker_processes import ClusterError, connect_to_cluster, describe_versions
 
 distributed = pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
 pytestmark = pytest.mark.filterwarnings("default")  # Dask's own, at the end of a process

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from itertools import starmap
 from typing import Any
 
+from pamctl.base.errors import Problem
 from pamctl.diagnose.diagnosis import Diagnosis, Verdict
 from pamctl.diagnose.evidence.ladder import Finding, JudgedRival
 from pamctl.diagnose.evidence.run_pieces import HELD_OUT, TWELFTHS, Runs
@@ -37,7 +38,6 @@ from pamctl.diagnose.report.verdict_phrases import (
     spell_gap,
 )
 from pamctl.diagnose.report.verdict_words import sentence
-from pamctl.errors import Problem
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.report.report import Part, Points, Problems, Report, ReportTable, Section, Text
 

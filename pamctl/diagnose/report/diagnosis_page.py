@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from pamctl.base.new_file import write_files
 from pamctl.diagnose.diagnosis import Diagnosis, HeldOutGap
 from pamctl.diagnose.evidence.ladder import Finding
 from pamctl.diagnose.evidence.run_pieces import Runs
@@ -46,7 +47,6 @@ from pamctl.diagnose.report.verdict_phrases import (
     spell_end,
 )
 from pamctl.diagnose.report.verdict_words import advise_next_steps, choose_words, sentence
-from pamctl.new_file import write_files
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.report.axes import PlotAxis
 from pamctl.report.figure import MUTED, Levels, Plot

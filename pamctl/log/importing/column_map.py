@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from pydantic import Field, field_validator, model_validator
 
 from hal.calibration import CalibrationSettings, Configured
-from pamctl.json_text import to_json
+from pamctl.base.texts import to_json
 from pamctl.log.importing.headers import RADIANS, TIME, UNITS, read_unit
 
 if TYPE_CHECKING:

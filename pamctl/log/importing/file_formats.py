@@ -33,11 +33,11 @@ import numpy as np
 import zstandard
 
 from hal.child import advise_install, child_command
+from pamctl.base.new_file import describe_irregular_file
 from pamctl.log.importing.cell_texts import tell_kind
 from pamctl.log.importing.column_map import TextHints
 from pamctl.log.importing.measured_table import BOMB_BYTES, BOMB_RATIO, ImportRefused, MeasuredTable
 from pamctl.log.importing.table_rows import HEAD_ROWS, Row, TableBuilder, TableLayout, find_layout
-from pamctl.new_file import describe_irregular_file
 
 MEMORY_BYTES = 6 << 30
 """Where the system can limit it. Every table that can be imported needs less."""

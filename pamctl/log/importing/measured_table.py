@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pamctl.base.texts import hint_at_nearest
 from pamctl.log.framing import LogError
 from pamctl.log.importing.headers import Header, read_header
-from pamctl.plain_text import hint_at_nearest
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

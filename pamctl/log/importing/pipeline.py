@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.errors import Problem
-from pamctl.json_text import to_json
+from pamctl.base.errors import Problem
+from pamctl.base.new_file import create_new_file, require_place
+from pamctl.base.texts import escape_name, to_json
 from pamctl.log.check import LogFindings, Severity, list_findings
 from pamctl.log.importing.column_map import (
     ATMOSPHERIC_PRESSURE_PA,
@@ -46,8 +47,6 @@ from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import IMPORTED, TICK_TOPIC, imported_fields
 from pamctl.log.wire import TickLayout, make_message_records
 from pamctl.log.writer import LogWriter, begin_log
-from pamctl.new_file import create_new_file, require_place
-from pamctl.plain_text import escape_name
 
 MOST_TICKS = 50_000_000
 """Half a day at 1 kHz: protects against a mistyped rate."""

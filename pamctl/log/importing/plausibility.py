@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pamctl.json_text import to_json
+from pamctl.base.texts import to_json
 from pamctl.log.check import LogFindings
 from pamctl.log.importing.column_map import (
     KEYS,

@@ -14,6 +14,7 @@ from support.patience import PATIENCE_S
 from support.processes.daemons import daemon
 
 import pamctl
+from pamctl.base.errors import ExitCode, end_on_signals
 from pamctl.cli.diagnose import DiagnoseOptions, diagnose_on_rig
 from pamctl.diagnose import Verdict
 from pamctl.diagnose.deciding_program import ProgramTrial
@@ -23,7 +24,6 @@ from pamctl.diagnose.explanations import list_explanations
 from pamctl.diagnose.record import Record
 from pamctl.diagnose.report.diagnosis_page import write_diagnosis
 from pamctl.diagnose.report.next_experiment import choose_next_experiment, format_experiment_file
-from pamctl.exit_codes import ExitCode, end_on_signals
 from pamctl.plant.model import PlantSettings
 from pamctl.session.decide_on_rig import Investigation, decide_on_rig, write_investigation
 from pamctl.session.rig_plan import Budget, make_rig_plan

@@ -22,7 +22,7 @@ from typing import Any
 
 from hal.child import without_working_directory
 from pamctl import __version__
-from pamctl.exit_codes import ExitCode
+from pamctl.base.errors import ExitCode
 
 
 class _Worker(SpawnProcess):

@@ -1,13 +1,15 @@
-"""How a run ended, and the exit code for it."""
+"""How a run ended, and the exit code for it; and settings that cannot be used."""
 
 from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from enum import IntEnum
 from typing import NamedTuple
+
+from hal.problem import Problem as Problem
 
 
 class ExitCode(IntEnum):
@@ -75,3 +77,19 @@ def name_interrupt(stop: KeyboardInterrupt) -> ExitCode:
     """Return the exit code of what Ctrl-C or `end_on_signals` ended."""
     first = stop.__cause__ or stop
     return ExitCode(128 + first.args[0]) if first.args else ExitCode.SIGINT
+
+
+class ConfigError(Exception):
+    """Settings that cannot be used, with all their problems."""
+
+    def __init__(self, problems: Iterable[Problem]) -> None:
+        """Keep the problems; the message has one line each."""
+        self.problems = tuple(problems)
+        super().__init__("\n".join(map(str, self.problems)))
+
+    @property
+    def exit_code(self) -> ExitCode:
+        """2 where only options are wrong, 78 where a file or a setting is."""
+        places = [problem.where for problem in self.problems]
+        options_only = all(at.startswith("--") and not at.startswith("--set") for at in places)
+        return ExitCode.USAGE if options_only else ExitCode.BAD_CONFIG

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from hal.calibration import output_v, position_m, pressure_pa, quantise_v, valve_v
 from hal.sim import SimSettings, sensed_counts, sensed_pressure_v, sensor_chain
+from pamctl.base.errors import ExitCode
 from pamctl.control.course import Course
 from pamctl.control.experiment import ExperimentSettings, plan_experiment
-from pamctl.exit_codes import ExitCode
 from pamctl.kernel.calls import prepare
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.parameters import vented_state
@@ -193,4 +193,4 @@ def _require_reference(reference: Reference | None) -> Reference:
     return reference
 
 
-gymnasium.register("pamctl/Muscle-v0", entry_point="pamctl.gym:MuscleEnv")
+gymnasium.register("pamctl/Muscle-v0", entry_point="pamctl.session.gym:MuscleEnv")

@@ -17,7 +17,7 @@ from itertools import count
 from pathlib import Path
 from stat import S_IFIFO, S_IFMT, S_IFSOCK, S_ISDIR, S_ISREG
 
-from pamctl.exit_codes import ExitCode
+from pamctl.base.errors import ExitCode
 
 _TRIAL_BYTES = 64 * 1024
 _DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}

@@ -82,7 +82,7 @@ class LogCheckOptions(Options):
 @log_app.command("check")
 @verb
 def check_logs(asked: LogCheckOptions) -> None:
-    """Check files, checksums, indexes, tick numbers, times, signals, units and configuration.
+    """Check files, checksums, tick numbers, times, signals, units and configuration.
 
     Exits with 3 if there is an error in any of them, 65 if a file is no log at all.
     """

@@ -1,4 +1,4 @@
-"""Check a log: read all of it strictly, and compare it with its index, its clock and its story.
+"""Check a log: read all of it strictly, and compare it with its clock and its story.
 
 Memory use is bounded, however long the log is. An imported log is checked in the same way, but
 it needs no configuration and no outcome. https://mcap.dev/spec
@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from pamctl.base.errors import Problem
 from pamctl.base.texts import escape_name, from_json
-from pamctl.log.file_index import IndexCheck
 from pamctl.log.framing import LogError
 from pamctl.log.measured_signals import (
     describe_unknown_phase,
@@ -28,7 +27,7 @@ from pamctl.log.measured_signals import (
 )
 from pamctl.log.reader import Scan
 from pamctl.log.record_problems import RecordProblem, find_tick_period_s, judge_first_tick
-from pamctl.log.record_walk import Hole, Loaded
+from pamctl.log.record_walk import Hole
 from pamctl.log.schema import (
     CUT,
     EVENT_TOPIC,
@@ -53,7 +52,7 @@ _RECOVER = "save all that is whole: pamctl log recover {} NEW.mcap"
 _CUT = "cut a sound part out: pamctl log cut {} --out PART.mcap --from-s ... --to-s ..."
 _ANEW = "make a log of what was measured anew: pamctl log export {} T.csv, then log import"
 FIXES = {
-    **dict.fromkeys(("damage", "index", "summary", "chunk", "order"), _RECOVER),
+    "damage": _RECOVER,
     **dict.fromkeys(("backwards", "duplicated", "phase", "empty", "missing"), _CUT),
     **dict.fromkeys(("tick-order", "clock", "gap", "sequence", "reversed", "columns"), _ANEW),
     "version": "read it with the version that wrote it, which is in the file's metadata",
@@ -155,8 +154,6 @@ def check_log(
         findings.error("version", f"written by a version that cannot be read: {error}")
     if scan.ticks is None and not findings.any(Severity.ERROR):
         raise LogError(f"{path} is not a log of pamctl: it has no channel {TICK_TOPIC}")
-    if "damage" not in findings.kinds:
-        scan.index.end()
     ticks.end()
     _check_schema(scan, findings)
     _check_story(scan, findings, problems_of_config)
@@ -169,22 +166,16 @@ def check_log(
 
 
 class _CheckScan(Scan):
-    """A scan that compares the file's index with its data, and goes on behind damage."""
+    """A scan that goes on behind damage."""
 
     def __init__(self, path: str | Path, findings: LogFindings, ticks: _TickCheck) -> None:
         super().__init__(path, (EVENT_TOPIC, TICK_TOPIC), take_ticks=ticks.take)
         self._findings = findings
-        self.index = IndexCheck(findings.error, findings.warning)
-
-    def take(self, loaded: Loaded) -> None:
-        self.index.take(loaded)
-        super().take(loaded)
 
     def lose(self, hole: Hole) -> None:
         if hole.damage.offset == 0:
             raise LogError(f"{self.path} is not a log: {hole.damage}")
         self._findings.error("damage", str(hole.damage))
-        self.index.pass_over(hole.opcode)
 
 
 _NEEDED = ("tick", "t_s", "dt_s", "missed")

@@ -24,6 +24,7 @@ from support.processes.daemons import (
     parked,
     run_to_its_end,
 )
+from support.small_log import require_right_index
 
 from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
 from pamctl.daemon.server import Server, SocketError, require_no_daemon
@@ -72,6 +73,7 @@ def test_each_run_has_a_whole_log_of_its_own_that_replays_to_the_bit_and_the_fir
         assert replayed.is_equal, replayed.differences
         assert replayed.is_whole
         assert check_log(path).ok
+        require_right_index(path)
     phase = read(first)["phase"]
     went_through = phase[np.flatnonzero(np.diff(phase, prepend=-1))]
     assert went_through[:3].tolist() == [Phase.HOMING, Phase.OPEN_LOOP, Phase.STOPPING]

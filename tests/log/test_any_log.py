@@ -17,7 +17,7 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, Writer
-from support.small_log import write_small
+from support.small_log import require_right_index, write_small
 from typer.testing import CliRunner
 
 from pamctl.cli.app import app
@@ -171,10 +171,12 @@ def test_every_way_to_read_a_log_finds_what_was_written(data, tmp_path_factory):
         first = data.draw(st.integers(0, count - 2))
         cut_log(written.path, folder / "piece.mcap", from_row=first)
         written.equals(read(folder / "piece.mcap"), slice(first, None))
+        require_right_index(folder / "piece.mcap")
     if written.packing["enable_data_crcs"]:
         recovery = recover_file(written.path, folder / "saved.mcap")
         assert (recovery.lossless, recovery.damage) == (True, ())
         written.equals(read(folder / "saved.mcap"))
+        require_right_index(folder / "saved.mcap")
         assert read(folder / "saved.mcap").counts == log.counts
 
 
@@ -202,6 +204,7 @@ def test_an_annotation_leaves_every_byte_of_the_data_and_passes_the_check(tmp_pa
     assert path.stat().st_mtime_ns == when_ns
     report = check_log(path)
     assert report.ok, report.findings
+    require_right_index(path)
     assert read_annotation(path).tags == ("tag0", "tag1", "tag2")
     assert info(path)["tags"] == ["tag0", "tag1", "tag2"]
     assert list(tmp_path.iterdir()) == [path]

@@ -16,7 +16,7 @@ from mcap.opcode import Opcode
 from mcap.records import Chunk, DataEnd, Footer
 from mcap.writer import MCAP0_MAGIC
 from support.command_line import run_process
-from support.small_log import CHUNK_TICKS, CHUNKS, rewritten, write_small
+from support.small_log import CHUNK_TICKS, CHUNKS, require_right_index, rewritten, write_small
 
 from pamctl.base.new_file import create_new_file
 from pamctl.log import Log, LogError, info, read
@@ -82,6 +82,7 @@ def assert_nothing_wrong_is_passed_as_good(
     assert_true_of(original, read(saved, *recovery.messages), recovery)
     if by_all and "/pam/tick" in recovery.messages:
         assert check_log(saved).ok, check_log(saved)
+        require_right_index(saved)
     return recovery
 
 

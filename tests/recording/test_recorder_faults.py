@@ -18,6 +18,7 @@ import pytest
 from mcap.opcode import Opcode
 from support.made_up import START_MONO_NS, columns, end, meta, put, recording, tick
 from support.patience import PATIENCE_S
+from support.small_log import require_right_index
 
 from hal.child import child_command
 from pamctl.base.errors import Ending, ExitCode
@@ -98,6 +99,7 @@ def test_after_the_recorder_is_killed_the_log_is_complete_to_the_last_tick(log):
         assert not ring.path.exists()
         assert not ring.recorder_flags & RecorderFlag.GAPS
     assert check_log(log).ok
+    require_right_index(log)
     assert_complete(log, ticks)
     assert list(log.parent.iterdir()) == [log]
 
@@ -238,6 +240,7 @@ def test_a_log_that_is_cut_anywhere_is_taken_up_behind_its_last_whole_chunk(log,
             assert np.array_equal(after[name], before[name][: len(after)])
         report = check_log(log)
         assert report.ok, (cut, report.findings)
+        require_right_index(log)
     assert len(after) == len(before)
 
 

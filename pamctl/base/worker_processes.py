@@ -11,12 +11,10 @@ import os
 import platform
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from importlib import metadata
-from multiprocessing import Pipe
-from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any
 
@@ -56,23 +54,6 @@ def start_workers(jobs: int | None, cluster: str | None = None) -> Iterator[Exec
         yield executor
     finally:
         executor.shutdown(cancel_futures=True)
-
-
-def start_worker(work: Callable[..., Any], *given: Any) -> tuple[SpawnProcess, Connection]:
-    """Start a process for one piece of work; what it returns can be received once.
-
-    A worker that dies leaves the end of the connection.
-    """
-    answer, told = Pipe(duplex=False)
-    worker = _Worker(target=_work_once, args=(told, work, given), daemon=True)
-    worker.start()
-    told.close()
-    return worker, answer
-
-
-def _work_once(told: Connection, work: Callable[..., Any], given: tuple[Any, ...]) -> None:
-    _begin_work()
-    told.send(work(*given))
 
 
 def _begin_work() -> None:

@@ -37,7 +37,7 @@ class MonitorHandle:
         All three are called from a thread.
         """
         self._announce, self._mark, self._trip = announce, mark, trip
-        self._state: dict[str, Any] = {"blocks": [], "explanation": None, "problem": ""}
+        self._state: dict[str, Any] = {"blocks": [], "problem": ""}
         self._process: subprocess.Popen[bytes] | None = None
         if plant is None:
             return
@@ -97,16 +97,11 @@ class MonitorHandle:
             case "problem":
                 self._state["problem"] = report["problem"]
             case "alarm":
-                self._state["explanation"] = None
                 self._raise_alarm(format_alarm(report), told)
             case "alarm over":
                 text = f"the {report['block']} block is back at its floor"
                 self._announce("monitor alarm over", text=text, **told)
                 self._note(text)
-            case "explained":
-                self._state["explanation"] = told
-                self._announce("monitor explanation", text=report["sentence"], **told)
-                self._note(report["sentence"])
 
     def _raise_alarm(self, text: str, told: Mapping[str, Any]) -> None:
         self._announce("monitor alarm", text=text, **told)
@@ -169,5 +164,5 @@ def format_monitor(monitor: Mapping[str, Any]) -> str:
     if not monitor["blocks"]:
         return "monitor: waiting for some seconds of a run"
     words = "; ".join(format_block(block) for block in monitor["blocks"])
-    explanation = monitor["explanation"]
-    return f"monitor: {words}" + (f"; {explanation['sentence']}" if explanation else "")
+    is_off = any(block["alarm"] is not None for block in monitor["blocks"])
+    return f"monitor: {words}" + ("; `pamctl diagnose` its log after the run" if is_off else "")

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import savgol_filter
 
 from pamctl.diagnose.record import Array, Record
 from pamctl.log.measured_signals import Signals, signals
@@ -106,12 +105,8 @@ class RingFollower:
 
 LEARN_S = 8.0
 """Measurement from which the sensors' noise is estimated, before the first window is judged."""
-KEEP_S = 60.0
-"""Measurement that is kept for a diagnosis."""
-NEAR_START_S = 5.0
-"""An alarm that begins so soon after its run began is diagnosed from the run's begin, at rest."""
-START_WITHIN_S = 0.3
-SMOOTH_SAMPLES = 41
+KEEP_S = LEARN_S + RUN_IN_S + JUDGED_S
+"""Measurement that is kept for the noise and the next window."""
 LONGEST_GAP_S = 0.05
 """Windows do not reach over a longer gap."""
 SILENT = 5
@@ -171,20 +166,6 @@ class RunWatch:
         while (window := self._next_window()) is not None:
             changed |= self._judge(window)
         return changed
-
-    def recall(self, since_s: float) -> Record | None:
-        """Return the measurement since a time, at most a minute; None if there is none."""
-        if not self._kept:
-            return None
-        record = _join(self._kept)
-        if since_s - record.t_s[0] < NEAR_START_S:
-            first = 0
-        else:
-            first = _find_clean_start(record, int(np.searchsorted(record.t_s, since_s)))
-        if len(record) - first < 2:
-            return None
-        cut = record.cut_samples(first, len(record), "last minute")
-        return replace(cut, t_s=cut.t_s - cut.t_s[0], stated_noise=self._stated)
 
     def _add(self, piece: Record) -> None:
         start_s = piece.t_s[0]
@@ -246,19 +227,6 @@ class RunWatch:
         raised = float(np.clip(np.median(ratios), 1.0, MOST_OF_BASELINE))
         excess = misfit.excess - float(np.log(raised))
         return replace(misfit, floor=raised * misfit.floor, excess=excess)
-
-
-def _find_clean_start(record: Record, first: int) -> int:
-    """Return the sample near `first` whose pressure has the least noise.
-
-    A chamber remembers where it started: the first sample's noise would stay in the residual.
-    """
-    samples = round(START_WITHIN_S / record.period_s)
-    near = record["pressure_pa"][first : first + samples]
-    if len(near) <= SMOOTH_SAMPLES:
-        return first
-    off = np.abs(near - savgol_filter(near, SMOOTH_SAMPLES, 2))
-    return first + int(np.argmin(off))
 
 
 def _cut_usable(signals: Signals, start_s: float) -> list[Record]:

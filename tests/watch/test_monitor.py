@@ -111,7 +111,6 @@ def test_homing_and_gaps_are_left_out():
     watch = RunWatch(resolve(plant=PLANT).plant)
     feed(watch, replace(measured, phase=np.full(len(measured), int(Phase.HOMING))), 0.0)
     assert watch.windows == 0
-    assert watch.recall(0.0) is None
     feed(watch, measured, 50.0)
     first = watch.windows
     assert first > 0

@@ -39,7 +39,7 @@ def __getattr__(name: str) -> object:
         fix = "await asyncio.to_thread(rig.run, ...), and so each method of a rig"
         raise AttributeError(f"pamctl.aio is gone; {fix}")
     if name == "gym":
-        return import_module("pamctl.session.gym")
+        return import_module(f"pamctl.session.{name}")
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"pamctl.session.{_HOMES[name]}"), name)

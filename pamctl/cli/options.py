@@ -28,7 +28,7 @@ from pamctl.cli.failure import Failed
 from pamctl.settings.config_files import DEFAULT_NAMES
 
 if TYPE_CHECKING:
-    from pamctl.log.annotation import Annotation
+    from pamctl.log.run_meta import Annotation
     from pamctl.plant.model import PlantSettings
 
 NO_CHANGES = "no changes"
@@ -245,7 +245,7 @@ class AnnotationOptions(Options):
 
     def make_annotation(self) -> Annotation:
         """Return it; raise `AnnotationError` where a log cannot hold it."""
-        from pamctl.log.annotation import make_annotation
+        from pamctl.log.run_meta import make_annotation
 
         return make_annotation(self.tags, self.note, self.operator, self.sample)
 

@@ -15,7 +15,7 @@ from pamctl.cli.options import LOGS, Options, argument, flag, option, verb
 from pamctl.cli.output import print_json, print_report
 
 if TYPE_CHECKING:
-    from pamctl.log.annotation import Annotation
+    from pamctl.log.run_meta import Annotation
 
 runs_app = typer.Typer(
     invoke_without_command=True, help="Find runs again by law, date, error, tag or setting."
@@ -98,7 +98,7 @@ def tag_logs(asked: TagOptions) -> None:
 @verb
 def untag_logs(asked: TagOptions) -> None:
     """Take a tag away from logs."""
-    from pamctl.log.annotation import check_tag
+    from pamctl.log.run_meta import check_tag
 
     known = check_tag(asked.tag)
     _edit(asked.paths, lambda said: said.drop_tag(known), as_json=asked.as_json)
@@ -115,7 +115,7 @@ class NoteOptions(Options):
 @verb
 def note_logs(asked: NoteOptions) -> None:
     """Write a note into logs, in the place of the one before."""
-    from pamctl.log.annotation import make_annotation
+    from pamctl.log.run_meta import make_annotation
 
     note = make_annotation(note=asked.text).note
     _edit(asked.paths, lambda said: replace(said, note=note), as_json=asked.as_json)

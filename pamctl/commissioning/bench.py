@@ -23,8 +23,7 @@ from hal.rig import RawSample, Rig, open_rig
 from pamctl.base.errors import ExitCode
 from pamctl.processes.backends import build_clock, build_rig, hold_device
 from pamctl.processes.guardian_main import keep_watchman
-from pamctl.processes.interrupts import Interrupts
-from pamctl.processes.keep_awake import MASK, keep_awake
+from pamctl.processes.interrupts import MASK, Interrupts, keep_awake
 from pamctl.realtime.clock import Clock, SleepWatch
 from pamctl.settings.resolve import RunSettings
 from pamctl.settings.rig_file import RigFile

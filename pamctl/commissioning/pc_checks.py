@@ -15,7 +15,7 @@ from typing import NamedTuple
 from hal.backend import report_check
 from hal.problem import Level, Problem
 from hal.rig import Rig
-from pamctl.processes.keep_awake import MASK, can_sleep, keep_awake
+from pamctl.processes.interrupts import MASK, can_sleep, keep_awake
 from pamctl.realtime.clock import Clock
 from pamctl.realtime.scheduling import Preparation
 from pamctl.realtime.tick_runner import TickCost

@@ -158,8 +158,7 @@ class RigSession(SessionLife):
         tags: Annotated[list[str], Field(max_length=MOST_TAGS)] = [],  # noqa: B006
     ) -> dict[str, str]:
         """Run an experiment; home first if the muscle is not homed."""
-        from pamctl.log.annotation import AnnotationError, make_annotation
-        from pamctl.log.run_meta import bare_name
+        from pamctl.log.run_meta import AnnotationError, bare_name, make_annotation
 
         try:
             said = make_annotation(tags, note, operator, sample)

@@ -35,8 +35,7 @@ from pamctl.processes.backends import (
     require_open_files,
     secure_device,
 )
-from pamctl.processes.interrupts import STOP_SIGNALS
-from pamctl.processes.keep_awake import keep_awake
+from pamctl.processes.interrupts import STOP_SIGNALS, keep_awake
 from pamctl.processes.run_once import build_machine_code
 from pamctl.recording.recorder import finish_orphans, ignore_signals
 from pamctl.settings.resolve import RunSettings

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from pamctl.daemon.in_process import InProcessLoop, InProcessMaker
     from pamctl.daemon.session import Session, Workshop
     from pamctl.daemon.shelf import Latch, Shelf
-    from pamctl.log.annotation import Annotation
+    from pamctl.log.run_meta import Annotation
     from pamctl.plant.model import PlantSettings
-    from pamctl.processes.keep_awake import SleepInhibitor
+    from pamctl.processes.interrupts import SleepInhibitor
     from pamctl.recording.recorded_run import RecordedRun
     from pamctl.settings.resolve import RunSettings
 
@@ -241,8 +241,7 @@ class SessionLife(OrderTaker):
             load_experiment,
             require_feasible,
         )
-        from pamctl.log.annotation import NOTHING_SAID, annotate_meta
-        from pamctl.log.run_meta import bare_name
+        from pamctl.log.run_meta import NOTHING_SAID, annotate_meta, bare_name
         from pamctl.processes.run_once import make_run_meta
 
         settings = load_experiment(self._settings, experiment, name, duration_s)
@@ -269,7 +268,7 @@ class SessionLife(OrderTaker):
         return path
 
     def _begin_loop(self) -> Carrier:
-        from pamctl.processes.keep_awake import SleepInhibitor
+        from pamctl.processes.interrupts import SleepInhibitor
 
         self._inhibitor = None if self._settings.fast else SleepInhibitor()
         try:

@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from pamctl.base.errors import ExitCode
 from pamctl.base.new_file import create_new_file, require_place
 from pamctl.base.texts import escape_name, to_json
-from pamctl.log.annotation import ANNOTATION, Annotation, date_record
 from pamctl.log.framing import (
     MAGIC,
     Damage,
@@ -37,6 +36,7 @@ from pamctl.log.framing import (
 from pamctl.log.reader import Log, read_some
 from pamctl.log.record_walk import parse_messages, walk_records
 from pamctl.log.recover import LogCopy, resume_log
+from pamctl.log.run_meta import ANNOTATION, Annotation, date_record
 from pamctl.log.schema import CUT, GAINS_TOPIC, JSON_SCHEMAS, KEYFRAME_TOPIC, TICK_TOPIC
 from pamctl.log.writer import LogWriter
 

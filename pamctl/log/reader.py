@@ -22,7 +22,6 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from numpy.typing import NDArray
 
 from pamctl.base.texts import clean_document, escape_name, from_json, hint_at_nearest
-from pamctl.log.annotation import ANNOTATION, Annotation
 from pamctl.log.columns import WALL_TIME, GridRows, Page, Pages, TickColumns
 from pamctl.log.framing import (
     Damage,
@@ -43,7 +42,7 @@ from pamctl.log.record_walk import (
     load_records,
     parse_messages,
 )
-from pamctl.log.run_meta import CHANGES, describe_running_changes
+from pamctl.log.run_meta import ANNOTATION, CHANGES, Annotation, describe_running_changes
 from pamctl.log.schema import (
     CUT,
     EVENT_TOPIC,

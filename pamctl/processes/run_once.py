@@ -19,8 +19,14 @@ from pamctl.control.experiment import plan_experiment
 from pamctl.control.filters import warp_cutoff
 from pamctl.control.law_registry import describe_law, law_of
 from pamctl.kernel import build
-from pamctl.log.annotation import NOTHING_SAID, Annotation, annotate_meta
-from pamctl.log.run_meta import RunMeta, bare_name, make_dated_path
+from pamctl.log.run_meta import (
+    NOTHING_SAID,
+    Annotation,
+    RunMeta,
+    annotate_meta,
+    bare_name,
+    make_dated_path,
+)
 from pamctl.processes.backends import (
     SHARED_MEMORY,
     build_clock,
@@ -32,7 +38,7 @@ from pamctl.processes.backends import (
     secure_device,
 )
 from pamctl.processes.front import conduct_run
-from pamctl.processes.keep_awake import keep_awake
+from pamctl.processes.interrupts import keep_awake
 from pamctl.processes.loop_main import compose_loop, run_to_ending
 from pamctl.processes.loop_supervisor import LoopSupervisor
 from pamctl.realtime.clock import LoopSettings

@@ -12,9 +12,8 @@ from pamctl.base.errors import ExitCode
 from pamctl.base.texts import clean_text, flatten_keys, to_json
 from pamctl.control.law_registry import find_law
 from pamctl.log import Log
-from pamctl.log.annotation import ANNOTATION, Annotation
 from pamctl.log.measured_signals import judge_ticks
-from pamctl.log.run_meta import describe_running_changes, spell_controller
+from pamctl.log.run_meta import ANNOTATION, Annotation, describe_running_changes, spell_controller
 from pamctl.offline.merit import compute_log_merits, find_paper_rows, summarise_timing
 from pamctl.report.axes import PlotAxis
 from pamctl.report.figure import Plot

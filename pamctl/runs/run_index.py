@@ -26,8 +26,8 @@ from typing import NamedTuple
 from pamctl.base.errors import ExitCode
 from pamctl.base.new_file import NewFileError, describe_irregular_file, write_files
 from pamctl.base.texts import hint_at_nearest
-from pamctl.log.annotation import Annotation
 from pamctl.log.edit import read_annotation, write_annotation
+from pamctl.log.run_meta import Annotation
 from pamctl.report.report import Report, ReportTable
 from pamctl.runs.run_row import ENDING_WORDS, RunRow, find_varying_keys, read_row
 

@@ -15,10 +15,9 @@ import numpy as np
 
 from pamctl.base.errors import EMERGENCY_STOP, ExitCode
 from pamctl.base.texts import clean_text, escape_name, flatten_keys
-from pamctl.log.annotation import ANNOTATION, Annotation
 from pamctl.log.framing import LogError
 from pamctl.log.reader import Scan
-from pamctl.log.run_meta import bare_name
+from pamctl.log.run_meta import ANNOTATION, Annotation, bare_name
 from pamctl.log.schema import EVENT_TOPIC, TICK_TOPIC
 from pamctl.offline.merit import NO_MERIT, compute_log_merits
 from pamctl.safety import explain_verdicts

@@ -22,13 +22,13 @@ from typer.testing import CliRunner
 
 from pamctl.cli.app import app
 from pamctl.log import Log, LogError, columns, info, read
-from pamctl.log.annotation import ANNOTATION, Annotation, AnnotationError, make_annotation
 from pamctl.log.check import check_log
 from pamctl.log.edit import append_metadata, cut_log, read_annotation, write_annotation
 from pamctl.log.framing import map_log_file
 from pamctl.log.reader import read_paged, read_some
 from pamctl.log.record_walk import walk_records
 from pamctl.log.recover import recover_file
+from pamctl.log.run_meta import ANNOTATION, Annotation, AnnotationError, make_annotation
 from pamctl.log.schema import EVENT_TOPIC, TICK_TOPIC, tick_descriptor
 from pamctl.signals import Field
 

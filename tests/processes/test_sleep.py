@@ -20,7 +20,7 @@ from hal.sim import peek_v
 from pamctl.commissioning.bench import LimitError, open_workplace
 from pamctl.commissioning.pc_checks import check_sleep
 from pamctl.daemon.client import DaemonDeclinedError
-from pamctl.processes import guardian, keep_awake
+from pamctl.processes import guardian, interrupts
 from pamctl.processes.backends import ao_path
 from pamctl.processes.guardian import Silence
 from pamctl.realtime.clock import SleepWatch
@@ -158,8 +158,8 @@ def test_a_run_forbids_sleep_until_it_ends_however_it_ends(tmp_path):
 def sleepy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A PC that can be put to sleep."""
     (tmp_path / "state").write_text("freeze mem disk\n")
-    monkeypatch.setattr(keep_awake, "_STATES", tmp_path / "state")
-    monkeypatch.setattr(keep_awake, "_TARGET", tmp_path / "sleep.target")
+    monkeypatch.setattr(interrupts, "_STATES", tmp_path / "state")
+    monkeypatch.setattr(interrupts, "_TARGET", tmp_path / "sleep.target")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -175,7 +175,7 @@ def sleepy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_one_line_says_that_nothing_keeps_the_pc_awake(sleepy, monkeypatch, then, why):
     path = str(sleepy / "none") if then is None else put_inhibit(sleepy, then)["PATH"]
     monkeypatch.setenv("PATH", path)
-    with keep_awake.keep_awake() as risk:
+    with interrupts.keep_awake() as risk:
         assert why in risk
         assert "systemctl mask" in risk
         assert len(risk.splitlines()) == 1

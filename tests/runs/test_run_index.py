@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 
 from pamctl.cli.app import app
 from pamctl.log import read
-from pamctl.log.annotation import make_annotation
 from pamctl.log.edit import append_metadata, read_annotation, write_annotation
+from pamctl.log.run_meta import make_annotation
 from pamctl.offline.merit import compute_log_merits
 from pamctl.runs.run_index import (
     INDEX_NAME,

@@ -192,7 +192,7 @@ def _real_time_steps(cpu: int | None, undo: ExitStack) -> list[PreparationStep]:
     return steps
 
 
-def prepare_guardian(mode: Mode, loop_cpu: int | None) -> tuple[PreparationStep, ...]:
+def prepare_guardian(mode: Mode, loop_cpu: int | None) -> None:
     """Prepare the guardian's process: awake in time even where the loop's CPU is lost.
 
     Nothing of it is indispensable: the loop says already what is not permitted.
@@ -202,21 +202,15 @@ def prepare_guardian(mode: Mode, loop_cpu: int | None) -> tuple[PreparationStep,
         loop_cpu: as the loop's process was told.
     """
     undo = ExitStack()  # for good: this process does nothing else
-    steps = [_collect_garbage_once(undo)]
-    cpus = frozenset(os.sched_getaffinity(0))
+    _collect_garbage_once(undo)
     if mode != "off":
-        steps += [
-            _attempt("mlock", _lock_memory, _how_to_lock_memory, undo),
-            _attempt("affinity", lambda undo: _keep_off(loop_cpu, undo), _how_to_pin, undo),
-            _attempt(
-                "fifo",
-                lambda undo: _run_as_fifo(undo, GUARDIAN_PRIORITY),
-                _how_to_run_as_fifo,
-                undo,
-            ),
-            *_free_foreign_threads(cpus),  # the rehearsal has loaded the driver
-        ]
-    return tuple(steps)
+        cpus = frozenset(os.sched_getaffinity(0))
+        _attempt("mlock", _lock_memory, _how_to_lock_memory, undo)
+        _attempt("affinity", lambda undo: _keep_off(loop_cpu, undo), _how_to_pin, undo)
+        _attempt(
+            "fifo", lambda undo: _run_as_fifo(undo, GUARDIAN_PRIORITY), _how_to_run_as_fifo, undo
+        )
+        _free_foreign_threads(cpus)  # the rehearsal has loaded the driver
 
 
 @contextlib.contextmanager

@@ -21,6 +21,7 @@ from support.processes.children import await_children
 from support.processes.daemons import QUICK
 from support.runs import AO_STEP_V
 
+from pamctl.realtime.scheduling import GUARDIAN_PRIORITY
 from pamctl.signals import Phase
 
 assert own  # a fixture
@@ -58,11 +59,12 @@ def test_a_run_on_the_card_is_complete_and_ends_at_the_safe_voltage(own):
     assert any(found[:16])
 
 
-def test_ctrl_c_leaves_the_card_safe_and_its_driver_s_threads_were_raised_and_unpinned(own):
-    """Else a killed loop frees the card only when its busy CPU gets round to them."""
+def test_ctrl_c_leaves_the_card_safe_its_driver_s_threads_and_its_guardian_were_raised(own):
+    """Else a killed loop frees the card, and the guardian acts, only when a busy CPU allows it."""
     process = start(own, *AT_ONCE)
     await_writes(own, process, 300)
-    loop = await_children(process.pid, "loop_main")["loop_main"]
+    children = await_children(process.pid, "loop_main", "guardian_main")
+    loop, guardian = children["loop_main"], children["guardian_main"]
     tasks = [int(task) for task in os.listdir(f"/proc/{loop}/task")]
     own_cpus = os.sched_getaffinity(loop)
     found = [
@@ -70,6 +72,7 @@ def test_ctrl_c_leaves_the_card_safe_and_its_driver_s_threads_were_raised_and_un
         for task in tasks
         if task != loop
     ]
+    guards = os.sched_getparam(guardian).sched_priority, os.sched_getaffinity(guardian)
     process.send_signal(signal.SIGINT)
     process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130
@@ -79,6 +82,7 @@ def test_ctrl_c_leaves_the_card_safe_and_its_driver_s_threads_were_raised_and_un
     if os.geteuid() or os.sched_getaffinity(0) == own_cpus or not noted["done"]:
         pytest.skip("needs two CPUs and SCHED_FIFO, which only root is sure to be allowed")
     assert found == [(os.SCHED_FIFO, os.sched_getaffinity(0))] * 4
+    assert guards == (GUARDIAN_PRIORITY, os.sched_getaffinity(0) - own_cpus)
 
 
 def assert_left_in_order(card: Card, process: subprocess.Popen[str], code: int) -> str:

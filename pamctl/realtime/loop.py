@@ -165,8 +165,9 @@ class ControlLoop:
         Without a course, those for which the homing that goes on asks for the same.
         """
         many, tick, homing = self.many, self.tick, self.program.homing
-        if tick.follows:
-            due_s, homing = self.program.next_cue_s, None
+        if tick.follows and self.program.running is not None:
+            (course, begin_s), homing = self.program.running, None
+            due_s = begin_s + course.next_cue_s
         elif homing is not None and self.helm.settled_setup is tick.setup:
             due_s = homing.holds_until_s
         else:

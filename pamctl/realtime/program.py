@@ -5,7 +5,6 @@ Marks in the log and other gains are due beside the reference.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any, Protocol
 
@@ -83,13 +82,6 @@ class Program:
         if self._course_begin_s is None or self._stop_begin_s is not None:
             return None
         return self._course.take_cue(t_s - self._course_begin_s)
-
-    @property
-    def next_cue_s(self) -> float:
-        """When the next cue is due, s; infinity if there is none."""
-        if self._course_begin_s is None or self._stop_begin_s is not None:
-            return math.inf
-        return self._course_begin_s + self._course.next_cue_s
 
     @property
     def is_stopping(self) -> bool:

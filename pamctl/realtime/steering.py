@@ -85,11 +85,6 @@ class SteeredProgram(CuedHelm):
         """The course of the present run while only the time decides its reference."""
         return None if self._run is None or self._is_over else self._run.running
 
-    @property
-    def next_cue_s(self) -> float:
-        """When the next cue of the present run is due, s."""
-        return math.inf if self._run is None else self._run.next_cue_s
-
     def rehearse_reference(self, t_s: float) -> Reference | None:
         """Return the reference that the present run would give, and change nothing."""
         return None if self._run is None else self._run.rehearse_reference(t_s)

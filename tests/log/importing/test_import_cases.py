@@ -162,6 +162,13 @@ def test_a_quantity_without_its_unit_is_asked_for_and_never_dropped(tmp_path, at
     assert Outcome(path, "--map", str(write(tmp_path, done.shown_map, "map.yaml"))).code == 0
 
 
+@pytest.mark.parametrize(("every", "unit"), [(1e-3, "s"), (1, "ms"), (1000, "us"), (10**6, "ns")])
+def test_a_time_without_its_unit_is_proposed_in_that_of_a_rig_of_1_khz(tmp_path, every, unit):
+    times = [round(k * every, 3) for k in range(60)]
+    refused = Outcome(write(tmp_path, table(("stamp", *HEAD[1:]), (times, *GOOD[1:]))))
+    assert f"time: {{column: 'stamp', unit: {unit}}}" in refused.shown_map
+
+
 # Header lines, ragged lines, lines that are cut.
 
 

@@ -184,7 +184,7 @@ def test_a_pause_and_scattered_stamps_are_told_and_not_fatal():
 def test_a_record_without_two_rows_is_none(rows):
     columns = [column._replace(values=column.values[:rows]) for column in make_columns()]
     (problem,) = find_record_problems(T_S[:rows], columns)
-    assert (problem.kind, problem.is_fatal) == ("short", True)
+    assert (problem.kind, problem.column, problem.is_fatal) == ("short", "t_s", True)
 
 
 def test_a_channel_that_was_stored_twice_is_told():

@@ -137,6 +137,7 @@ def test_a_ring_is_attached_over_many_ticks_and_not_in_one(tmp_path, session, mo
 
 def test_the_ticks_of_two_runs_in_a_row_are_all_recorded(tmp_path, session):
     """The first run goes on while the ring of the second is attached."""
+    session.journal.note_start({"event": "timing_setup"})
     with make_ring(tmp_path, "one.ring") as one, make_ring(tmp_path, "two.ring") as two:
         session.slot.orders.append(order_run(one))
         session.tick_until_recorded()
@@ -149,6 +150,10 @@ def test_the_ticks_of_two_runs_in_a_row_are_all_recorded(tmp_path, session):
             session.tick()
         assert ticks_in(one) == list(range(first, switch))
         assert ticks_in(two) == list(range(switch, switch + 20))
+        begins = [entry for entry in two.drain(ROWS).entries() if entry.kind != RowKind.TICK]
+        assert b"timing_setup" in begins[0].payload
+        before = switch - 1, tick(switch - 1).raw.encoder_t_ns
+        assert {(entry.tick, entry.t_ns) for entry in begins} == {before}
 
 
 def test_the_ring_of_a_run_that_is_over_is_given_back_in_pieces_with_its_rows_intact(

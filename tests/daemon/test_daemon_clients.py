@@ -2,11 +2,13 @@
 
 import asyncio
 import json
+import os
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,6 +17,7 @@ from hypothesis import strategies as st
 from support.patience import PATIENCE_S
 from support.processes.daemons import Daemon, daemon
 
+from pamctl.daemon import client
 from pamctl.daemon.protocol import (
     LARGEST_REQUEST,
     OrderTaker,
@@ -47,6 +50,25 @@ anything = st.recursive(
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
     max_leaves=12,
 )
+
+
+# --- where a daemon listens ------------------------------------------------------------------
+
+
+def test_a_client_looks_for_the_daemon_of_its_user_and_then_for_that_of_the_system(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    system, own = tmp_path / "control.sock", tmp_path / "pamctl.sock"
+    monkeypatch.setattr(client, "_SYSTEM_SOCKET", system)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr(os, "geteuid", lambda: 0)
+    assert client.own_socket() == client.default_socket() == system
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    assert client.own_socket() == client.default_socket() == own
+    system.touch()
+    assert client.default_socket() == system
+    own.touch()
+    assert client.default_socket() == own
 
 
 # --- what a request is, without a socket -----------------------------------------------------

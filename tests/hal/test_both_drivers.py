@@ -391,6 +391,11 @@ def test_a_rig_file_that_cannot_be_is_refused(override, complaint):
     assert complaint in str(caught.value)
 
 
+def test_a_safe_voltage_may_be_the_full_scale_which_is_one_code_beyond_the_last() -> None:
+    full = ["rig.safe_volts=10", "rig.calibration.driver_high_v=10"]
+    assert resolve(rig=NIDAQ.rig_file, overrides=full).rig.safe_volts == 10.0
+
+
 def behind_comedi(card: Card, safe_output_v: float) -> tuple[Rig, Clock]:
     clock = CardClock(card)
     rig = ComediRig(ComediSettings(), safe_output_v=safe_output_v, now_ns=clock.now_ns)

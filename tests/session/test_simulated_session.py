@@ -17,6 +17,7 @@ import pamctl
 from pamctl.base.errors import Ending, ExitCode
 from pamctl.daemon.in_process import InProcessLoop
 from pamctl.daemon.rig_session import RigSession
+from pamctl.daemon.shelf import Shelf
 from pamctl.log import read
 from pamctl.offline.closed_loop import simulate_run
 from pamctl.offline.tick_replay import replay_log
@@ -61,6 +62,14 @@ def test_an_afternoon_of_positions_runs_marks_and_gains_replays_to_the_bit(rig):
     assert [g["lambda_per_s"] for g in again.log.gains][-1] == rig.gains["lambda_per_s"] == 12
     for each in (run, again):
         assert replay_log(each.log).is_equal
+
+
+def test_a_motion_that_might_fill_the_disk_is_refused_before_it_begins(rig, monkeypatch):
+    """One without an end needs room for ten minutes at its start, at 300 bytes a tick."""
+    monkeypatch.setattr(Shelf, "free_bytes", (100 << 20) + 600 * 1000 * 300 - 1)
+    with pytest.raises(pamctl.PamctlError, match=r"has 271 MiB left, this run may need 271; make"):
+        rig.goto(4e-3)
+    assert rig.run(SINE).ending == (ExitCode.OK, "the experiment is complete")
 
 
 def test_the_motion_is_that_of_the_compiled_batch(tmp_path):

@@ -50,6 +50,8 @@ class Sliding(Configured):
     literal: bool = True
     notes: str | None = None
     offsets_v: dict[str, float] = Field(default={})
+    c: float = 1.0
+    k: float = 1.0
 
 
 class Pid(Configured):
@@ -134,6 +136,7 @@ SLIDING = "controller:\n  law: sliding\n  lambda_per_s: 225\n"
             "pressure_kpa: unknown key; did you mean 'pressure_pa'? The unit is part of the name",
         ),
         ("pressure: 1", "pressure: unknown key; did you mean 'pressure_pa'? The unit is part of"),
+        ("k_v: 1", "k_v: unknown key; did you mean 'k'? The unit is part of the name"),
         ("zzz: 1", "zzz: unknown key; there are law, lambda_per_s, limit_v, pressure_pa, taps,"),
     ],
 )

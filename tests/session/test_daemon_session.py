@@ -49,7 +49,7 @@ def test_positions_runs_gains_and_marks_are_those_of_the_simulation(up):
     assert up.is_safe()
 
 
-def test_leaving_the_block_stops_what_was_begun_in_it_and_nothing_else(up):
+def test_leaving_the_block_stops_what_was_begun_in_it_and_nothing_else(up, monkeypatch):
     with pytest.raises(RuntimeError, match="mine"), connect(up.socket) as rig:
         log = rig.start(SINE)
         up.wait_for("running")
@@ -57,7 +57,20 @@ def test_leaving_the_block_stops_what_was_begun_in_it_and_nothing_else(up):
     assert up.ask("status")["run"] is None
     assert up.is_safe()
     assert pamctl.Run.open(log).ending.reason == "stopped by request"
-    other = Path(up.ask("start", experiment=TRACKING, name="other")["log"])
+    with connect(up.socket) as rig:
+        ask = rig._link.ask
+
+        def ask_and_interrupt(order: str, params: dict[str, object]) -> object:
+            answer = ask(order, params)
+            if order == "start":
+                raise KeyboardInterrupt
+            return answer
+
+        monkeypatch.setattr(rig._link, "ask", ask_and_interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            rig.run(SINE)
+        assert up.ask("status")["run"] is None
+        other = Path(up.ask("start", experiment=TRACKING, name="other")["log"])
     with connect(up.socket) as rig:
         assert rig.status()["log"] == str(other)
         with pytest.raises(pamctl.PamctlError, match="not now"):

@@ -185,6 +185,7 @@ def test_a_trip_ends_batch_and_loop_in_the_same_tick(folder):
     )
     assert real.ending.code is ExitCode.SAFETY_TRIP
     assert compiled.tripped_tick == real.ticks[-1].timing.tick > 20
+    assert compiled.tripped_s == real.ticks[-1].timing.t_s
     assert compiled["valve_v"][-1] == -5.0
 
 

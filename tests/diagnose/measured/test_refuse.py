@@ -89,9 +89,10 @@ def test_a_channel_that_stands_still_is_refused():
     assert "not excited" in diagnose(still, still, PAPER).reason
 
 
-def test_columns_of_different_lengths_raise_an_error():
+def test_columns_are_any_numbers_and_raise_an_error_where_lengths_differ():
     with pytest.raises(ValueError, match="3 samples"):
         Record("short", np.arange(4) * PERIOD_S, valve_v=np.zeros(3))
+    assert Record("plain", [0, 1, 2], position_m=[0, 1, 2]).step_s.tolist() == [1.0, 1.0]
 
 
 def test_gaps_cut_a_record_into_segments_and_do_not_refuse_it():

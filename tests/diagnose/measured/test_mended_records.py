@@ -120,6 +120,7 @@ def test_steps_clicks_and_ramps_are_no_outliers():
 def test_scattered_stamps_give_way_to_the_grid_only_if_the_samples_are_regular():
     random = np.random.default_rng(2)
     grid_s = np.arange(5000) * 1e-3
+    grid_s[3000:] += 0.0204  # a gap, after which the grid begins anew
     scattered_s = np.sort(grid_s + random.normal(0.0, 2e-4, 5000))
     regular, true = (0.02 * np.sin(4.0 * t) + 1e-6 * random.normal(size=5000)
                      for t in (grid_s, scattered_s))  # fmt: skip

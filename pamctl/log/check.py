@@ -26,8 +26,8 @@ from pamctl.log.measured_signals import (
     find_unknown_phase,
 )
 from pamctl.log.reader import Scan
-from pamctl.log.record_problems import RecordProblem, find_tick_period_s, judge_first_tick
 from pamctl.log.record_walk import Hole
+from pamctl.log.row_problems import RecordProblem, find_tick_period_s, judge_first_tick
 from pamctl.log.schema import (
     CUT,
     EVENT_TOPIC,

@@ -23,13 +23,8 @@ from pydantic import ValidationError
 from hal.calibration import CalibrationSettings, calibration, valve_v
 from pamctl.log.framing import LogError
 from pamctl.log.reader import Log
-from pamctl.log.record_problems import (
-    FIRST_TICKS,
-    RecordProblem,
-    find_record_problems,
-    judge_first_tick,
-    measured_columns,
-)
+from pamctl.log.record_problems import find_record_problems, measured_columns
+from pamctl.log.row_problems import FIRST_TICKS, RecordProblem, judge_first_tick
 from pamctl.signals import Phase
 
 NO_PHASE = -1

@@ -32,7 +32,6 @@ from pamctl.log.framing import (
     release_pages,
     translate_parse_errors,
 )
-from pamctl.log.record_problems import RecordProblem, judge_schema
 from pamctl.log.record_walk import (
     MOST_SILENT_BYTES,
     Hole,
@@ -42,6 +41,7 @@ from pamctl.log.record_walk import (
     load_records,
     parse_messages,
 )
+from pamctl.log.row_problems import RecordProblem, judge_schema
 from pamctl.log.run_meta import ANNOTATION, CHANGES, Annotation, describe_running_changes
 from pamctl.log.schema import (
     CUT,

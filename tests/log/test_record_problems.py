@@ -8,14 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pamctl.log.record_problems import (
-    RecordColumn,
-    RecordProblem,
-    find_frozen,
-    find_gaps,
-    find_record_problems,
-    find_sensor_step,
-)
+from pamctl.log.record_problems import find_frozen, find_record_problems, find_sensor_step
+from pamctl.log.row_problems import RecordColumn, RecordProblem, find_gaps
 
 T_S = np.arange(6000) * 1e-3
 Change = Callable[[Any], Any]

@@ -42,7 +42,7 @@ from pamctl.log.importing.measured_table import (
 )
 from pamctl.log.importing.plausibility import judge_clock, judge_record, judge_units
 from pamctl.log.importing.shown_map import propose_missing, show_map
-from pamctl.log.record_problems import GAP_PERIODS, find_gaps, nominal_period_s
+from pamctl.log.row_problems import GAP_PERIODS, find_gaps, nominal_period_s
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import IMPORTED, TICK_TOPIC, imported_fields
 from pamctl.log.wire import TickLayout, make_message_records

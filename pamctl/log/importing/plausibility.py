@@ -29,7 +29,8 @@ from pamctl.log.importing.column_roles import (
 from pamctl.log.importing.headers import NEED_A_GAIN, UNITS
 from pamctl.log.importing.measured_table import Floats, Ints, TableColumn
 from pamctl.log.importing.shown_map import NEVER_ABSOLUTE_PA
-from pamctl.log.record_problems import find_record_problems, measured_columns, nominal_period_s
+from pamctl.log.record_problems import find_record_problems, measured_columns
+from pamctl.log.row_problems import nominal_period_s
 
 LONGEST_S = 2.0**62 * 1e-9
 """146 years: half the range of a log's clock in signed nanoseconds. Beyond it a double is off by

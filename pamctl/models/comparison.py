@@ -13,14 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.diagnose.evidence.measured_motion import find_starts, judge_motion
-from pamctl.diagnose.evidence.run_pieces import WINDOW_S
+from pamctl.diagnose.evidence.run_pieces import GAP, WARM_S, WINDOW_S
 from pamctl.log import Log, LogError, Signals, signals
 from pamctl.log.record_problems import find_frozen
 from pamctl.plant.drive import NO_RESTARTS, Restarts, drive_coupled, drive_mechanics, drive_pressure
@@ -71,6 +71,8 @@ class Comparison:
     """A sentence for each signal of the log that the model does not read."""
     frozen: Mask | None = None
     """Ticks at which a sensor is frozen, which count in no gap; None where there are none."""
+    pauses: int = 0
+    """Times at which the record went on after a pause, and the model began again."""
 
     @property
     def all_ways(self) -> tuple[ModelOutput, ModelOutput, ModelOutput]:
@@ -99,7 +101,8 @@ def compare_model(
     """Drive a model by a log; raise `LogError` if the log cannot drive it.
 
     A chamber must be said to be one: it does not move, whatever position is beside it. A mechanism
-    that forgets nothing begins again from the measured state in windows, as in a diagnosis.
+    that forgets nothing begins again from the measured state in windows, as in a diagnosis; and
+    every model after a pause of the record, whose first moments count in no gap.
     `progress` gets the share that is done, and the block that is driven.
     """
     measured = select_comparable(log, plant)
@@ -109,6 +112,8 @@ def compare_model(
         for name in ("valve_v", "pressure_pa", "position_m", "force_n")
         if getattr(measured, name) is not None and name not in USED_SIGNALS[actuator]
     ]
+    usual_s = _find_usual_s(measured)
+    pauses = np.flatnonzero(np.diff(measured.t_s) > GAP * usual_s) + 1
     without: dict[str, Any] = dict.fromkeys(unused)
     used = replace(measured, **without)
     is_chamber = actuator == "chamber"
@@ -116,18 +121,14 @@ def compare_model(
         raise LogError(
             f"{log.path}: a chamber needs valve_v to drive it, and pressure_pa to compare it with"
         )
-    stretches = list(_find_stretches(used))
+    stretches = list(_find_stretches(used, pauses))
     if not stretches:
         raise LogError(f"{log.path} has no {_SHORTEST} complete ticks in a row")
     rows = {name: np.full(len(measured), np.nan) for name in ("x", "p", "block_p", "block_x")}
     commanded = used.valve_v is not None
     pressed = used.pressure_pa is not None and not is_chamber
     pulled = used.force_n is not None
-    again_s = (
-        WINDOW_S
-        if judge_motion([used[s] for s in stretches], actuator, _find_usual_s(used))[1]
-        else None
-    )
+    again_s = WINDOW_S if judge_motion([used[s] for s in stretches], actuator, usual_s)[1] else None
     was_homed = not log.is_imported and bool(np.any(log["phase"] == Phase.HOMING))
     for number, stretch in enumerate(stretches):
         part = used[stretch]
@@ -158,6 +159,8 @@ def compare_model(
                 steps=steps,
                 restarts=NO_RESTARTS if again is None else again[1],
             ).position_m
+    for row, begin in product(rows.values(), pauses):
+        row[begin : begin + round(WARM_S / usual_s)] = np.nan
     drives_block = commanded and used.position_m is not None
     block_pa = rows["p"] if is_chamber else rows["block_p"] if drives_block else None
     return Comparison(
@@ -172,6 +175,7 @@ def compare_model(
         again_s,
         tuple(describe_unused(name, actuator) for name in unused),
         _find_frozen(used),
+        len(pauses),
     )
 
 
@@ -241,15 +245,15 @@ def measure_gap(model: Floats | None, measured: Floats | None) -> ComparisonGap:
     return ComparisonGap(float(np.sqrt(np.mean(apart**2))), float(apart.max()))
 
 
-def _find_stretches(measured: Signals) -> Iterator[slice]:
-    """Yield stretches without lost ticks, in which all signals are numbers."""
+def _find_stretches(measured: Signals, pauses: NDArray[np.intp]) -> Iterator[slice]:
+    """Yield stretches without lost ticks or pauses, in which all signals are numbers."""
     whole = np.ones(len(measured), bool)
     for signal in (measured.valve_v, measured.pressure_pa, measured.position_m, measured.force_n):
         if signal is not None:
             whole &= np.isfinite(signal)
     # Where the log lost ticks, the command is unknown.
     lost = np.abs(np.diff(measured.t_s) - measured.dt_s[1:]) > 0.5 * np.median(measured.dt_s)
-    breaks = {0, len(measured), *(np.flatnonzero(lost) + 1).tolist()}
+    breaks = {0, len(measured), *(np.flatnonzero(lost) + 1).tolist(), *pauses.tolist()}
     breaks |= set((np.flatnonzero(np.diff(whole.astype(np.int8))) + 1).tolist())
     for begin, end in pairwise(sorted(breaks)):
         if whole[begin] and end - begin >= _SHORTEST:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from pamctl.diagnose.evidence.run_pieces import WARM_S
 from pamctl.log import Log
 from pamctl.models.comparison import OWN_PLANT, Comparison, ComparisonGap
 from pamctl.report.axes import PlotAxis
@@ -57,6 +58,14 @@ def report_comparison(
             Text(
                 f"This axis forgets nothing: the model begins again every {again_s:g} s from the "
                 "measured state, as in a diagnosis."
+            )
+        )
+    if pauses := comparisons[0].pauses:
+        where = "a pause" if pauses == 1 else f"each of {pauses} pauses"
+        report.add(
+            Text(
+                f"The model begins again after {where} of the record, and knows nothing of what "
+                f"was before: the {WARM_S:g} s after it count in no gap."
             )
         )
     said = dict.fromkeys(text for comparison in comparisons for text in comparison.unused)

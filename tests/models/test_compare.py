@@ -19,7 +19,7 @@ from pamctl.models.comparison_report import report_comparison
 from pamctl.plant.drive import drive_coupled, drive_mechanics, drive_pressure
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import parameters_of, rest_state
-from pamctl.report.report import Figure
+from pamctl.report.report import Figure, format_terminal
 from pamctl.settings.resolve import settings_to_yaml
 
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -67,6 +67,23 @@ def test_ticks_at_which_a_sensor_is_frozen_count_in_no_gap(tmp_path):
     assert found.frozen is not None
     assert np.flatnonzero(found.frozen).tolist() == list(range(1500, 1900))
     assert found.gap(found.coupled, "pressure_pa").max < 5.0 * NOISE_PA
+
+
+def test_the_model_begins_again_after_a_pause_of_the_record(tmp_path):
+    whole = signals(read(measured(tmp_path / "whole.mcap", {})))
+    kept = np.ones(len(whole), bool)
+    kept[1250:1650] = False  # the pressure falls meanwhile, by another command than the last one
+    columns = {n: getattr(whole, n)[kept] for n in ("valve_v", "pressure_pa", "position_m")}
+    write_imported(tmp_path / "pause.mcap", whole.t_s[kept], columns, {})
+    log = read(tmp_path / "pause.mcap")
+    found = compare_model(log, PAPER)
+    assert found.pauses == 1
+    for way in (found.coupled, found.pressure_block):
+        assert found.gap(way, "pressure_pa").rms == pytest.approx(NOISE_PA, rel=0.2)
+    assert found.coupled.pressure_pa is not None
+    assert np.flatnonzero(np.isnan(found.coupled.pressure_pa)).tolist() == [*range(1250, 1500)]
+    said = format_terminal(report_comparison(log, {"": found}))
+    assert "begins again after a pause of the record" in said
 
 
 # --- a model that is right ---------------------------------------------------------------------
@@ -197,7 +214,9 @@ def test_a_recovered_log_is_compared_on_both_sides_of_what_it_lost(tmp_path):
     )
     found = compare_model(holed, PAPER)
     assert found.gap(found.coupled, "position_m").rms < 5 * COUNT_M
-    assert np.isfinite(found.coupled.position_m).all()
+    left_out = np.flatnonzero(np.isnan(found.coupled.position_m))  # the 0.25 s after it
+    assert len(left_out) * 0.002 == pytest.approx(0.25)
+    assert len(left_out) == np.ptp(left_out) + 1
 
 
 # --- the verb ------------------------------------------------------------------------------------

@@ -31,11 +31,10 @@ from pamctl.log.importing.headers import (
 from pamctl.log.importing.measured_table import (
     Floats,
     ImportRefused,
-    MapWanted,
     MeasuredTable,
     TableColumn,
 )
-from pamctl.log.importing.shown_map import NEVER_ABSOLUTE_PA, find_lowest_pa, write_refusal
+from pamctl.log.importing.shown_map import NEVER_ABSOLUTE_PA, find_lowest_pa, refuse
 
 OF_THE_AIR_PA = (95e3, 106e3)
 """A vented muscle's absolute pressure, at any height and weather of a laboratory."""
@@ -148,7 +147,7 @@ def choose_by_header(table: MeasuredTable) -> ChosenColumns:
         doubts += _explain_nothing([c for c in table.columns if c is not columns[TIME]])
     if doubts or TIME not in columns:
         settled = {q: key for q in columns if (key := keys[KEYS[q]]).get("gauge", 0) is not None}
-        raise MapWanted(write_refusal(table, doubts, settled, found))
+        raise refuse(table, doubts, settled, found)
     asked = {q: column for q, column in columns.items() if not parse_column_name(column.name)}
     warnings += _find_unused_parts(table, asked)
     return ChosenColumns(ImportMap.model_validate(keys), columns, left_out, warnings)

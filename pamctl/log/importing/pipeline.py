@@ -268,7 +268,7 @@ class _Import:
         roles = {id(column): describe_reading(parts[q]) for q, column in used.items()}
         found = []
         for number, column in enumerate(self.table.columns, 1):
-            read_as, values = roles.get(id(column), ""), column.values
+            read_as, values = roles.get(id(column), ""), column.values[self.kept]
             why = "" if read_as else self.chosen.left_out.get(number, "")
             if column.bad_cell:
                 why += "; not all its cells are numbers"

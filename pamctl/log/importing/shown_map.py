@@ -12,7 +12,7 @@ import numpy as np
 
 from pamctl.log.importing.column_map import KEYS, quote, write_key
 from pamctl.log.importing.headers import CURRENTS, NAMES, RADIANS, TIME, UNITS, split_words
-from pamctl.log.importing.measured_table import MeasuredTable, TableColumn
+from pamctl.log.importing.measured_table import ImportRefused, MapWanted, MeasuredTable, TableColumn
 
 NEVER_ABSOLUTE_PA = 80e3
 """An absolute pressure in a muscle does not fall so low."""
@@ -24,13 +24,16 @@ _EXAMPLES: Mapping[str, Mapping[str, Any]] = {
 }
 
 
-def write_refusal(
+def refuse(
     table: MeasuredTable,
     doubts: Sequence[str],
     settled: Mapping[str, Mapping[str, Any]],
     found: Mapping[str, Sequence[TableColumn]],
-) -> str:
-    """Return what is in doubt, and a map; `settled` are keys by quantity, `found` the columns."""
+) -> ImportRefused:
+    """Return what is in doubt, with a map if a column may be what is missing.
+
+    `settled` are keys by quantity, `found` the columns.
+    """
     doubts = list(doubts)
     if TIME not in settled and not found[TIME]:
         names = ", ".join(dict.fromkeys(column.name for column in table.columns[:20]))
@@ -55,7 +58,9 @@ def write_refusal(
     lines += _propose_others(table, rest, {q for q, named in found.items() if named})
     lines += [write_key(key, value) for key, value in table.mend.items()]
     why = "; ".join([*doubts, *table.notes])
-    return show_map(f"{why}; say which with --map FILE, such as:", lines)
+    if all(line.startswith(("time:", "# other columns")) for line in lines):
+        return ImportRefused(why)
+    return MapWanted(show_map(f"{why}; say which with --map FILE, such as:", lines))
 
 
 def propose_missing(table: MeasuredTable, used: Mapping[str, TableColumn]) -> list[str]:

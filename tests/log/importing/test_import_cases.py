@@ -264,6 +264,7 @@ def test_a_second_recording_in_a_file_has_a_way_on_and_a_rate_does_not_hide_it(t
     part = write(tmp_path, f"{shown}\nlines: {{first: 1, last: 61}}", "map.yaml")
     first = Outcome(path, "--map", str(part))
     require_good(first)
+    assert first.report["columns"][0]["highest"] == pytest.approx(T_S[-1])  # of its part, not all
     first.path.unlink()
     rate = shown.replace("time: {column: 'Time [s]', unit: s}", "time: {rate_hz: 20}")
     hidden = Outcome(path, "--map", str(write(tmp_path, rate, "map.yaml")))

@@ -84,7 +84,7 @@ SAID: dict[str, tuple[dict[str, Any], list[str], list[str]]] = {
     "a table of neither air nor motion is offered no map": (
         {"Temps (s)": T_S, "Puissance (W)": 100.0 + T_S, "Température (°C)": 20.0 + T_S},
         ["pamctl describes air and what it moves, and W, °C measure neither"],
-        ["# valve", "# force"]),
+        ["# valve", "# force", "--map FILE", "time: {"]),
     "a lonely time is offered no remark on what pamctl describes": (
         {"t_s": T_S}, [], ["pamctl describes"]),
 }  # fmt: skip

@@ -343,7 +343,7 @@ def _list_fitted(plant: PlantSettings, records: list[Record]) -> list[str]:
     values = values_of(plant)
     period_s = max([record.period_s for record in records], default=1e-3)
     load = [LOAD] if plant.actuator in ("direct", "cylinder") and LOAD not in plant.known else []
-    stated = [name for name, _ in list_stated(values, plant.known)]
+    stated = [number.name for number in list_stated(values, plant.known)]
     return list(dict.fromkeys([*list_guesses(values, plant, period_s), *load, *stated]))
 
 

@@ -11,13 +11,13 @@ from hidden.hostile.programs import compose_open
 from hidden.rig import hidden_rig
 from hidden.sensors import ENCODER_STEP_M
 from hidden.uncatalogued import UNCATALOGUED
-from support.made_records import ask_only, names_of, numbers_of, to_records
+from support.made_records import ask_only, measured, names_of, numbers_of, to_records
 
 from pamctl.diagnose import Diagnosis, Record, diagnose, report_diagnosis
 from pamctl.diagnose.record import Array
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page, format_plant_file
-from pamctl.plant.model import PlantSettings
+from pamctl.plant.model import PlantSettings, values_of
 from pamctl.report.html_page import write_html
 from pamctl.report.report import format_terminal
 from pamctl.settings.yaml12 import parse_yaml_value
@@ -71,6 +71,32 @@ def test_a_bowed_pressure_sensor_is_described_with_its_curve():
     at = [point["at"] for point in term["curve"]]
     assert at == sorted(at)
     assert len(at) == 5
+
+
+BEYOND = {"operator": "beyond", "driver": "position", "inner": 0.008, "size": -60.0}
+CURVE = {"operator": "curve", "driver": "position", "low": 0.0, "high": 0.02, "size": 10.0,
+         "knot_1": 0.0, "knot_2": 1.0, "knot_3": -1.0, "knot_4": 0.5, "knot_5": 2.0}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("term", "wrong"),
+    [(BEYOND, {"size": -25.0}), (CURVE, {"knot_2": 0.0, "knot_3": 1.0, "knot_5": 1.0})],
+    ids=["size", "knots"],
+)
+def test_a_stated_term_of_a_wrong_size_comes_back_with_the_right_one(term, wrong):
+    true, stated = (
+        PlantSettings.model_validate({"terms": {"force": numbers}})
+        for numbers in (term, {**term, **wrong})
+    )
+    found = diagnose([measured("fit", 1, **values_of(true))], [], stated, without=ask_only())
+    fitted = {n.name: n for n in found.recalibrated}
+    for name in wrong:
+        number = fitted[f"force_term.{name}"]
+        assert number.value == pytest.approx(term[name], rel=0.01)
+        assert number.low < term[name] < number.high
+    assert found.plant.terms.force is not None
+    held = "inner" if term is BEYOND else "size"
+    assert found.plant.terms.force[held] == term[held]
 
 
 def test_a_hysteretic_spring_is_named():

@@ -10,6 +10,7 @@ from scipy.special import stdtrit
 
 from pamctl.diagnose.evidence.constants import NUGGET, STRETCH
 from pamctl.diagnose.evidence.fit import Array, WeighedModel, Weigher
+from pamctl.plant.terms import KNOTS
 
 LEAST_LEFT = 1e-3
 """Of a stretch that is left out: what it alone shows stays finite."""
@@ -81,12 +82,10 @@ def _list_curves(
     """
     places = {n.name: i for i, n in enumerate(m.numbers)}
     named = [places[u.name] for variant in m.picked.values() for u in variant.free]
-    for variant in m.picked.values():
-        if not variant.is_curve:
-            continue
-        knots = np.array([places[u.name] for u in variant.sizes])
+    for first in (n.name for n in m.numbers if n.name.endswith(".knot_1")):
+        knots = np.array([places[f"{first[:-1]}{k}"] for k in range(1, KNOTS + 1)])
         inside = products[np.ix_(knots, knots)] + np.diag(1e-9 * products.diagonal()[knots])
         made = np.einsum("ik,ki->i", products[:, knots], np.linalg.solve(inside, products[knots]))
         is_free = products.diagonal() - made > MADE_UP * products.diagonal()
-        is_free[named] = True
+        is_free[[*named, *knots]] = True
         yield knots, np.flatnonzero(is_free)

@@ -35,11 +35,9 @@ from pamctl.diagnose.evidence.run_pieces import (
     hold_out,
 )
 from pamctl.diagnose.evidence.sample_masks import find_resolution
-from pamctl.diagnose.plant_numbers import FittedNumber
-from pamctl.plant.catalogue import CATALOGUE
-from pamctl.plant.effects.description import EffectParameter
+from pamctl.diagnose.plant_numbers import FittedNumber, look_up_parameter
 from pamctl.plant.model import PlantSettings, values_of
-from pamctl.plant.terms import LOCATIONS, SUFFIX
+from pamctl.plant.terms import CURVE, KNOTS, LOCATIONS, SUFFIX
 
 Array = NDArray[np.float64]
 
@@ -312,12 +310,7 @@ def list_calibrated(
         if name == "tank_pressure_pa":
             low = max(low, 1.01 * values["atmospheric_pressure_pa"])
         found.append(Unknown(name, value, low, high, share * value))
-    for name, p in list_stated(values, plant.known):
-        most = 50.0 * abs(values[name])
-        low, high = -most if p.low < 0.0 else 0.0, most
-        if not p.is_scaled:  # the plant file has the same limits
-            low, high = max(low, p.low), min(high, p.high)
-        found.append(Unknown(name, values[name], low, high, most / 500.0))
+    found += list_stated(values, plant.known)
     loaded = plant.actuator in ("direct", "cylinder") and not runs.imposed
     if loaded and LOAD not in values and LOAD not in plant.known:
         force = scales_of(runs, plant).force_n
@@ -355,17 +348,27 @@ def list_guesses(
     }
 
 
-def list_stated(
-    values: Mapping[str, float], known: Sequence[str] = ()
-) -> list[tuple[str, EffectParameter]]:
-    """Return the sizes of the effects that a plant file states, which are fitted with its own."""
+def list_stated(values: Mapping[str, float], known: Sequence[str] = ()) -> list[Unknown]:
+    """Return the sizes of the effects and terms that a plant file states, to fit with its own.
+
+    The sizes of a curve are its knots.
+    """
     stated = []
     for name, number in values.items():
-        effect, dot, short = name.partition(".")
-        if dot and number and name not in known and effect in CATALOGUE:
-            p = next(p for p in CATALOGUE[effect].parameters if p.name == short)
-            if p.role == "size" and number != p.neutral:
-                stated.append((name, p))
+        effect, dot, _ = name.partition(".")
+        if not dot or name in known:
+            continue
+        p, sizes = look_up_parameter(name), [name]
+        if is_curve := values.get(f"{effect}.operator") == CURVE:
+            sizes = [f"{effect}.knot_{k}" for k in range(1, KNOTS + 1)]
+        is_size = p.role == "size" and number != p.neutral
+        most = 50.0 * max(abs(values[size]) for size in sizes)
+        if not most or not (name in sizes if is_curve else is_size):
+            continue
+        low, high = -most if p.low < 0.0 else 0.0, most
+        if not p.is_scaled:  # the plant file has the same limits
+            low, high = max(low, p.low), min(high, p.high)
+        stated.append(Unknown(name, number, low, high, most / 500.0))
     return stated
 
 

@@ -27,7 +27,7 @@ from pamctl.log.check import check_log
 from pamctl.log.framing import FileRecord
 from pamctl.log.record_walk import find_records
 from pamctl.log.recover import recover_file, resume_log
-from pamctl.recording import drain
+from pamctl.recording import drain, journal
 from pamctl.recording.drain import record_run
 from pamctl.recording.recorded_run import ProcessRecordedRun
 from pamctl.recording.recorder import (
@@ -320,6 +320,27 @@ def refused(ring: Ring) -> str:
     assert end(process)[0] == 1
     assert ring.recorder_flags & RecorderFlag.FAILED
     return str(refusal.value)
+
+
+@pytest.mark.parametrize("has_failed", [True, False])
+def test_a_loop_that_waits_gives_a_failed_recorder_up_at_once_and_a_silent_one_soon(
+    log, monkeypatch, has_failed
+):
+    monkeypatch.setattr(journal, "SILENT_RECORDER_S", 0.01)
+    looks: list[None] = []
+
+    def has_room() -> bool:
+        looks.append(None)
+        assert len(looks) < 5000, "it waits for ever"
+        return False
+
+    with Ring.create(log.with_suffix(".ring"), meta(log), 256) as ring:
+        journal.wait_for_recorder(ring)
+        if has_failed:
+            ring.raise_flag(RecorderFlag.FAILED)
+        assert ring.await_room is not None
+        ring.await_room(has_room)
+    assert (len(looks) == 1) is has_failed
 
 
 def test_a_log_is_never_written_over_a_file(log):

@@ -62,6 +62,10 @@ def test_an_afternoon_of_positions_runs_marks_and_gains_replays_to_the_bit(rig):
     assert [g["lambda_per_s"] for g in again.log.gains][-1] == rig.gains["lambda_per_s"] == 12
     for each in (run, again):
         assert replay_log(each.log).is_equal
+    rig.start(SINE)
+    rig._ask("stop")
+    rig._link.sleep(0.05)
+    assert rig.state == "stopping"
 
 
 def test_a_motion_that_might_fill_the_disk_is_refused_before_it_begins(rig, monkeypatch):

@@ -11,6 +11,7 @@ from support.made_up import meta, tick
 from support.runs import pack_row
 
 from hal.calibration import Zero
+from pamctl.base.errors import Ending, ExitCode
 from pamctl.kernel.calls import PlainCall
 from pamctl.realtime.run_ticks import start_loop
 from pamctl.realtime.steering import SteeredProgram
@@ -72,13 +73,16 @@ class Session:
         )
         self.ticked = 0
 
-    def tick(self) -> None:
-        """Do what the loop does with a tick that is computed."""
+    def tick(self) -> bool:
+        """Do what the loop does with a tick that is computed; return False where it is to end."""
         record = tick(self.ticked)
+        reference, _ = self.program.next_reference(record.timing.t_s, record.raw)
+        if reference is None:
+            return False
         self.ticked += 1
-        self.program.next_reference(record.timing.t_s, record.raw)
         self.journal.put_row(pack_row(record), record.timing.late_s, record.timing.missed)
         self.program.finish_tick(done_tick(record))
+        return True
 
     def tick_until_recorded(self) -> int:
         """Tick until a run is recorded; return how many ticks that took."""
@@ -190,6 +194,19 @@ def test_an_order_that_follows_a_run_holds_for_that_run(tmp_path, session):
         session.tick()
         events = [entry for entry in ring.drain(ROWS).entries() if entry.kind == RowKind.EVENT]
         assert b"stopped by a client" in events[-1].payload
+
+
+def test_a_loop_that_leaves_ends_its_run_with_its_own_reason(tmp_path, session):
+    with make_ring(tmp_path, "run.ring") as ring:
+        session.slot.orders.append(order_run(ring))
+        session.tick_until_recorded()
+        session.tick()
+        session.program.begin_stop(session.ticked * 1e-3, 0.0)
+        while session.tick():
+            assert session.ticked < 5000
+        session.journal.end_last_run(Ending(ExitCode.OK, "told to leave"))
+        (outcome,) = [e for e in ring.drain(ROWS).entries() if b'"outcome"' in e.payload]
+        assert b"told to leave" in outcome.payload
 
 
 def test_a_motion_that_would_go_on_in_a_log_that_has_just_ended_does_not_begin(session):

@@ -208,8 +208,8 @@ def _foretell(weigher: Weigher, asked: int, took_s: float) -> str:
     each_s = took_s / max(weigher.simulations, 1)
     none_s, one_s, two_s = (each_s * forecast_simulations(asked, found) for found in range(3))
     return (
-        f"recalibrated; about {none_s:.0f} s if nothing is missing, {one_s:.0f} s if one thing is, "
-        f"and {two_s - one_s:.0f} s for each further one, found or "
+        f"recalibrated; about {none_s:.0f} s of processor time if nothing is missing, "
+        f"{one_s:.0f} s if one thing is, and {two_s - one_s:.0f} s for each further one, found or "
         "exchanged; twice that where much stays unexplained"
     )
 

@@ -95,23 +95,36 @@ def describe_sizes(diagnosis: Diagnosis) -> str:
     return f"{'; '.join(parts)}." if parts else ""
 
 
+_ABSENT = {
+    "stiffness_n_per_m": "no spring",
+    "damping_n_s_per_m": "no damping",
+    "kinetic_friction_per_m": "no friction of the braid",
+}
+"""What it means that a number may be 0, and stands at the low end of its range."""
+
+
 def describe_bounds(diagnosis: Diagnosis) -> str:
     """Name the numbers at an end of their range, but of what only mends; empty where none is."""
     only_mends = {n.name for f in diagnosis.findings if f.level == "rest" for n in f.numbers}
-    ended = [n for n in diagnosis.at_bound if n not in only_mends]
-    if not ended:
-        return ""
-    at = join_words([f"{n.removeprefix(CHAIN)} {spell_end(diagnosis, n)}" for n in ended])
-    return f", with {at} of {'its range' if len(ended) == 1 else 'their ranges'}"
+    ends = {n: spell_end(diagnosis, n) for n in diagnosis.at_bound if n not in only_mends}
+    ended = [f"{n.removeprefix(CHAIN)} {e}" for n, e in ends.items() if e != _ABSENT.get(n)]
+    said = [f"{n} as good as 0: {e}" for n, e in ends.items() if e == _ABSENT.get(n)]
+    if ended:
+        ranges = "its range" if len(ended) == 1 else "their ranges"
+        said.insert(0, f"{join_words(ended)} of {ranges}")
+    return f", with {join_words(said)}" if said else ""
 
 
 def spell_end(diagnosis: Diagnosis, name: str) -> str:
-    """Say at which end of its range a fitted number stands; empty where at none."""
+    """Say at which end of its range a fitted number stands, or what is absent; empty otherwise."""
     if name not in diagnosis.at_bound or diagnosis.evidence is None:
         return ""
     m = diagnosis.evidence.model
     ends = (v - n.low > n.high - v for n, v in zip(m.numbers, m.x, strict=True) if n.name == name)
-    return "at the high end" if next(ends, False) else "at the low end"
+    if next(ends, False):
+        return "at the high end"
+    may_be_0 = any(n.name == name and n.low <= 0.0 for n in diagnosis.recalibrated)
+    return (may_be_0 and _ABSENT.get(name)) or "at the low end"
 
 
 def spell_gap(channel: str, gap: HeldOutGap) -> list[str]:

@@ -86,8 +86,10 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
     others = spell_unnamed(diagnosis)
     gap, ended = describe_gap(diagnosis), describe_bounds(diagnosis)
     outside = describe_outside(diagnosis)
-    part = "what a plant file can hold of it" if outside else ""
-    predicts = "" if part or describe_left(diagnosis) else ", which predicts what was measured"
+    part, left = "what a plant file can hold of it" if outside else "", describe_left(diagnosis)
+    predicts = "" if part or left else ", which predicts what was measured"
+    better = " better" if left else ""
+    look = f"Look at the residual below, and at the rig: {words_of_rig(diagnosis).suspects}."
     runs = "`pamctl run`, `tune`, `compare`"
     takers = runs if _can_run(diagnosis.nominal) else "`pamctl compare`"
     chosen = diagnosis.deciding
@@ -120,20 +122,28 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
         case Verdict.MISCALIBRATED:
             faults = list_faults(diagnosis)
             what = "the set-up is not as it is said to be" if faults else "its numbers are off"
+            title = f"{what[:1].upper()}{what[1:]}, and that is not all"
+            needs = "What is left, nothing that was asked explains"
+            if not left:
+                title = f"Nothing is missing from the model, but {what}"
+                needs = "It needs no further effect"
             return VerdictWords(
-                f"Nothing is missing from the model, but {what}{ended}",
+                f"{title}{ended}",
                 f"Changed: {list_shifts(diagnosis)}. {gap} {outside}".rstrip(),
-                "With other numbers the model explains the measurement. It needs no further "
-                "effect.",
-                ("Go on with plant.yaml: the same model with the new numbers.",),
+                f"With other numbers the model explains the measurement{better}. {needs}.",
+                (
+                    "Go on with plant.yaml: the same model with the new numbers.",
+                    *[look] * bool(left),
+                ),
+                "note" if left else "good",
             )
         case Verdict.NAMED:
             return VerdictWords(
                 f"Missing from the model: {names}{ended}",
                 body,
                 "The model does not explain the measurement, not even with those values of its own "
-                f"numbers that fit best. With {names} it does, and nothing else that was asked "
-                f"does as well. {_BY_BLOCKS}",
+                f"numbers that fit best. With {names} it does{better}, and nothing else that was "
+                f"asked does as well. {_BY_BLOCKS}",
                 _advise_after_naming(diagnosis, again),
             )
         case Verdict.DESCRIBED:
@@ -156,7 +166,7 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
                 f"Something is missing{beside}, and these data do not tell which it is: {sets}"
                 f"{ended}",
                 body,
-                "More than one explanation fits the measurement, at more than one place. "
+                "More than one explanation fits as well, at more than one place. "
                 f"plant.yaml has {part or 'the first of them'}{predicts}. The cause stays open.",
                 (f"Do not repair the rig on this evidence.{separates}",),
                 "note",
@@ -183,10 +193,8 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
                 "After recalibration, no effect, no fault of the set-up and no law without a name "
                 "explains what is left on stretches that it was not fitted to.",
                 (
-                    "Look at the residual below, and at the rig: "
-                    f"{words_of_rig(diagnosis).suspects}. Record the same experiment twice: it "
-                    "shows how far the rig repeats itself. plant.yaml has the recalibrated "
-                    "numbers.",
+                    f"{look} Record the same experiment twice: it shows how far the rig repeats "
+                    "itself. plant.yaml has the recalibrated numbers.",
                 ),
                 "bad",
             )
@@ -200,8 +208,10 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
                 "The search did not end. The numbers of the model were fitted; "
                 f"{added if unjudged else 'nothing was added yet'}.",
                 (
-                    "Give the same command again, with another folder, and let it end. plant.yaml "
-                    "has the model as far as it came.",
+                    "Give the same command again, with another folder, and let it end.",
+                    "Or go on from plant.yaml, which has the model as far as it came: the same "
+                    "command with it for `--plant`, and with another folder, asks what else is "
+                    f"missing.{' It takes what was added for sure.' if unjudged else ''}",
                 ),
                 "note",
             )

@@ -20,6 +20,7 @@ from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
 from pamctl.diagnose.report.finding_words import list_numbers
 from pamctl.diagnose.report.traces_part import STRETCH_S, ModelStage, ShownRun, find_telling_stretch
+from pamctl.diagnose.report.verdict_words import choose_words
 from pamctl.plant.model import PlantSettings
 from pamctl.report.html_page import write_html
 from pamctl.report.report import format_terminal, spell_figure
@@ -193,6 +194,47 @@ def test_a_number_at_its_range_stands_in_the_first_sentence(named):
         found, evidence=replace(named.evidence, findings=(replace(ended, is_rest=True),))
     )
     assert "at the low end" not in sentence(only_mends).split(". ")[0]
+
+
+@pytest.mark.parametrize(
+    "verdict", [v for v in Verdict if v not in (Verdict.BAD_DATA, Verdict.NO_DISCREPANCY)]
+)
+def test_no_verdict_says_that_nothing_is_missing_where_much_is_left(named, verdict):
+    found = as_if(named, verdict)
+    assert found.evidence is not None
+    noise = {channel: 0.01 * rms for channel, rms in found.evidence.noise_rms.items()}
+    words = choose_words(replace(found, evidence=replace(found.evidence, noise_rms=noise)))
+    said = f"{words.title}. {words.body} {words.why} {' '.join(words.advice)}"
+    assert "more is missing" in said
+    assert not re.search("othing is missing|no further effect|explains the measurement[.]", said)
+    assert not re.search("it does,|fits the measurement|predicts what was measured", said)
+
+
+def test_a_search_that_was_interrupted_can_go_on_from_its_plant_file(named):
+    html = page(as_if(named, Verdict.INTERRUPTED))
+    assert "let it end" in html
+    assert "Or go on from plant.yaml" in html
+
+
+@pytest.mark.parametrize(("low", "said"), [(-1.0, "no spring"), (1.0, "at the low end")])
+def test_a_spring_that_may_be_absent_is_called_so_and_no_end_of_a_range(
+    monkeypatch, named, low, said
+):
+    stiffness = "stiffness_n_per_m"
+    assert named.evidence is not None
+    model = named.evidence.model
+    at = [n.name for n in model.numbers].index(stiffness)
+    x = model.x.copy()
+    x[at] = model.numbers[at].low
+    unsure = tuple(
+        replace(n, low=low) if n.name == stiffness else n for n in named.evidence.recalibrated
+    )
+    found = replace(named, evidence=replace(named.evidence, model=replace(model, x=x)))
+    monkeypatch.setattr(type(named.evidence), "recalibrated", unsure)
+    title = choose_words(found).title
+    low_end = "with stiffness_n_per_m at the low end of its range"
+    absent = "with stiffness_n_per_m as good as 0: no spring"
+    assert title.endswith(absent if said == "no spring" else low_end)
 
 
 def test_a_rival_that_came_in_two_models_is_said_once(named):

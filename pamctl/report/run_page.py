@@ -22,9 +22,12 @@ from pamctl.report.report import Facts, Figure, Fold, Report, ReportTable, Secti
 from pamctl.report.reported_run import (
     MERIT_HEADER,
     MICRO,
+    OTHER_ZERO,
     ReportedRun,
+    has_other_zero,
     make_merit_row,
     name_runs,
+    summarise_tracking,
     tabulate_timing,
 )
 from pamctl.report.run_motion import write_law, write_motion
@@ -122,28 +125,8 @@ def _write_merits(page: Report, runs: Sequence[ReportedRun]) -> None:
         page.add(
             Text("Where settings differ from the paper's experiments, Table IV does not apply.")
         )
-    if any(map(_differs_by_zero, runs)):
-        page.add(
-            Text(
-                "The true error is larger than the measured one: homing takes the encoder's zero "
-                "where the vented muscle came to rest, and friction lets it rest elsewhere than "
-                "the model's zero."
-            )
-        )
-
-
-def _differs_by_zero(run: ReportedRun) -> bool:
-    """Tell whether the true error of a simulated run has an offset that the measured one lacks."""
-    reference, true = run.column("reference_m"), run.column("true_position_m")
-    measured = run.followed_m
-    if reference is None or true is None or measured is None or not run.tracked.any():
-        return False
-    apart = np.abs(true - measured)[run.tracked]
-    return float(np.nanmedian(apart)) > _LARGE_ZERO_M
-
-
-_LARGE_ZERO_M = 50e-6
-"""The counts of an encoder and the lag of a filter make less."""
+    if any(has_other_zero(summarise_tracking(run.log)) for run in runs):
+        page.add(Text(OTHER_ZERO))
 
 
 MOST_EVENTS = 200

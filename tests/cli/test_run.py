@@ -24,6 +24,8 @@ from typer.testing import CliRunner
 from pamctl.cli.app import app
 from pamctl.log.reader import Log, read
 from pamctl.processes.backends import SHARED_MEMORY
+from pamctl.report.report import format_terminal
+from pamctl.report.reported_run import report_run
 from pamctl.settings.resolve import from_resolved, resolve
 from pamctl.signals import Phase
 
@@ -254,6 +256,14 @@ def test_a_changed_experiment_is_not_compared_with_table_iv(brisk):
     changed, _ = brisk
     assert changed["tracking"]["measured"]["max_m"] < 292e-6
     assert changed["paper"] == []
+
+
+def test_a_zero_that_homing_cannot_find_explains_why_the_true_error_is_larger(brisk, tmp_path):
+    dry = "plant.effects.coulomb_friction.force_n=5"
+    stuck, _ = fast_run(tmp_path, *BRISK, "--set", dry)
+    said = [format_terminal(report_run(figures, "qsmc")) for figures in (stuck, brisk[0])]
+    told = ["friction or creep lets it rest elsewhere" in text for text in said]
+    assert told == [True, False]
 
 
 def test_a_bad_line_of_a_file_is_named_with_its_place(tmp_path):

@@ -37,7 +37,7 @@ from pamctl.diagnose.report.verdict_phrases import (
     spell_end,
     spell_gap,
 )
-from pamctl.diagnose.report.verdict_words import sentence
+from pamctl.diagnose.report.verdict_words import choose_words, sentence
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.report.report import Part, Points, Problems, Report, ReportTable, Section, Text
 
@@ -182,6 +182,8 @@ def report_diagnosis(diagnosis: Diagnosis) -> Report:
     experiment, own = choose_next_experiment(diagnosis), advise_own_plant(diagnosis)
     if own:
         report.add(Text(f"first: {own}"))
+    if diagnosis.verdict is Verdict.INTERRUPTED:
+        report.add(*map(Text, choose_words(diagnosis).advice))
     if experiment:
         report.add(Text(spell_next(experiment)))
     return report

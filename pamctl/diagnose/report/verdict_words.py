@@ -211,7 +211,7 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
                     "Give the same command again, with another folder, and let it end.",
                     "Or go on from plant.yaml, which has the model as far as it came: the same "
                     "command with it for `--plant`, and with another folder, asks what else is "
-                    f"missing.{' It takes what was added for sure.' if unjudged else ''}",
+                    f"missing.{' It takes what was added as given.' if unjudged else ''}",
                 ),
                 "note",
             )

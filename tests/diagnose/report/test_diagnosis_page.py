@@ -211,9 +211,10 @@ def test_no_verdict_says_that_nothing_is_missing_where_much_is_left(named, verdi
 
 
 def test_a_search_that_was_interrupted_can_go_on_from_its_plant_file(named):
-    html = page(as_if(named, Verdict.INTERRUPTED))
-    assert "let it end" in html
-    assert "Or go on from plant.yaml" in html
+    found = as_if(named, Verdict.INTERRUPTED)
+    for said in (page(found), format_terminal(report_diagnosis(found))):
+        assert "let it end" in said
+        assert "Or go on from plant.yaml" in said
 
 
 @pytest.mark.parametrize(("low", "said"), [(-1.0, "no spring"), (1.0, "at the low end")])

@@ -14,7 +14,7 @@ from pamctl.control.law_registry import find_law
 from pamctl.log import Log
 from pamctl.log.measured_signals import judge_ticks
 from pamctl.log.run_meta import ANNOTATION, Annotation, describe_running_changes, spell_controller
-from pamctl.offline.merit import compute_log_merits, find_paper_rows, summarise_timing
+from pamctl.offline.merit import find_paper_rows, summarise_timing
 from pamctl.report.axes import PlotAxis
 from pamctl.report.figure import Plot
 from pamctl.report.frequency import write_frequency_response
@@ -98,11 +98,12 @@ def _collect_facts(run: ReportedRun) -> dict[str, object]:
 
 
 def _write_merits(page: Report, runs: Sequence[ReportedRun]) -> None:
+    tracked = {run.name: summarise_tracking(run.log) for run in runs}
     rows = [
-        make_merit_row(f"{run.name}, {what}", merit)
-        for run in runs
-        for what, merit in compute_log_merits(run.log.columns).items()
-        if merit is not None
+        make_merit_row(f"{name}, {what}", merit.values())
+        for name, tracking in tracked.items()
+        for what, merit in tracking.items()
+        if merit["max_m"] is not None
     ]
     if not rows:
         if any(len(run) and not run.log.is_imported for run in runs):
@@ -125,7 +126,7 @@ def _write_merits(page: Report, runs: Sequence[ReportedRun]) -> None:
         page.add(
             Text("Where settings differ from the paper's experiments, Table IV does not apply.")
         )
-    if any(has_other_zero(summarise_tracking(run.log)) for run in runs):
+    if any(map(has_other_zero, tracked.values())):
         page.add(Text(OTHER_ZERO))
 
 

@@ -146,7 +146,8 @@ def make_plant(asked: NewPlantOptions) -> None:
     texts = {name: f"given as {text}" for name, text in texts.items()}
     texts |= {name: f"guessed, {guess.how}" for name, guess in guesses.items()}
     papers = _list_papers(actuator, texts)
-    texts |= dict.fromkeys(papers, "of the paper's muscle")
+    at_length = ", at this rest length" if "rest_length_m" in texts else ""
+    texts |= dict.fromkeys(papers, f"of the paper's muscle{at_length}")
     write_files({out: format_new_plant(actuator, values, texts, fitted, [*guesses])})
     document = {"plant": str(out), "actuator": actuator, "numbers": values, "fitted": names}
     lines = []
@@ -182,9 +183,12 @@ def _tell_unfit(records: list[Record], plant: PlantSettings) -> None:
     """Say at once why `diagnose` would refuse these records with this plant file."""
     if records:
         from pamctl.diagnose.guess_plant import doubt_numbers
-        from pamctl.diagnose.record_doubts import doubt_actuator
+        from pamctl.diagnose.mend import fill_missing
+        from pamctl.diagnose.record_doubts import doubt_actuator, doubt_record
 
-        problems = (p for record in records for p in doubt_actuator(record, plant))
+        whole = [fill_missing(record)[0] for record in records]
+        problems = [p for record in whole for p in doubt_actuator(record, plant)]
+        problems = problems or [p for record in whole for p in doubt_record(record, plant)]
         for doubt in (*(p.sentence for p in problems), *doubt_numbers(records, plant)):
             tell(f"warning: {doubt}")
 
@@ -313,12 +317,15 @@ def _collect_numbers(
     from pamctl.settings.datasheet import list_questions, read_quantity
 
     questions = list_questions(actuator)
-    values: dict[str, float] = {}
+    values, longer = dict[str, float](), 1.0
     for question in questions:
         if question.name in given:
             values[question.name] = read_quantity(question.name, given[question.name], values)
         elif question.default is not None:
-            values[question.name] = question.default
+            is_braid = question.name in ("braid_length_m", "braid_turns")
+            values[question.name] = question.default * (longer if is_braid else 1.0)
+        if question.name == "rest_length_m" and question.default:
+            longer = values["rest_length_m"] / question.default  # with the paper's angle
     guesses: dict[str, Guess] = {}
     if records:
         from pamctl.diagnose.guess_plant import guess_numbers

@@ -245,7 +245,17 @@ def _doubt_pressure_unit(record: Record, plant: PlantSettings) -> Iterator[Probl
 def _doubt_position(record: Record, plant: PlantSettings) -> Iterator[Problem]:
     low, high = float(record["position_m"].min()), float(record["position_m"].max())
     length_m = plant.parameters.rest_length_m
-    if max(abs(low), abs(high)) > 0.45 * length_m:
+    nearest, farthest = sorted((abs(low), abs(high)))
+    if 0.5 * length_m < nearest and farthest < 1.05 * length_m:
+        yield Problem(
+            record.name,
+            "position_unit",
+            f"position_m runs from {low:.3g} to {high:.3g} m: the length of the muscle, which is "
+            f"{length_m:.3g} m at rest (rest_length_m), not how far it has contracted",
+            fix="give the map's position an offset, the length at rest in the column's unit, and a "
+            "gain of -1: contraction = offset - length",
+        )
+    elif farthest > 0.45 * length_m:
         yield Problem(
             record.name,
             "position_unit",

@@ -16,6 +16,7 @@ from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
 from pamctl.plant.model import PlantSettings
 from pamctl.report.html_page import write_html
+from pamctl.settings.resolve import read_section_file
 
 MASS_KG, DAMPING, STIFFNESS = 2.0, 35.0, 900.0
 MAP = """\
@@ -89,6 +90,21 @@ def test_a_muscle_and_a_cylinder_have_the_same_columns_so_one_is_asked_for(tmp_p
         *made, "--value", "rest_length_m=210 mm", "--out", out.with_name("other.yaml")
     )
     assert f"{papers}braid_length_m, braid_turns;" in given.stdout
+    plant = read_section_file("plant", out.with_name("other.yaml")).parameters
+    assert plant.braid_length_m / plant.rest_length_m == pytest.approx(0.232 / 0.2)
+
+
+def test_a_length_of_a_muscle_is_no_contraction_and_a_new_plant_says_so_at_once(tmp_path):
+    table, column_map = write_muscle(tmp_path / "rig.csv"), tmp_path / "map.yaml"
+    column_map.write_text(
+        "time: {column: t_s, unit: s}\nvalve: {column: valve_V, unit: V}\n"
+        "pressure: {column: pressure_kPa, unit: kPa, gauge: false}\n"
+        "position: {column: position_mm, unit: mm, gain: -1, offset: 200}\n"
+    )
+    made = ["plant", "new", "--actuator", "muscle", "--from", table, "--map", column_map]
+    said = run_pamctl(*made, "--out", tmp_path / "rig.yaml").stderr
+    assert "the length of the muscle, which is 0.2 m at rest" in said
+    assert "contraction = offset - length" in said
 
 
 def test_with_a_map_they_make_a_plant_file_and_a_diagnosis(table):

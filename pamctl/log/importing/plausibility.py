@@ -167,7 +167,8 @@ def judge_sign(quantities: Mapping[str, Floats], findings: LogFindings) -> None:
         findings.warning(
             "sign",
             "position_m falls as pressure_pa rises; contraction must be positive: if the column "
-            "counts the other way, say gain: -1 in the map",
+            "counts the other way, say gain: -1 in the map; if it is the muscle's length, also "
+            "offset: its length at rest, in the column's unit",
         )
 
 

@@ -101,6 +101,19 @@ def test_a_piston_that_was_homed_off_its_end_is_no_scale_of_the_encoder():
     assert numbers["stiffness_n_per_m"] == pytest.approx(rig.stiffness_n_per_m, rel=0.03)
 
 
+@pytest.mark.long
+def test_a_rubber_bumper_is_a_force_that_begins_there_and_no_nearer_end_of_the_stroke():
+    rig = Cylinder(stroke_m=0.1, coulomb_n=10.0, bumper_m=0.06, bumper_n_per_m=2e4)
+    runs = [record(rig, 1), record(rig, 2)]
+    assert max(np.max(run.position_m) for run in runs) > 0.065
+    asked = "coulomb_friction", "stop", "encoder_scale", "encoder~curve", "force~", "cubic"
+    found = diagnose_asking(runs, [], rig.plant(), *asked)
+    assert {f.name for f in found.findings} == {"coulomb_friction", "force~beyond(position)"}
+    numbers = {n.name: n.value for f in found.findings for n in f.numbers}
+    assert numbers["force_term.inner"] == pytest.approx(0.06, rel=0.01)
+    assert numbers["force_term.size"] == pytest.approx(-200.0, rel=0.03)  # for each 10 mm
+
+
 def test_where_both_ends_are_seen_the_zero_of_the_position_is_off():
     rig = Cylinder(preload_n=0.0, gain_m2_per_v=6e-7)
     seen = record(rig, 1)

@@ -42,7 +42,7 @@ def psi(up_pa: float, down_pa: float) -> float:
 
 @dataclass(frozen=True)
 class Cylinder:
-    """The numbers of the rig; the last five are what a plain plant file lacks."""
+    """The numbers of the rig; the last are what a plain plant file lacks."""
 
     area_m2: float = 4.9e-4
     volume_m3: float = 3e-5
@@ -58,6 +58,9 @@ class Cylinder:
     leak_m2: float = 0.0
     exponent: float = 1.0
     """n of the air: 1 where it keeps its temperature, 1.4 where it exchanges no heat."""
+    bumper_m: float = 1.0
+    bumper_n_per_m: float = 0.0
+    """Where a piece of rubber is touched, and its stiffness."""
 
     def plant(self) -> PlantSettings:
         """Return the plant file of these numbers, without what it lacks."""
@@ -106,6 +109,7 @@ class Cylinder:
             force = area * (pressure - AIR_PA) - self.preload_n
             force -= self.stiffness_n_per_m * x + self.damping_n_s_per_m * v
             force -= self.coulomb_n * np.tanh(v / 2e-4)
+            force -= self.bumper_n_per_m * max(x - self.bumper_m, 0.0)
             if x <= 0.0:
                 force += -END_N_PER_M * x - END_N_S_PER_M * min(v, 0.0)
             if x >= self.stroke_m:

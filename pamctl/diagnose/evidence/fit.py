@@ -38,7 +38,9 @@ Array = NDArray[np.float64]
 STEP = 2e-3
 """Of a number's scale: the step of a one-sided difference."""
 MOST_STEP = 3.0
-"""Scales that a number may move at once."""
+"""Scales that a number may move at once;"""
+MOST_GROWN = 0.3
+"""or this share of a size, if that is more: its scale is what shows, and many are much larger."""
 NEAR = 0.5
 """Scales within which a tangent is that of the place."""
 KEPT_PROMISE = 0.3
@@ -207,6 +209,7 @@ class Weigher:
         if not m.d.size:
             self.refine(m)
         m.loss = self.like(m.d, self.floor2)
+        neutral = np.array([n.neutral for n in m.numbers], dtype=float)  # nan of what is no size
         damping = 1e-3
         for step in range(steps):
             tangent = self.find_tangent(m)
@@ -217,8 +220,9 @@ class Weigher:
             hessian, slope = weighed @ flat.T, weighed @ m.d.ravel()
             cost = float(m.cost.by_block.sum())
             better = None
+            most = np.fmax(MOST_STEP, MOST_GROWN * np.abs(m.x - neutral) / scale)
             for _ in range(4 if fresh else 1):
-                way = _find_step(m.x, low, high, scale, hessian, slope, damping)
+                way = _find_step(m.x, low, high, scale, most, hessian, slope, damping)
                 d = self.residual_at(m, m.x + way)
                 loss = self.like(d, self.floor2, m.cost.scales2)
                 if loss.by_block.sum() < cost:
@@ -373,9 +377,13 @@ class Weigher:
 
 
 def _find_step(
-    x: Array, low: Array, high: Array, scale: Array, hessian: Array, slope: Array, damping: float
-) -> Array:
-    """Return a damped step within the ranges; numbers whose gradient points out of them stay."""
+    x: Array, low: Array, high: Array, scale: Array, most: Array,
+    hessian: Array, slope: Array, damping: float,
+) -> Array:  # fmt: skip
+    """Return a damped step within the ranges, of `most` scales each.
+
+    Numbers whose gradient points out of their range stay.
+    """
     diagonal = np.diag(hessian)
     out = ((x <= low) & (slope > 0.0)) | ((x >= high) & (slope < 0.0))
     free = np.flatnonzero(~out & (diagonal > 0.0))
@@ -383,7 +391,7 @@ def _find_step(
     if len(free):
         ridge = damping * np.diag(diagonal[free]) + 1e-12 * diagonal.max() * np.eye(len(free))
         step[free] = -np.linalg.solve(hessian[np.ix_(free, free)] + ridge, slope[free])
-    return np.asarray(np.clip(x + np.clip(step, -MOST_STEP, MOST_STEP) * scale, low, high) - x)
+    return np.asarray(np.clip(x + np.clip(step, -most, most) * scale, low, high) - x)
 
 
 def find_optimism(tangent: Array, weights: Array, d: Array) -> Array:

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 from pamctl.diagnose.evidence.pool import CHAIN, Hypothesis, Unknown, Variant
 from pamctl.plant.effects.description import Actuator
+from pamctl.plant.terms import REFERENCES
 
 ATMOSPHERE = "atmospheric_pressure_pa"
 """Of the plant; behind CHAIN a gauge sensor's readings follow it, as the file added the plant's."""
@@ -113,7 +114,7 @@ def _make_stop(stroke_m: float, lowest_m: float, highest_m: float) -> Hypothesis
     """Return an end of the stroke that is seen elsewhere: another stroke, or another zero.
 
     Friction holds a piston off its end while it is homed. Where both ends are seen the zero is off;
-    where one is, the data do not tell. The fit begins where the piston stopped.
+    where one is, the data do not tell. The fit begins where the piston stopped: it was not beyond.
     """
     visible = 0.01 * stroke_m
     if abs(highest_m - lowest_m - stroke_m) < visible:
@@ -121,11 +122,32 @@ def _make_stop(stroke_m: float, lowest_m: float, highest_m: float) -> Hypothesis
         range_m = -stroke_m, stroke_m
     else:
         name, begin_m, neutral_m = "stroke_m", highest_m, stroke_m
-        range_m = 0.5 * stroke_m, 1.5 * stroke_m
+        range_m = highest_m - visible, 1.5 * stroke_m
     size = Unknown(name, begin_m, *range_m, visible, neutral_m, visible)
-    variants = (Variant({}, (size,)),)
+    seen = Variant({}, (size,))
     setup = ("end_stop", "position_m")
-    return Hypothesis("end_stop", "encoder", STOP, variants, "end_stop", setup=setup)
+    return Hypothesis("end_stop", "encoder", STOP, (seen,), "end_stop", setup=setup, far=seen)
+
+
+SOFT_SHARE = 0.3
+"""Of the way: over so much a soft end takes the machine's whole force, where its fit begins."""
+
+
+def begin_at_soft_end(
+    hypothesis: Hypothesis, reach: Mapping[str, tuple[float, float]], force_n: float
+) -> Hypothesis:
+    """Return a force that begins at a position, with a fit that begins near the end of the way.
+
+    There a cushion may take the machine's whole force, `force_n`.
+    """
+    if hypothesis.name != "force~beyond(position)":
+        return hypothesis
+    low_m, high_m = reach["position"]
+    soft_m, variant = SOFT_SHARE * (high_m - low_m), hypothesis.variants[0]
+    (size,), (inner,) = variant.sizes, variant.shapes
+    stops = replace(size, value=-force_n * REFERENCES["position"] / soft_m)
+    begins = replace(inner, value=high_m - soft_m)
+    return replace(hypothesis, far=variant._replace(sizes=(stops,), shapes=(begins,)))
 
 
 def _make_turn(short: str, place: str, channel: str) -> Hypothesis:

@@ -130,7 +130,7 @@ class NameSearch:
             fits = self.refit(m, hopeful, len(hopeful))
             best = ", ".join(f"{f.names[-1]} {m.total - f.total:.0f}" for f in fits[:3])
             self.tell(f"fitted, they gain, in nats: {best}")
-            taken = self.take(m, fits[:3])
+            taken = self.take(m, fits)
             if taken is None:
                 break
             taken = self.choose_form(m, taken)
@@ -199,18 +199,19 @@ class NameSearch:
         return best if best is not base and weigher.counts(base, best) else base
 
     def _move_ends(self, m: WeighedModel) -> list[tuple[float, WeighedModel]]:
-        """Return the fitted model in which an end of the stroke is where the piston stopped.
+        """Return the fitted models with a stop where the piston stopped, and with a soft one.
 
         The own numbers stood in for it: a fit begins at the plant file's. It is asked only where
         much is left.
         """
         weigher, floor2 = self.weigher, self.weigher.floor2
-        ends = [h for h in self.pool.values() if h.kind == STOP and h.name not in m.names]
+        ends = [h for h in self.pool.values() if h.far and self.fits_in(m, h)]
         if not ends or not weigher.is_much_left(m):
             return []
         before, moved = float(m.cost.by_block.sum()), list[tuple[float, WeighedModel]]()
         for its in ends:
-            e = weigher.settle(_begin_anew(m, {**m.picked, its.name: its.variants[0]}))
+            assert its.far is not None
+            e = weigher.settle(_begin_anew(m, {**m.picked, its.name: its.far}))
             weigher.floor2 = floor2
             e.loss = weigher.like(e.d, floor2)
             moved.append((before - float(e.cost.by_block.sum()), e))
@@ -375,7 +376,8 @@ class NameSearch:
                     continue
                 better = self._find_better(without, m, name, loss)
                 if better is not None:
-                    self.tell(f"{better.names[-1]} does better than {name}: exchanged")
+                    if better.names[-1] != name:
+                        self.tell(f"{better.names[-1]} does better than {name}: exchanged")
                     m = weigher.settle(better, 4)
                     break
             else:
@@ -388,7 +390,7 @@ class NameSearch:
         near = sorted(
             (n for n in self.best_scores if n != name), key=lambda n: -self.best_scores[n]
         )
-        scored = self.score(without, near[:20])[:3]
+        scored = self.score(without, near[:20])
         if not scored or scored[0].gain < 0.5 * loss:
             return None
         best = next(iter(self.refit(without, scored, 3)), None)

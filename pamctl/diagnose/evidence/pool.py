@@ -95,6 +95,9 @@ class Hypothesis:
     """Of a fault of the set-up: what is wrong, as documents call it, and the number or column."""
     scan: str = ""
     """Of a wave: the driver over which it repeats; its period is looked for first."""
+    far: Variant | None = None
+    """Where its fit begins from the plant file's numbers, as no tangent leads there: at an end of
+    the stroke."""
 
     @property
     def laws(self) -> frozenset[tuple[str, str]]:

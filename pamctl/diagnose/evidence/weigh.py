@@ -15,7 +15,7 @@ from pamctl.diagnose.evidence.fit import WeighedModel, Weigher, bound_gain
 from pamctl.diagnose.evidence.intervals import find_intervals
 from pamctl.diagnose.evidence.ladder import Finding, climb_ladder, fit_number, judge_names
 from pamctl.diagnose.evidence.likelihood import from_haar
-from pamctl.diagnose.evidence.measuring_chain import free_home, list_of_chain
+from pamctl.diagnose.evidence.measuring_chain import begin_at_soft_end, free_home, list_of_chain
 from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.pool import (
     CHAIN,
@@ -162,7 +162,7 @@ def weigh_evidence(
     weigher, start = prepare_weigher(records, held_out, plant, noise, jobs, holds_out=True)
     instants = find_instants(weigher)
     weigher.refine(start)  # also compiles what this rig needs
-    weigher.simulations, begin_s = 0, time.monotonic()
+    weigher.simulations, begin_s = 0, time.process_time()
     base = _free_mistyped(weigher, start, weigher.settle(replace(start), FIT_STEPS))
     _check_it_stays(weigher, base)
     pool = {
@@ -172,7 +172,7 @@ def weigh_evidence(
     }
     search, stopped_by = NameSearch(weigher, pool, tell), None
     try:
-        tell(_foretell(weigher, len(pool), time.monotonic() - begin_s))
+        tell(_foretell(weigher, len(pool), time.process_time() - begin_s))
         m = search.improve(base) if instants else search.run(base)
         if instants:
             tell("fitting when the commands acted, beside what was found; then asking again")
@@ -383,6 +383,8 @@ def list_pool(runs: Runs, values: Mapping[str, float], plant: PlantSettings) -> 
         *list_of_chain(runs.channels, values, runs.period_s, plant.actuator, reach),
         *(h for h in list_terms(plant.actuator, reach, machine) if h.part not in taken),
     ]
+    if plant.actuator in ("cylinder", "direct") and "position" in reach:
+        pool = [begin_at_soft_end(h, reach, machine.force_n) for h in pool]
     if plant.actuator == "direct":
         seen = {"friction", "pull"} | ({"encoder"} if not runs.imposed else set())
         pool = [h for h in pool if h.place in seen and _is_driven(h, reach)]

@@ -124,9 +124,10 @@ class InProcessLoop:
 
     @property
     def phase(self) -> Phase | None:
-        """Phase of the current run."""
+        """Phase of the current run; None before its first tick, and between runs."""
         is_recorded = self.run is not None and self.log == self.run.ring.meta.log_path
-        return Phase(int(self.tick["phase"])) if is_recorded else None
+        tick = self.run.ring.latest_tick() if self.run is not None and is_recorded else None
+        return None if tick is None else Phase(int(tick["phase"]))
 
     # --- orders ---------------------------------------------------------------------------------
 

@@ -178,6 +178,12 @@ ORDERS: list[tuple[str, dict[str, object]]] = [
 ]
 
 
+def test_a_run_that_was_just_ordered_is_homing_and_not_what_the_tick_before_it_was(tmp_path):
+    with pamctl.simulate(logs=tmp_path, overrides=QUICK) as rig:
+        rig.start(SINE)
+        assert rig._link._session.state == RigState.HOMING  # type: ignore[attr-defined]
+
+
 class SimulatedSession(RuleBasedStateMachine):
     """A simulated rig whose state is noted at every tick."""
 

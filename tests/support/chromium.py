@@ -128,7 +128,8 @@ class Page:
 
     def value(self, expression: str) -> Any:
         """Evaluate JavaScript in the page; a promise is waited for."""
-        asked = {"expression": expression, "returnByValue": True, "awaitPromise": True}
+        kept = f"globalThis.asked = {expression}"  # else a promise may be collected meanwhile
+        asked = {"expression": kept, "returnByValue": True, "awaitPromise": True}
         answer = self._call("Runtime.evaluate", **asked)
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")

@@ -9,11 +9,9 @@ import pytest
 from hidden.excitations import brief
 from hidden.rig import hidden_rig
 from support.made_records import ask_only, measured
-from support.tank import diagnose_tank
 
 from pamctl.diagnose import Record, diagnose, sentence
 from pamctl.diagnose.audit import audit_run
-from pamctl.diagnose.report.finding_words import list_ambiguous
 from pamctl.plant.model import PlantSettings
 
 pytestmark = pytest.mark.long
@@ -43,12 +41,3 @@ def test_full_scale_squares_cannot_show_a_dead_band():
     audit = audit_run(measured("squares"), PAPER)
     assert "valve_deadband" in {spot.name for spot in audit.blind_spots}
     assert "valve_deadband" in audit_run(measured("fit"), PAPER).sees
-
-
-# --- less than the data carry: these fail, each with its reason ---------------------------------
-
-
-@wrong("a dead band has one number more, and is taken to be beaten")
-def test_an_on_off_valve_cannot_tell_a_dead_band_from_a_weaker_exhaust():
-    (members,) = list_ambiguous(diagnose_tank())
-    assert {"valve_deadband", "valve_asymmetry"} <= {*members}

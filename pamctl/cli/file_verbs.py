@@ -135,7 +135,7 @@ def make_plant(asked: NewPlantOptions) -> None:
         raise typer.BadParameter(which, param_hint="--actuator")
     from pamctl.settings.datasheet import build_plant, format_new_plant
 
-    records = read_records(asked.measured, asked.map_path)
+    records = _read_whole(asked)
     actuator = asked.actuator or _guess_actuator(records)
     texts = _split_given(asked.given, actuator)
     values, guesses = _collect_numbers(actuator, texts, records)
@@ -173,6 +173,16 @@ def make_plant(asked: NewPlantOptions) -> None:
     print_result(document, "\n".join(lines), as_json=asked.as_json)
 
 
+def _read_whole(asked: NewPlantOptions) -> list[Record]:
+    """Return the records, with what is missing in them bridged."""
+    records = read_records(asked.measured, asked.map_path)
+    if not records:
+        return []
+    from pamctl.diagnose.mend import fill_missing
+
+    return [fill_missing(record)[0] for record in records]
+
+
 def _list_papers(actuator: str, texts: dict[str, str]) -> list[str]:
     """Return the sizes of a muscle that are the paper's: neither given nor guessed."""
     sizes = ("rest_length_m", "braid_length_m", "braid_turns") if actuator == "muscle" else ()
@@ -183,12 +193,10 @@ def _tell_unfit(records: list[Record], plant: PlantSettings) -> None:
     """Say at once why `diagnose` would refuse these records with this plant file."""
     if records:
         from pamctl.diagnose.guess_plant import doubt_numbers
-        from pamctl.diagnose.mend import fill_missing
         from pamctl.diagnose.record_doubts import doubt_actuator, doubt_record
 
-        whole = [fill_missing(record)[0] for record in records]
-        problems = [p for record in whole for p in doubt_actuator(record, plant)]
-        problems = problems or [p for record in whole for p in doubt_record(record, plant)]
+        problems = [p for record in records for p in doubt_actuator(record, plant)]
+        problems = problems or [p for record in records for p in doubt_record(record, plant)]
         for doubt in (*(p.sentence for p in problems), *doubt_numbers(records, plant)):
             tell(f"warning: {doubt}")
 

@@ -28,16 +28,13 @@ def mend_records(records: Sequence[Record]) -> tuple[list[Record], list[SensorFa
 
     A record that cannot be used at all is returned as it is: the checks of the data refuse it.
     """
-    mended, faults = list[Record](), list[SensorFault]()
-    for record in records:
-        whole, missing = fill_missing(record)
-        mended.append(whole)
-        faults += missing
-    records = [*mended]
-    usable = [k for k, record in enumerate(records) if _is_usable(record)]
-    grids = find_regular_times([records[k] for k in usable])
+    filled = [fill_missing(record) for record in records]
+    mended = [whole for whole, _ in filled]
+    faults = [fault for _, missing in filled for fault in missing]
+    usable = [k for k, record in enumerate(mended) if _is_usable(record)]
+    grids = find_regular_times([mended[k] for k in usable])
     for k, times in zip(usable, grids, strict=True):
-        record = records[k]
+        record = mended[k]
         if times is not None:
             scatter_s = float(np.std(record.t_s - times))
             says = f"{record.name}: the time stamps scatter by {scatter_s * 1e3:.3g} ms while the "

@@ -6,9 +6,11 @@ made on another CPU than this one: what goes through its libm has a tolerance th
 
 import copy
 import csv
+import inspect
 import json
 import math
 import random
+import textwrap
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +20,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.mutation import mutated
 from typer.testing import CliRunner
 
 import hal.calibration
@@ -51,6 +52,16 @@ from pamctl.signals import TICK_FIELDS, Phase
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 NAMES = sorted(path.stem for path in GOLDEN.glob("*.mcap"))
+
+
+def mutated(function: Callable[..., Any], old: str, new: str) -> Callable[..., Any]:
+    """Return the function compiled anew from its source, with `old` replaced by `new`."""
+    source = textwrap.dedent(inspect.getsource(function))
+    assert source.count(old) == 1, f"{old!r} stands {source.count(old)} times in {function}"
+    namespace: dict[str, Any] = {}
+    code = compile(source.replace(old, new), inspect.getfile(function), "exec", dont_inherit=True)
+    exec(code, function.__globals__, namespace)
+    return namespace[function.__name__]
 
 
 @pytest.fixture(scope="session")

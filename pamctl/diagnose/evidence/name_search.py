@@ -205,13 +205,12 @@ class NameSearch:
         much is left.
         """
         weigher, floor2 = self.weigher, self.weigher.floor2
-        ends = [h for h in self.pool.values() if h.far and self.fits_in(m, h)]
+        ends = {h.name: h.far for h in self.pool.values() if h.far and self.fits_in(m, h)}
         if not ends or not weigher.is_much_left(m):
             return []
         before, moved = float(m.cost.by_block.sum()), list[tuple[float, WeighedModel]]()
-        for its in ends:
-            assert its.far is not None
-            e = weigher.settle(_begin_anew(m, {**m.picked, its.name: its.far}))
+        for name, far in ends.items():
+            e = weigher.settle(_begin_anew(m, {**m.picked, name: far}))
             weigher.floor2 = floor2
             e.loss = weigher.like(e.d, floor2)
             moved.append((before - float(e.cost.by_block.sum()), e))

@@ -1,5 +1,7 @@
 """First guesses from records: an axis and a chamber that another solver made."""
 
+import re
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -68,6 +70,15 @@ def move_muscle(return_share: float, drag_share: float) -> Record:
     return Record("muscle", T_S, position_m=found.y[0], pressure_pa=pressure)
 
 
+def test_a_little_friction_while_the_muscle_lengthens_is_told_and_not_guessed():
+    found = guess_numbers([move_muscle(0.3, 0.0)], "muscle", PAPER)
+    assert "return_friction.share" not in found
+    how = found["kinetic_friction_per_m"].how
+    assert how.endswith("lengthens, too little to guess return_friction.share")
+    (about,) = re.findall(r"about ([\d.]+) of it", how)
+    assert float(about) == pytest.approx(0.3, abs=0.15)
+
+
 @pytest.mark.parametrize(("back", "drag"), [(0.0, 0.0), (1.0, -1.0)])
 def test_a_muscle_s_friction_is_guessed_and_said_only_where_it_differs_from_the_paper_s(back, drag):
     found = guess_numbers([move_muscle(back, drag)], "muscle", PAPER)
@@ -76,6 +87,7 @@ def test_a_muscle_s_friction_is_guessed_and_said_only_where_it_differs_from_the_
     shares = [found.get(f"{n}.share") for n in ("return_friction", "braid_drag")]
     if back == 0.0:
         assert shares == [None, None]
+        assert "return" not in found["kinetic_friction_per_m"].how
     else:
         assert [share.value for share in shares if share] == pytest.approx([back, drag], abs=0.33)
 

@@ -81,8 +81,10 @@ class Comparison:
 
     @property
     def ways(self) -> list[ModelOutput]:
-        """The ways of driving this model that gave a signal."""
-        return [w for w in self.all_ways if w.position_m is not None or w.pressure_pa is not None]
+        """The ways of driving this model that gave a signal: a chamber's two are one."""
+        ways = [w for w in self.all_ways if w.position_m is not None or w.pressure_pa is not None]
+        is_chamber = self.coupled.pressure_pa is self.pressure_block.pressure_pa is not None
+        return [w for w in ways if not (is_chamber and w is self.pressure_block)]
 
     def gap(self, modelled: ModelOutput, signal: str) -> ComparisonGap:
         """Return the gap of one way of driving in `position_m` or `pressure_pa`."""

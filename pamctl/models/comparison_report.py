@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pamctl.diagnose.evidence.run_pieces import WARM_S
 from pamctl.log import Log
 from pamctl.models.comparison import OWN_PLANT, Comparison, ComparisonGap
@@ -93,10 +95,24 @@ def list_gaps(found: _Models) -> tuple[list[str], list[list[str]]]:
 
 
 def _suggest_next(path: Path, found: _Models, map_path: Path | None) -> str:
-    plant = next((["--plant", name] for name in found if name != OWN_PLANT), [])
+    closest = _find_closest(found)
+    plant = [] if closest == OWN_PLANT else ["--plant", closest]
     words = [str(path), *(["--map", str(map_path)] if map_path else []), *plant]
     command = f"pamctl diagnose {shlex.join(words)} --out diagnosis"
-    return f"{command}  # names what the model lacks"
+    model = "this model, the closest," if len(found) > 1 else "the model"
+    return f"{command}  # names what {model} lacks"
+
+
+def _find_closest(found: _Models) -> str:
+    """Return the plant with the smallest gaps, each as a share of the mean of all plants'."""
+    gaps = np.array(
+        [
+            [c.gap(w, s).rms for w in c.all_ways for s in ("position_m", "pressure_pa")]
+            for c in found.values()
+        ]
+    )
+    gaps = gaps[:, np.isfinite(gaps).all(0) & gaps.any(0)]  # which all plants have
+    return [*found][int(np.argmin((gaps / gaps.mean(0)).sum(1)))]
 
 
 def _format_cell(value: float) -> str:
@@ -158,7 +174,8 @@ def _draw_plots(log: Log, found: _Models) -> tuple[list[Plot], list[Plot]]:
             if real is not None and not is_gap:
                 plot.line(t_s, factor * real, "measured", colour=MUTED, thick=True)
             for name in names:
-                model = getattr(getattr(found[name], way), signal)
+                modelled = getattr(found[name], way)
+                model = getattr(modelled, signal) if modelled in found[name].ways else None
                 if model is not None and not (is_gap and real is None):
                     drawn = model - real if is_gap else model
                     plot.line(t_s, factor * drawn, name, colour=colours[name])

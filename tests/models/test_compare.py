@@ -19,7 +19,7 @@ from pamctl.models.comparison_report import report_comparison
 from pamctl.plant.drive import drive_coupled, drive_mechanics, drive_pressure
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import parameters_of, rest_state
-from pamctl.report.report import Figure, format_terminal
+from pamctl.report.report import Figure, ReportTable, format_terminal
 from pamctl.settings.resolve import settings_to_yaml
 
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -230,7 +230,8 @@ def test_two_models_appear_side_by_side_with_the_next_step(tmp_path):
     assert done.exit_code == 0, done.stderr
     assert "paper-valve109" in done.stdout
     advised = done.stdout.rsplit("next: ", 1)[1]
-    assert advised.startswith(f"pamctl diagnose {log} --plant paper --out diagnosis")
+    # The closest of them is the one to go on with, in whatever order they are given.
+    assert advised.startswith(f"pamctl diagnose {log} --plant paper-valve109 --out diagnosis")
     parse_command(advised)
     html = page.read_text()
     assert html.count("<figure") == 2
@@ -245,6 +246,21 @@ def test_two_models_appear_side_by_side_with_the_next_step(tmp_path):
     gaps = {p["plant"]: p["gap"]["pressure_block"]["pressure_pa"] for p in document["plants"]}
     assert gaps["paper-valve109"]["rms"] < gaps["paper"]["rms"]
     assert document["plants"][0]["gap"]["mechanics"]["pressure_pa"] == {"rms": None, "max": None}
+
+
+def test_a_chamber_has_one_way_to_be_driven_and_is_shown_once(tmp_path):
+    still = {"actuator": "chamber", "chamber_volume_m3": 2e-3}
+    plant = plant_parameters(PlantSettings.model_validate(still))
+    log = read(measured(tmp_path / "a.mcap", {}, "position_m"))
+    report = report_comparison(log, {"c": compare_model(log, plant, "chamber")}, is_drawn=True)
+    (table,) = [part for part in report.parts if isinstance(part, ReportTable)]
+    assert [row[:2] for row in table.rows] == [["c", "coupled"]]
+    plots = [p.title for part in report.parts if isinstance(part, Figure) for p in part.plots]
+    assert plots == [
+        "Pressure, absolute",
+        "Pressure, absolute, model \N{MINUS SIGN} measurement",
+        "Valve command",
+    ]
 
 
 def test_a_plant_that_does_not_exist_is_refused_with_the_nearest():

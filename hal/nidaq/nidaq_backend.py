@@ -296,7 +296,7 @@ def judge_modules(modules: Sequence[Module], release: str) -> Problem:
     name, data = "card.modules", {"modules": [module._asdict() for module in modules]}
     missing = [module.name for module in modules if not module.is_built]
     if not missing:
-        found = f"{len(modules)} modules of NI's are built for kernel {release}"
+        found = f"NI's modules built for kernel {release}: {len(modules)}"
         return report_check(name, "ok", found, data=data)
     return report_check(
         name,

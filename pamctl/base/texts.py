@@ -111,6 +111,11 @@ def hint_at_nearest(name: str, known: Iterable[str]) -> str:
     return f"; did you mean {near[0]}?" if near and near[0] != name else ""
 
 
+def count_of(count: int, noun: str) -> str:
+    """Return `1 tick` or `2 ticks`."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
 # --- JSON ---------------------------------------------------------------------------------------
 
 _NOT_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}

@@ -16,7 +16,7 @@ import typer
 
 from pamctl.base.errors import ExitCode, end_on_signals, name_interrupt
 from pamctl.base.new_file import require_empty_folder
-from pamctl.base.texts import hint_at_nearest
+from pamctl.base.texts import count_of, hint_at_nearest
 from pamctl.cli.failure import Failed, print_error
 from pamctl.cli.options import (
     INTERACTIVE,
@@ -327,14 +327,15 @@ def report_audit(found: Audit, advise: Callable[[str], str], *, verbose: bool) -
     spots = [(s.name, s.visibility, s.why, s.experiment) for s in found.blind_spots]
     pairs = [(" and ".join(p.names), "", p.why, p.experiment) for p in found.inseparable]
     unasked = [(name, "", why, "") for name, why in found.unasked]
-    report = Report("Audit", f"shows {len(found.sees)} effects", document=found.as_dict())
+    shows = f"shows {count_of(len(found.sees), 'effect')}"
+    report = Report("Audit", shows, document=found.as_dict())
     report.add(Points([", ".join(found.sees)] if found.sees else []))
     report.add(*[Text("no blind spots")] * (not spots))
     adds: dict[str, list[str]] = {}
     for heading, rows in (
         ("cannot show, at the smallest size of interest", spots),
         ("cannot tell apart, at that size", pairs),
-        (f"does not ask {len(unasked)} effects", unasked),
+        (f"does not ask {count_of(len(unasked), 'effect')}", unasked),
     ):
         items = [": ".join(filter(None, row[: 3 if verbose else 2])) for row in rows]
         if rows and not any(said for _, said, *_ in rows) and not verbose:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from pamctl.base.errors import ConfigError, ExitCode, Problem
-from pamctl.base.texts import escape_name
+from pamctl.base.texts import count_of, escape_name
 from pamctl.cli.failure import print_error
 from pamctl.cli.options import MAP, Options, argument, flag, option, verb
 from pamctl.cli.output import print_report, print_result, read_map
@@ -114,7 +114,7 @@ def _check_log(path: Path) -> tuple[ExitCode, Report]:
         "ticks": checked.ticks,
         "findings": list_findings(checked.findings),
     }
-    verdict = f"{name}: {'ok' if checked.ok else 'not ok'}, {checked.ticks} ticks"
+    verdict = f"{name}: {'ok' if checked.ok else 'not ok'}, {count_of(checked.ticks, 'tick')}"
     report = Report(verdict, document=document)
     if checked.findings:
         report.add(Problems(checked.findings))
@@ -201,8 +201,8 @@ def export_log(asked: ExportOptions) -> None:
         to_s=asked.to_s,
         every=asked.every,
     )
-    text = f"{escape_name(done.destination)}: {done.ticks} ticks, {len(done.fields)} columns"
-    print_result(asdict(done), text, as_json=asked.as_json)
+    size = f"{count_of(done.ticks, 'tick')}, {count_of(len(done.fields), 'column')}"
+    print_result(asdict(done), f"{escape_name(done.destination)}: {size}", as_json=asked.as_json)
 
 
 # --- cut --------------------------------------------------------------------------------------
@@ -249,9 +249,9 @@ def cut_file(asked: CutOptions) -> None:
     given: Any = limits
     done = cut_log(asked.source, asked.destination, **given, at_gaps=asked.at_gaps)
     lines = [
-        f"{escape_name(piece.destination)}: {piece.last_row - piece.first_row + 1} rows, "
-        f"{piece.first_row} to {piece.last_row} of {done.rows}, "
-        f"{piece.from_s:.6g} to {piece.to_s:.6g} s"
+        f"{escape_name(piece.destination)}: "
+        f"{count_of(piece.last_row - piece.first_row + 1, 'row')}, {piece.first_row} to "
+        f"{piece.last_row} of {done.rows}, {piece.from_s:.6g} to {piece.to_s:.6g} s"
         for piece in done.pieces
     ]
     if done.left_out:
@@ -307,7 +307,7 @@ def _report_import(done: ImportSummary) -> Report:
     head = f"{done.source}: not imported; {done.form}"
     if done.written:
         rate = f"one every {done.period_s:.6g} s, over {done.lasts_s:.6g} s"
-        head = f"{done.destination}: {done.ticks} ticks, {rate}; {done.form}"
+        head = f"{done.destination}: {count_of(done.ticks, 'tick')}, {rate}; {done.form}"
     report = Report("Import", head, document={**asdict(done), "findings": findings})
     rows = [[str(c.number), c.name, *_describe_column(c)] for c in done.columns]
     report.add(ReportTable(["", "column", "read as", "", "from .. to"], rows))

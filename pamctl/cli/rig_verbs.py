@@ -12,6 +12,7 @@ import typer
 
 from hal.problem import Problem, worst_level
 from pamctl.base.errors import ConfigError, ExitCode
+from pamctl.base.texts import count_of
 from pamctl.cli.failure import Failed, print_error
 from pamctl.cli.options import (
     MAY_MOVE,
@@ -244,7 +245,7 @@ def doctor(asked: DoctorOptions) -> None:
         ],
     }
     levels = [finding.level for finding in findings]
-    verdict = f"{levels.count('fault')} faults, {levels.count('warning')} warnings"
+    verdict = "{}, {}".format(*(count_of(levels.count(one), one) for one in ("fault", "warning")))
     print_result(document, str(interrupt or verdict), as_json=asked.as_json)
     raise typer.Exit(code)
 

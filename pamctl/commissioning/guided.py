@@ -83,7 +83,7 @@ def _check_answers(option: str, values: Sequence[float], points: Sequence[float]
     Called before anything moves: a rig is not pressurised for a number that no instrument shows.
     """
     if len(values) != len(points):
-        message = f"{len(values)} values for {len(points)} points; give --point as often"
+        message = f"values: {len(values)}, points: {len(points)}; give --point as often"
         raise ConfigError([Problem(option, "", message)])
     for value in values:
         if not (math.isfinite(value) and value > 0.0):

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from hal.backend import ProbeRequest, report_check, report_rig_error
 from hal.problem import Level, Problem
 from hal.rig import RigError
+from pamctl.base.texts import count_of
 from pamctl.commissioning.bench import (
     Bench,
     LimitError,
@@ -133,7 +134,7 @@ def judge_encoder_at_rest(bench: Bench, rest: SensorStatistics) -> Problem:
     """Check that the encoder stands still while the muscle does."""
     span, jump = rest.counts_span, rest.counts_jump
     data = {"span_counts": span, "jump_counts": jump, "mean_counts": rest.counts}
-    found = f"{span} counts from lowest to highest in {rest.samples} samples, {jump} at once"
+    found = f"{count_of(span, 'count')} in {rest.samples} samples, {jump} at once"
     wanted = f"at most {bench.homing.steady_counts} at rest"
     level: Level = "warning" if span > bench.homing.steady_counts else "ok"
     fix = "is the muscle still moving, or is the carriage touched? If not: a loose reading head"
@@ -157,7 +158,7 @@ def judge_hand_motion(bench: Bench, counts: int | None) -> Problem:
     return report_check(
         "encoder.alive",
         "ok" if alive else "fault",
-        f"moved by hand over {counts} counts",
+        f"moved by hand over {count_of(counts, 'count')}",
         f"at least {BY_HAND_COUNTS}, for a millimetre or more",
         "check the encoder's plug, its 5 V supply, and its A and B lines"
         f"{bench.point_to(bench.keys.encoder_input)}",

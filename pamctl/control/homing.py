@@ -14,6 +14,7 @@ from pydantic import Field
 
 from hal.calibration import CalibrationSettings, Configured, Zero
 from hal.rig import RawSample
+from pamctl.base.texts import count_of
 from pamctl.control.course import make_valve_reference
 from pamctl.signals import Phase, Reference
 
@@ -129,8 +130,8 @@ class Homing:
             )
         if settings.fill_counts and counts < settings.fill_counts:
             raise HomingError(
-                f"homing: filling moved the encoder by {counts} counts; check its wiring, its "
-                "supply and `encoder_sign`"
+                f"homing: filling moved the encoder by {count_of(counts, 'count')}; check "
+                "its wiring, its supply and `encoder_sign`"
             )
 
     def _is_steady(self, t_s: float, sample: RawSample) -> bool:

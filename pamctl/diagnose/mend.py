@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_opening, median_filter
 
+from pamctl.base.texts import count_of
 from pamctl.diagnose.record import CHANNELS, REST_V, SENSORS, Array, FaultKind, Record, SensorFault
 from pamctl.log.record_problems import find_sensor_step
 
@@ -58,8 +59,8 @@ def fill_missing(record: Record) -> tuple[Record, list[SensorFault]]:
         return record, []
     faults, filled, kept = [], dict[str, Any](), np.ones(len(record), np.bool_)
     for channel, gone in missing.items():
-        says = f"{record.name}: {channel} is missing in {int(gone.sum())} samples, the first at "
-        says += f"{record.t_s[int(np.argmax(gone))]:.6g} s; they do not count"
+        says = f"{record.name}: {channel} is missing in {count_of(int(gone.sum()), 'sample')}, "
+        says += f"the first at {record.t_s[int(np.argmax(gone))]:.6g} s; they do not count"
         faults.append(SensorFault(channel, "dropouts", says))
         filled[channel] = bridge(record[channel], gone)
         if channel in ("valve_v", "force_n"):
@@ -87,7 +88,7 @@ def _mend_channels(record: Record) -> tuple[Record, list[SensorFault]]:
         kinds: tuple[tuple[FaultKind, Rows], ...] = (("outliers", spikes), ("dropouts", dropouts))
         for kind, lost in kinds:
             if lost.any():
-                says = f"{record.name}: {channel} has {int(lost.sum())} samples that are {kind}, "
+                says = f"{record.name}: {channel} has {count_of(int(lost.sum()), kind[:-1])}, "
                 says += f"the first in row {int(np.argmax(lost))}; they do not count"
                 faults.append(SensorFault(channel, kind, says))
         values = bridge(record[channel], spikes | dropouts)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from pamctl.base.errors import Problem
+from pamctl.base.texts import count_of
 from pamctl.diagnose.record import CHANNELS, Array, Record, estimate_white_noise
 from pamctl.diagnose.time_shifts import check_time_shifts, find_usual_ends
 from pamctl.log.importing.plausibility import is_switched
@@ -116,7 +117,7 @@ def _doubt_length(record: Record, plant: PlantSettings) -> Iterator[Problem]:
         yield Problem(
             record.name,
             "gap",
-            f"{len(record.segments) - 1} gaps, the longest of "
+            f"{count_of(len(record.segments) - 1, 'gap')}, the longest of "
             f"{record.step_s[longest]:.3g} s after row {longest}, leave no stretch of "
             f"{SHORTEST_STRETCH} samples, or fewer than {FEWEST_SAMPLES} samples in such "
             "stretches",

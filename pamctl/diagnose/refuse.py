@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pamctl.base.errors import ExitCode, Problem
-from pamctl.base.texts import hint_at_nearest
+from pamctl.base.texts import count_of, hint_at_nearest
 from pamctl.diagnose.record import Record, SensorFault
 from pamctl.diagnose.record_doubts import (
     FEWEST_SAMPLES,
@@ -156,14 +156,14 @@ def _judge_doubts(
 def _find_faults(record: Record) -> Iterator[Problem]:
     """Find what no reason can mend: nothing could be computed."""
     if len(record) < FEWEST_SAMPLES:
-        few = f"{len(record)} samples, fewer than {FEWEST_SAMPLES}"
+        few = f"{count_of(len(record), 'sample')}, fewer than {FEWEST_SAMPLES}"
         yield Problem(record.name, "few", few, fix="record a whole excitation")
         return
     for channel in record.channels:
         wrong = ~np.isfinite(record[channel])
         if wrong.any():
             text = (
-                f"{channel} is NaN or infinite in {int(wrong.sum())} rows, "
+                f"{channel} is NaN or infinite in {count_of(int(wrong.sum()), 'row')}, "
                 f"the first is row {int(np.argmax(wrong))}"
             )
             yield Problem(record.name, "not_finite", text, fix="remove or repair them")

@@ -69,7 +69,7 @@ class ExpressionWriter:
         if given.vararg or given.kwonlyargs or given.kwarg:
             raise self._refuse(self._definition, "its arguments must have names and an order")
         if len(names) != len(types):
-            raise self._refuse(self._definition, f"takes {len(names)} arguments, not {len(types)}")
+            raise self._refuse(self._definition, f"has {len(names)} of {len(types)} arguments")
         self._arguments = dict(zip(names, types, strict=True))
         self._assigned = _count_assigned(self._definition)
         self._changed = {name for name in names if self._assigned[name]}

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.base.errors import Problem
-from pamctl.base.texts import escape_name, from_json
+from pamctl.base.texts import count_of, escape_name, from_json
 from pamctl.log.framing import LogError
 from pamctl.log.measured_signals import (
     describe_unknown_phase,
@@ -237,7 +237,7 @@ class _TickCheck:
                 severity = Severity.ERROR
             self._findings.add(severity, problem.kind, problem.describe())
         if self.missed:
-            counted = f"{self.missed} ticks in {self.gaps} gaps were missed; the log counts them"
+            counted = f"missed: {self.missed} in {count_of(self.gaps, 'gap')}; the log counts them"
             self._findings.note("missed", counted)
 
     def _join_problems(self) -> list[RecordProblem]:
@@ -268,7 +268,7 @@ class _TickCheck:
             "gap",
             np.flatnonzero((step > 0) & (step - 1 != missed)),
             lambda i: (
-                f"{step[i] - 1} ticks are missing between {tick[i]} and {tick[i + 1]}, "
+                f"{count_of(step[i] - 1, 'tick')} missing between {tick[i]} and {tick[i + 1]}, "
                 f"but the loop missed {missed[i]}"
             ),
         )
@@ -294,7 +294,7 @@ class _TickCheck:
         )
         periods = dt_s / self._period_s - (1 + missed)
         for i in np.flatnonzero(whole & ~(np.abs(periods) <= 1.0)).tolist():
-            detail = f"dt_s is {dt_s[i]}, with {missed[i]} missed ticks"
+            detail = f"dt_s is {dt_s[i]}, with {count_of(missed[i], 'missed tick')}"
             self._findings.warning("period", f"at tick {tick[i + 1]}, {detail}")
 
     def _check_phases(self, batch: TickBatch) -> None:

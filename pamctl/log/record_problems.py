@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pamctl.base.texts import count_of
 from pamctl.log.row_problems import (
     AROUND,
     JITTER,
@@ -383,5 +384,5 @@ def _judge_spikes(t_s: Floats, sensor: Sensor, jumps: NDArray[np.intp]) -> Itera
             found.setdefault(start, start + length)
     lone = [(a, b) for a, b in sorted(found.items()) if a - 1 not in found]
     if 0 < len(lone) <= MOST_SPIKES * len(values):
-        text = f"has {len(lone)} spike{'s'[: len(lone) - 1]} that no rig makes"
+        text = f"has {count_of(len(lone), 'spike')} that no rig makes"
         yield make_problem(t_s, "spikes", sensor.column.name, text, lone)

@@ -15,6 +15,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pamctl.base.texts import count_of
+
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
@@ -179,7 +181,7 @@ def judge_time(t_s: Floats, name: str) -> Iterator[RecordProblem]:
     gap = find_gaps(t_s)
     if gap.any():
         count = int(np.count_nonzero(gap))
-        text = f"has {count} gap{'s' * (count > 1)} of up to {float(step.max()):.6g} s, before"
+        text = f"has {count_of(count, 'gap')} of up to {float(step.max()):.6g} s, before"
         stretches = [(int(row) + 1, int(row) + 2) for row in np.flatnonzero(gap)]
         yield make_problem(t_s, "gap", name, text, stretches)
     off = np.abs(step / period_s - 1.0)
@@ -221,7 +223,7 @@ def judge_numbers(t_s: Floats, column: RecordColumn) -> Iterator[RecordProblem]:
     lost: dict[ProblemKind, Flags] = {"missing": np.isnan(values), "infinite": np.isinf(values)}
     for kind, where in lost.items():
         if count := int(np.count_nonzero(where)):
-            text = f"is {kind} in {count} row{'s' * (count > 1)}"
+            text = f"is {kind} in {count_of(count, 'row')}"
             yield make_problem(t_s, kind, column.name, text, find_runs(where))
     if float(good.min()) == float(good.max()):
         text = f"is {float(good[0]):.6g} {column.unit} throughout"

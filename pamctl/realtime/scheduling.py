@@ -383,7 +383,7 @@ def _free_foreign_threads(cpus: frozenset[int]) -> tuple[PreparationStep, ...]:
     taken = f"SCHED_FIFO, priority {FOREIGN_THREAD_PRIORITY}, all CPUs"
     if refused:
         taken = f"{refused}; a killed loop frees the device late; see fifo"
-    detail = f"{len(foreign)} threads of the driver: {taken}"
+    detail = f"{len(foreign)} of the driver's threads: {taken}"
     return (PreparationStep("foreign_threads", not refused, detail),)
 
 

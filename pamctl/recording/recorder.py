@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from hal.child import ParentPipe, child_command
 from pamctl.base.errors import LOG_DISK_FULL, ExitCode
+from pamctl.base.texts import count_of
 from pamctl.recording.journal import StandStill
 from pamctl.recording.ring import LOOP_DEAD_NS, RecorderFlag, Ring, RingError
 
@@ -229,7 +230,7 @@ def record(ring: Ring, owner: Owner) -> str:
         ring.raise_flag(RecorderFlag.FAILED | (RecorderFlag.DISK_FULL if full else 0))
         why = f"{LOG_DISK_FULL}: {_describe_error(error)}" if full else _describe_error(error)
         is_kept = ring.pending and ring.is_file
-        return f"{why}; {ring.pending} rows are kept in {ring.path}" if is_kept else why
+        return f"{why}; {count_of(ring.pending, 'row')} kept in {ring.path}" if is_kept else why
     return f"{LOG_DISK_FULL}: {ring.meta.log_path} ends early"
 
 

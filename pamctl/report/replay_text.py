@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from pamctl import __version__
+from pamctl.base.texts import count_of
 from pamctl.log import Log
 from pamctl.log.schema import unit_of_column
 from pamctl.offline.tick_replay import (
@@ -28,8 +29,8 @@ def report_replay(found: Replay, tolerance: str | None) -> Report:
     """Return one sentence if all is equal; else the first difference, then all fields'."""
     log = found.recording.log
     if not found.differences:
-        of = f"{len(found.fields)} fields, {found.speed:.0f} x real time"
-        verdict = f"{log.path}: equal, {found.ticks} ticks, {of}"
+        of = f"{count_of(len(found.fields), 'field')}, {found.speed:.0f} x real time"
+        verdict = f"{log.path}: equal, {count_of(found.ticks, 'tick')}, {of}"
         if not found.is_equal:
             whole = found.ticks + found.skipped
             verdict = (
@@ -112,11 +113,11 @@ def _list_limits(found: Replay) -> Iterator[str]:
     if found.absent:
         yield f"not in this log, and not compared: {', '.join(found.absent)}"
     if found.skipped:
-        yield f"not replayed: {found.skipped} ticks after lost ticks, up to the next frozen state"
+        left_out = count_of(found.skipped, "tick")
+        yield f"not replayed: {left_out} after lost ticks, up to the next frozen state"
     if found.unasked:
-        yield (
-            f"reference not compared in {found.unasked} ticks, because ticks before them are lost"
-        )
+        unasked = count_of(found.unasked, "tick")
+        yield f"reference not compared in {unasked}, because ticks before them are lost"
 
 
 def _make_document(found: Replay, tolerance: str | None) -> dict[str, Any]:

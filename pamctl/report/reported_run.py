@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pamctl.base.texts import count_of
 from pamctl.control.law_registry import LawWords, read_law_words
 from pamctl.log import Log
 from pamctl.log.run_meta import Moment, list_moments
@@ -243,7 +244,7 @@ def make_merit_row(name: str, errors_m: Iterable[float | None]) -> list[str]:
 
 def report_run(figures: Mapping[str, Any], law: str) -> Report:
     """Return what is said of a run at its end, from the document of `summarise_run`."""
-    ran = f"{figures['ticks']} ticks, {figures['missed_ticks']} missed"
+    ran = f"{count_of(figures['ticks'], 'tick')}, {figures['missed_ticks']} missed"
     if figures["timing"] is None:
         ran += "; simulated without a clock"
     report = Report(f"Run of {law}", ran, document=figures)

@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 
 from pamctl.base.errors import ExitCode
-from pamctl.base.texts import clean_text, flatten_keys, to_json
+from pamctl.base.texts import clean_text, count_of, flatten_keys, to_json
 from pamctl.control.law_registry import find_law
 from pamctl.log import Log
 from pamctl.log.measured_signals import judge_ticks
@@ -169,7 +169,7 @@ def write_events(page: Report, runs: Sequence[ReportedRun]) -> None:
         rows = [[_show_time(run, e), str(e.get("event", "")), _show_details(e)] for e in events]
         page.add(ReportTable(["at, s", "event", "details"], rows[:MOST_EVENTS]))
         if len(rows) > MOST_EVENTS:
-            page.add(Text(f"{len(rows) - MOST_EVENTS} more events are in the log."))
+            page.add(Text(f"The log has {count_of(len(rows) - MOST_EVENTS, 'more event')}."))
 
 
 def _show_time(run: ReportedRun, event: Mapping[str, Any]) -> str:
@@ -286,9 +286,8 @@ def _write_missed(page: Report, run: ReportedRun) -> None:
         return
     largest = at[np.argsort(-missed[at], kind="stable")][:MOST_PLACES]
     longest = ", ".join(f"{missed[i]} before {run.t_s[i]:.3f} s" for i in sorted(largest))
-    page.add(
-        Text(f"{int(missed.sum())} ticks were missed in {len(at)} places; the most: {longest}.")
-    )
+    missed_in = f"{count_of(int(missed.sum()), 'tick')} in {count_of(len(at), 'place')}"
+    page.add(Text(f"Missed: {missed_in}; the most: {longest}."))
 
 
 def find_doubts(log: Log) -> list[str]:

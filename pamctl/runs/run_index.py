@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 from pamctl.base.errors import ExitCode
 from pamctl.base.new_file import NewFileError, describe_irregular_file, write_files
-from pamctl.base.texts import hint_at_nearest
+from pamctl.base.texts import count_of, hint_at_nearest
 from pamctl.log.edit import read_annotation, write_annotation
 from pamctl.log.run_meta import Annotation
 from pamctl.report.report import Report, ReportTable
@@ -291,7 +291,7 @@ def report_runs(rows: Sequence[RunRow], total: int, folder: Path) -> Report:
     ]
     report = Report(
         f"Runs of {folder}",
-        f"{len(rows)} of {total} runs",
+        f"{len(rows)} of {count_of(total, 'run')}",
         document={"logs": str(folder), "runs": documents, "of": total},
     )
     return report.add(ReportTable(_HEADER, [*map(_make_cells, rows)])) if rows else report

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from pamctl.base.texts import count_of
 from pamctl.control.experiment import plan_experiment
 from pamctl.diagnose import Diagnosis, Verdict, diagnose
 from pamctl.diagnose.record import Record
@@ -185,7 +186,7 @@ def _choose_next(investigation: Investigation) -> NextProgram | str:
         return following
     budget = investigation.plan.budget
     if investigation.programs >= budget.runs:
-        return f"the budget of {budget.runs} programs is spent"
+        return f"the budget of {count_of(budget.runs, 'program')} is spent"
     needed_s = investigation.rig_time_s + following.lasts_s + BETWEEN_S
     if needed_s > 60.0 * budget.minutes:
         return f"the budget of {budget.minutes:g} min on the rig would be passed"

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pamctl.base.errors import ExitCode
+from pamctl.base.texts import count_of
 from pamctl.control.experiment import Experiment, plan_experiment
 from pamctl.diagnose.deciding_program import MIXED, PROGRAMS
 from pamctl.diagnose.drawn_programs import ProgramRun, RigLimits, read_rig_limits, sample_levels
@@ -80,8 +81,8 @@ class RigPlan:
             "separates what is left"
         )
         yield (
-            f"budget: {budget.runs} programs and {budget.minutes:g} min on the rig; between two, "
-            f"the muscle rests vented for {BETWEEN_S:g} s"
+            f"budget: {count_of(budget.runs, 'program')} and {budget.minutes:g} min on the rig; "
+            f"between two, the muscle rests vented for {BETWEEN_S:g} s"
         )
 
     def _say_demand(self) -> str:

@@ -16,6 +16,7 @@ from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hal.problem import MISSING
+from pamctl.base.texts import count_of
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -137,8 +138,9 @@ def _make_complaint(error: ErrorDetails, schema: JsonSchema, title: str) -> _Com
     if kind in {"value_error", "assertion_error"}:
         return _Complaint(place.at, message=str(context["error"]))
     if kind in {"too_short", "too_long"}:
-        bound = "least {min_length}" if kind == "too_short" else "most {max_length}"
-        message = f"must hold at {bound} items (got {{actual_length}})".format(**context)
+        bound, name = ("least", "min") if kind == "too_short" else ("most", "max")
+        items = count_of(context[f"{name}_length"], "item")
+        message = f"must hold at {bound} {items} (got {context['actual_length']})"
         return _Complaint(place.at, message=message)
     if kind in _MUST:
         numbers = {k: f"{v:g}" if isinstance(v, float) else v for k, v in context.items()}
@@ -163,7 +165,7 @@ def _follow_location(schema: JsonSchema, way: Iterable[str | int]) -> _Place:
 def _explain_key(kind: str, parent: _Place, key: str | int, title: str) -> _Complaint:
     at = (*parent.at, key)
     if isinstance(key, int):
-        return _Complaint(parent.at, message=f"must hold more than {key} items")
+        return _Complaint(parent.at, message=f"must hold more than {count_of(key, 'item')}")
     if kind == "missing":
         about = parent.description(key)
         return _Complaint(at, message=f"{MISSING} ({about})" if about else MISSING)

@@ -419,7 +419,7 @@ def test_what_cannot_be_done_is_said_and_leaves_no_file(
         (("valve", "--yes"), "old.yaml", "never overwritten"),
         (("valve", "--yes"), "no/x.yaml", "no directory"),
         (("valve", "--yes"), "mine", "end in .yaml"),
-        (("pressure", "--yes", "--reading", "100"), "x.yaml", "1 values for 3 points"),
+        (("pressure", "--yes", "--reading", "100"), "x.yaml", "values: 1, points: 3"),
         (("pressure", "--yes", "--point", "1e9"), "x.yaml", "must be below 398.7"),
         (("pressure", "--point", "99", "--reading", "nan"), "x.yaml", "must be above 0 (got nan)"),
         (

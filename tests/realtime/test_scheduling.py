@@ -217,7 +217,7 @@ with prepare("auto") as preparation:
     assert step == [
         "foreign_threads",
         True,
-        "4 threads of the driver: SCHED_FIFO, priority 1, all CPUs",
+        "4 of the driver's threads: SCHED_FIFO, priority 1, all CPUs",
     ]
 
 
@@ -236,7 +236,7 @@ with prepare("auto") as preparation:
     )
     cpus, (_, done, detail), after = seen
     assert not done
-    assert detail.startswith("4 threads of the driver: Operation not permitted; ")
+    assert detail.startswith("4 of the driver's threads: Operation not permitted; ")
     assert after == [[os.SCHED_OTHER, 0, cpus]] * 4
 
 

@@ -381,7 +381,7 @@ def test_a_disk_that_fails_is_not_called_full(log, monkeypatch):
         ring.loop_done = 1
         said = record(ring, Here())
         assert said.startswith("writing the log failed: Input/output error; ")
-        assert said.endswith(f" rows are kept in {ring.path}")
+        assert said.endswith(f" rows kept in {ring.path}")
         assert ring.recorder_flags == RecorderFlag.READY | RecorderFlag.FAILED
         assert finish(ring.path) == 0
     assert_complete(log, 6000)
@@ -457,7 +457,7 @@ def test_when_even_the_reserve_is_lost_the_rows_stay_in_the_ring(log):
         code, said = end(process)
         assert code == 3
         assert "File too large" in said
-        assert f"rows are kept in {ring.path}" in said
+        assert f"rows kept in {ring.path}" in said
         assert ring.recorder_flags & RecorderFlag.FAILED
         finish(ring.path)
     assert_complete(log, 5000)

@@ -123,7 +123,7 @@ SLIDING = "controller:\n  law: sliding\n  lambda_per_s: 225\n"
         ),
         ("notes: 3", "notes: must be text (got 3)"),
         ("taps: [1, 2, 3]", "taps: must hold at most 2 items (got 3)"),
-        ("taps: [1]", "taps: must hold more than 1 items"),
+        ("taps: [1]", "taps: must hold more than 1 item"),
         ("taps: [1, x]", "taps.1: must be a number (got 'x')"),
         ("taps: 1", "taps: must be a list (got 1)"),
         ("cutoff_hz: fast", "cutoff_hz: must be a number or 'auto' (got 'fast')"),

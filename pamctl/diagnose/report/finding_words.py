@@ -194,10 +194,11 @@ def spell_finding(diagnosis: Diagnosis, finding: Finding) -> str:
         return best
     if hypothesis.is_term and finding.level == "kind":
         return FreeTerm.read(diagnosis, finding).text
+    where, members = spell_place(hypothesis.place), spell_set(list_candidates(finding), best)
+    if finding.level == "kind" and hypothesis.kind == hypothesis.family:  # a kind of its own
+        return f"a law like {members} in {where}"
     what = spell_kind(hypothesis.kind) if finding.level == "kind" else "something"
-    return (
-        f"{what} in {spell_place(hypothesis.place)} ({spell_set(list_candidates(finding), best)})"
-    )
+    return f"{what} in {where} ({members})"
 
 
 def spell_best(finding: Finding) -> str:

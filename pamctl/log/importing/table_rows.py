@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pamctl.base.texts import count_of
 from pamctl.log.importing.cell_texts import (
     MISSING,
     Cell,
@@ -91,7 +92,7 @@ def find_layout(rows: Sequence[Row]) -> TableLayout | None:
             above, odd = plain[at - 1][1] if at else Row(0, []), ""
             count = _filled_width(above.cells)
             if names[0] == "1" and len(above.cells) > 1 and count != width:
-                odd = f"line {above.number} has {count} cells, the rows below have {width}"
+                odd = f"line {above.number} has {count_of(count, 'cell')}, those below {width}"
             return TableLayout(names, units, kinds, first, odd)
     return None
 
@@ -174,7 +175,7 @@ class TableBuilder:
             else:
                 there = max(_filled_width(row.cells), min(there, self._width))
                 self._odd[row.number] = (
-                    f"the line has {there} cells, but the table has {self._width}"
+                    f"the line has {count_of(there, 'cell')}, but the table has {self._width}"
                 )
         if lines:
             self.take(np.array(lines), list(zip(*cells, strict=True)), is_cut=is_cut)
@@ -278,7 +279,7 @@ class TableBuilder:
         notes += [f"line {number} is left out: {why}" for number, why in self._odd.items()]
         if self._comments:
             notes.append(
-                f"{len(self._comments)} comment lines are left out, the first is line "
+                f"left out: {count_of(len(self._comments), 'comment line')}, the first is line "
                 f"{self._comments[0]}"
             )
         doubt = self._mark.doubt and f"{self._path}: {self._mark.doubt}"

@@ -52,6 +52,14 @@ def test_spikes_and_dropouts_do_not_count(channel):
     assert np.abs(mended[channel] - record[channel]).max() < 0.05 * np.ptp(record[channel])
 
 
+def test_one_missing_cell_is_one_sample():
+    record = measured("fit", 7)
+    pressure_pa = record["pressure_pa"].copy()
+    pressure_pa[700] = np.nan
+    _, (fault,) = mend_records([replace(record, pressure_pa=pressure_pa)])
+    assert "in 1 sample, the first at 0.7 s" in fault.says
+
+
 def test_missing_cells_do_not_count_and_a_command_holds_over_them():
     record = measured("fit", 7)
     pressure_pa, valve_v = record["pressure_pa"].copy(), record["valve_v"].copy()

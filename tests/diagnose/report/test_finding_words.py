@@ -11,6 +11,7 @@ from pamctl.diagnose.report.finding_words import (
     PLACES,
     describe_standing,
     spell_best,
+    spell_finding,
     spell_names,
 )
 from pamctl.diagnose.report.next_experiment import name_apart, spell_next
@@ -55,6 +56,17 @@ def test_a_late_or_smoothed_column_is_said_with_its_milliseconds(name, value_s, 
         chain[name], True, True, "open", 100.0, ends, 0.5, (number,), (), 0, False, ()
     )  # fmt: skip
     assert spell_best(finding) == words
+
+
+def test_an_effect_that_is_a_kind_of_its_own_is_said_once():
+    effects = {h.name: h for h in list_effects("muscle", PAPER_SCALES)}
+    finding = Finding(
+        effects["discharge_ratio"], True, True, "open", 100.0, (90.0, 110.0), 0.5, (), (), 0,
+        False, (),
+    )  # fmt: skip
+    assert finding.level == "kind"
+    said = spell_finding(None, finding)
+    assert said == "a law like discharge ratio in the air behind the valve"
 
 
 def test_a_rival_of_the_measuring_chain_is_said_in_words():

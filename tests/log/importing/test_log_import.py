@@ -255,7 +255,7 @@ def test_a_unit_that_looks_wrong_can_be_accepted_and_the_log_remembers(tmp_path)
         ("", "is empty"),
         ("0.0,1.0\n0.1,2.0\n", "the columns are called 1, 2; say which with --map"),
         ("t_s,position_m\n0.0,0.01\n0.001,abc\n", ":3: position_m is 'abc'"),
-        ("t_s,position_m\n0.0,0.01\n0.001\n0.002,0.01\n", ":3: the line has 1 cells"),
+        ("t_s,position_m\n0.0,0.01\n0.001\n0.002,0.01\n", ":3: the line has 1 cell"),
         ("t_s,t_s\n0.0,0.01\n0.1,0.02\n", "may each be t_s"),
         ("row,position_m\n0.0,0.01\n1,0.02\n", "no column is called t_s"),
         ("t_s,position_m,position_mm\n0,0.01,10\n0.001,0.01,10\n", "may each be position_m"),

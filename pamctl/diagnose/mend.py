@@ -7,7 +7,7 @@ Mains hum is taken off. The zeros that homing gave the pressure sensor are align
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from math import inf
@@ -15,11 +15,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_opening, median_filter
+from scipy.ndimage import binary_opening
 
 from pamctl.base.texts import count_of
 from pamctl.diagnose.record import CHANNELS, REST_V, SENSORS, Array, FaultKind, Record, SensorFault
-from pamctl.log.record_problems import find_sensor_step
+from pamctl.log.record_problems import (
+    LONGEST_DROPOUT,
+    MOST_SPIKES,
+    count_jumps,
+    find_excursions,
+    find_sensor_step,
+)
 
 Rows = NDArray[np.bool_]
 
@@ -192,38 +198,23 @@ def _leave(values: Array, t_s: Array) -> Array:
 
 GONE = 0.1
 """Share of a channel's cells that may be missing."""
-LONGEST_DROPOUT = 20
-"""Samples that a dropout may last; a longer one is not mended here."""
-MOST = 0.02
-"""Share of the samples that may be outliers. More are not single, but the signal."""
-JUMP, BACK = 9.0, 0.25
-"""An outlier is this many local deviations away; and how far from its level before it the signal
-may be afterwards, as a share of the jump."""
-JUMP_SHARE, NO_ANSWER = 0.2, 0.3
-"""Share of its span by which a command jumps; and that no rig goes and comes back at once if the
-command jumped only once."""
-ANSWER = 4
-"""Samples after a jump of the command in which a rig may begin to answer it by a jump."""
-AROUND = 8
-"""Samples before and after an outlier that show how busy the signal is."""
 
 
 def find_outliers(record: Record, channel: str) -> tuple[Rows, Rows]:
     """Return the spikes and the dropouts of a channel as masks of its samples, shape (n,).
 
-    No rig can have made them, since it would have to return: a spike is back a moment later, and
-    so is a reading of zero or of full scale. A step, a click of dry friction or a burst of noise is
-    not back, or is as busy before and after.
+    A reading of zero, or one that is held, is a dropout.
     """
     values = record[channel]
+    jumps = count_jumps(np.zeros(len(values)) if record.valve_v is None else record.valve_v)
     spikes, dropouts = np.zeros(len(values), np.bool_), np.zeros(len(values), np.bool_)
-    for start, stop in _find_excursions(values, record.valve_v):
+    for start, stop in find_excursions(values, jumps):
         same = stop - start > 1 and np.ptp(values[start:stop]) == 0.0
         (dropouts if same or values[start] == 0.0 else spikes)[start:stop] = True
     same_value = spikes & np.isin(values, values[dropouts])
     spikes, dropouts = spikes & ~same_value, dropouts | same_value
     for found in (spikes, dropouts):
-        if found.mean() > MOST:
+        if found.mean() > MOST_SPIKES:
             found[:] = False
     return spikes, dropouts
 
@@ -237,55 +228,6 @@ def bridge(values: Array, lost: Rows) -> Array:
         if step := find_sensor_step(kept):
             mended[lost] = kept[0] + np.round((mended[lost] - kept[0]) / step) * step
     return mended
-
-
-def _find_excursions(values: Array, command: Array | None) -> Iterator[tuple[int, int]]:
-    """Yield [start, stop) of what jumps away and comes back at once."""
-    commands = np.zeros(len(values), np.intp)
-    if command is not None:
-        least = JUMP_SHARE * max(float(np.ptp(command)), 1e-9)
-        commands = np.cumsum(np.abs(np.diff(command, prepend=command[0])) >= least)
-    steps = np.diff(values)
-    steps -= median_filter(steps, 2 * AROUND + 1, mode="nearest")  # the motion's own
-    sizes = np.abs(steps)
-    # The usual step around, without the jump itself: a median hardly sees it.
-    usual = np.maximum(
-        median_filter(sizes, 2 * AROUND + 1, mode="nearest") / 0.6745,
-        max(float(np.median(sizes)) / 0.6745, find_sensor_step(values)),
-    )
-    done, span = 0, float(np.ptp(values))
-    for jump in np.flatnonzero(sizes > JUMP * usual).tolist():
-        start = jump + 1
-        if start <= done or start < AROUND:
-            continue
-        stop = _find_return(values, start, float(sizes[jump]), float(usual[jump]))
-        if stop is None:
-            continue
-        # A rig may answer a jump of the command by one. It does not go far and come back by itself.
-        before = commands[start - ANSWER]
-        pulsed = commands[stop] - before > 1
-        if commands[start] > before and (pulsed or sizes[jump] < NO_ANSWER * span):
-            continue
-        done = stop
-        yield start, stop
-
-
-def _find_return(values: Array, start: int, jump: float, usual: float) -> int | None:
-    """Return where a signal that jumped at `start` is back; None if it is not."""
-    before = values[start - AROUND : start]
-    slope = float(np.median(np.diff(before)))
-    for stop in range(start + 1, min(start + LONGEST_DROPOUT, len(values) - AROUND) + 1):
-        expected = before[-1] + slope * (stop - start + 1)
-        off = abs(values[stop] - expected)
-        if off > max(BACK * jump, 3.0 * usual) or off > 0.5 * jump:
-            continue
-        if float(np.abs(values[start:stop] - expected).min()) < 0.5 * jump:
-            return None
-        # The largest step around but for two: another outlier may be close by.
-        around = (before, values[stop : stop + AROUND])
-        busy = max(float(np.sort(np.abs(np.diff(part) - slope))[-3]) for part in around)
-        return stop if busy < 0.4 * jump else None
-    return None
 
 
 # --- mains hum -----------------------------------------------------------------------------------

@@ -36,6 +36,8 @@ from pamctl.log.row_problems import (
 )
 from pamctl.log.schema import IMPORTED_QUANTITIES, unit_of_column
 
+Counts = NDArray[np.intp]
+
 FEWEST_HELD = 20
 """Equal samples in a row that may be a frozen sensor; fewer are a dropout."""
 CHANCE = 1e-3
@@ -57,12 +59,16 @@ ABRUPT, ABRUPT_STEPS = 0.4, 3.0
 what friction brings to rest is slower by then."""
 USUALLY = 0.995
 """Share of the steps of a record among which its fastest motion is."""
-JUMP = 9.0
-"""A spike is this many usual deviations away from its neighbours."""
+JUMP, BACK = 9.0, 0.25
+"""A spike is this many usual deviations away from its neighbours; and how far from its level before
+it the signal may be afterwards, as a share of the jump."""
+LONGEST_DROPOUT = 20
+"""Samples that a spike, or a dropout, may last."""
 MOST_SPIKES = 0.02
 """Share of the samples; more are no single spikes, but the signal."""
-ANSWER = 4
-"""Samples after a jump of the command in which a rig may answer it by a jump."""
+ANSWER, NO_ANSWER = 4, 0.3
+"""Samples after a jump of the command in which a rig may begin to answer it by a jump; and the
+share of its span that no rig goes and comes back at once if the command jumped only once."""
 REGULAR = 0.95
 """Share of the changes that come at one interval in a resampled column."""
 FEWEST_CHANGES = 20
@@ -109,8 +115,7 @@ def find_record_problems(
         if column.is_sensor:
             sensors.append(Sensor(column, t_s))
         else:
-            steps = np.abs(np.diff(column.values, prepend=column.values[:1]))
-            jumps += np.cumsum(steps >= JUMP_SHARE * np.nanmax(steps))
+            jumps += count_jumps(column.values)
     if is_ordered:
         found += judge_sensors(t_s, sensors, jumps)
     for one, other in combinations(sensors, 2):
@@ -182,9 +187,7 @@ def _measure_noise(values: Floats) -> tuple[float, float]:
     return float(np.median(alive)) if len(alive) else 0.0, float(flips)
 
 
-def judge_sensors(
-    t_s: Floats, sensors: Sequence[Sensor], jumps: NDArray[np.intp]
-) -> Iterator[RecordProblem]:
+def judge_sensors(t_s: Floats, sensors: Sequence[Sensor], jumps: Counts) -> Iterator[RecordProblem]:
     """Yield where sensors hold a value, are resampled, or have spikes.
 
     `jumps`, shape (n,), counts those of the command up to each row.
@@ -361,28 +364,66 @@ def _find_interval(rows: NDArray[np.intp], length: int) -> int | None:
     return every if float(np.mean(rest <= every // 8)) >= REGULAR else None
 
 
-def _judge_spikes(t_s: Floats, sensor: Sensor, jumps: NDArray[np.intp]) -> Iterator[RecordProblem]:
-    """Yield what leaves the signal for one to three samples and is back at once."""
-    values = sensor.values
-    bend = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
-    usual = max(float(np.median(bend)) / 0.6745, sensor.step) if len(bend) else 0.0
-    starts = np.flatnonzero(bend > 0.5 * JUMP * usual) + 1
-    starts = starts[(starts >= AROUND) & (starts < len(values) - AROUND - 3)]
-    found: dict[int, int] = {}
-    for length in (1, 2, 3) if 0 < len(starts) < 3.0 * MOST_SPIKES * len(values) else ():
-        before = values[starts[:, None] + np.arange(-AROUND, 0)]
-        after = values[starts[:, None] + length + np.arange(AROUND)]
-        inside = values[starts[:, None] + np.arange(length)]
-        level = 0.5 * (before[:, -1] + after[:, 0])
-        away = np.abs(inside - level[:, None]).min(axis=1)
-        back = np.abs(before[:, -1] - after[:, 0])
-        # Another spike may be close by: the two largest steps do not count.
-        busy = np.sort(np.abs(np.diff(np.hstack([before, after]), axis=1)), axis=1)[:, -3]
-        is_spike = (away > JUMP * usual) & (back < 0.25 * away) & (busy < 0.3 * away)
-        is_spike &= jumps[starts + length] == jumps[starts - ANSWER]  # a rig may answer a jump
-        for start in starts[is_spike].tolist():
-            found.setdefault(start, start + length)
-    lone = [(a, b) for a, b in sorted(found.items()) if a - 1 not in found]
-    if 0 < len(lone) <= MOST_SPIKES * len(values):
-        text = f"has {count_of(len(lone), 'spike')} that no rig makes"
-        yield make_problem(t_s, "spikes", sensor.column.name, text, lone)
+def _judge_spikes(t_s: Floats, sensor: Sensor, jumps: Counts) -> Iterator[RecordProblem]:
+    """Yield what leaves the signal and is back at once."""
+    spikes = [*find_excursions(sensor.values, jumps)]
+    if 0 < sum(stop - start for start, stop in spikes) <= MOST_SPIKES * len(t_s):
+        text = f"has {count_of(len(spikes), 'spike')} that no rig makes"
+        yield make_problem(t_s, "spikes", sensor.column.name, text, spikes)
+
+
+def count_jumps(command: Floats) -> Counts:
+    """Return the jumps of a command up to each row, shape (n,)."""
+    least = JUMP_SHARE * max(float(np.nanmax(command) - np.nanmin(command)), 1e-9)
+    return np.cumsum(np.abs(np.diff(command, prepend=command[:1])) >= least)
+
+
+def find_excursions(values: Floats, jumps: Counts) -> Iterator[tuple[int, int]]:
+    """Yield [start, stop) of what jumps away and comes back at once.
+
+    No rig can have made it, since it would have to return. A step, a click of dry friction or a
+    burst of noise is not back, or is as busy before and after. `values` are finite.
+    """
+    from scipy.ndimage import median_filter  # 0.3 s, and who reads signals needs none of it
+
+    steps = np.diff(values)
+    steps -= median_filter(steps, 2 * AROUND + 1, mode="nearest")  # the motion's own
+    sizes = np.abs(steps)
+    # The usual step around, without the jump itself: a median hardly sees it.
+    usual = np.maximum(
+        median_filter(sizes, 2 * AROUND + 1, mode="nearest") / 0.6745,
+        max(float(np.median(sizes)) / 0.6745, find_sensor_step(values)),
+    )
+    done, span = 0, float(np.ptp(values))
+    for jump in np.flatnonzero(sizes > JUMP * usual).tolist():
+        start = jump + 1
+        if start <= done or start < AROUND:
+            continue
+        stop = _find_return(values, start, float(sizes[jump]), float(usual[jump]))
+        if stop is None:
+            continue
+        # A rig may answer a jump of the command by one. It does not go far and come back by itself.
+        before = jumps[start - ANSWER]
+        pulsed = jumps[stop] - before > 1
+        if jumps[start] > before and (pulsed or sizes[jump] < NO_ANSWER * span):
+            continue
+        done = stop
+        yield start, stop
+
+
+def _find_return(values: Floats, start: int, jump: float, usual: float) -> int | None:
+    """Return where a signal that jumped at `start` is back; None if it is not."""
+    before = values[start - AROUND : start]
+    slope = float(np.median(np.diff(before)))
+    for stop in range(start + 1, min(start + LONGEST_DROPOUT, len(values) - AROUND) + 1):
+        expected = before[-1] + slope * (stop - start + 1)
+        off = abs(values[stop] - expected)
+        if off > max(BACK * jump, 3.0 * usual) or off > 0.5 * jump:
+            continue
+        if float(np.abs(values[start:stop] - expected).min()) < 0.5 * jump:
+            return None
+        # The largest step around but for two: another outlier may be close by.
+        around = (before, values[stop : stop + AROUND])
+        busy = max(float(np.sort(np.abs(np.diff(part) - slope))[-3]) for part in around)
+        return stop if busy < 0.4 * jump else None
+    return None

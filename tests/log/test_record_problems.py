@@ -71,6 +71,7 @@ def test_a_sound_record_has_no_problem(seed, encoder_m, period_s):
         ("position_m", put(0, 6000, np.nan), "empty", ((0, 6000),)),
         ("pressure_pa", put(0, 6000), "constant", ((0, 6000),)),
         ("pressure_pa", put(3000, 3001, 0.0), "spikes", ((3000, 3001),)),
+        ("pressure_pa", put(3000, 3006, 0.0), "spikes", ((3000, 3006),)),
         ("position_m", put(2500, 2502, 0.05), "spikes", ((2500, 2502),)),
     ],
 )

@@ -10,7 +10,6 @@ from support.made_records import ask_only, measured
 from pamctl.diagnose import Record, diagnose
 from pamctl.diagnose.evidence.weigh import prepare_weigher
 from pamctl.diagnose.mend import (
-    AROUND,
     align_resting_pressure,
     find_outliers,
     find_regular_times,
@@ -23,6 +22,7 @@ from pamctl.diagnose.record import estimate_white_noise, parse_noise, pool_state
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.log.importing.column_map import ImportMap
 from pamctl.log.importing.pipeline import import_log
+from pamctl.log.row_problems import AROUND
 from pamctl.plant.model import NoiseSettings, PlantSettings
 from pamctl.watch.judge_window import SensorNoise
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from pamctl.base.errors import Problem
@@ -13,11 +12,10 @@ from pamctl.base.texts import count_of
 from pamctl.diagnose.record import CHANNELS, Array, Record, estimate_white_noise
 from pamctl.diagnose.time_shifts import check_time_shifts, find_usual_ends
 from pamctl.log.importing.plausibility import is_switched
-from pamctl.log.record_problems import find_sensor_step, is_abrupt
+from pamctl.log.record_problems import find_record_problems, find_sensor_step, measured_columns
+from pamctl.log.row_problems import Flags, RecordProblem
 from pamctl.plant.effects.description import USED_SIGNALS
 from pamctl.plant.model import PlantSettings
-
-Flags = NDArray[np.bool_]
 
 SHORTEST_S = 2.0
 QUICK_SAMPLES = 2000
@@ -83,8 +81,8 @@ def doubt_actuator(record: Record, plant: PlantSettings) -> Iterator[Problem]:
         )
 
 
-LONG_RUN = 20
-"""Equal extremes in so many samples are no chance."""
+LEAST_CLIPPED = 0.02
+"""Share of a record; a shorter time at an extreme spoils no fit."""
 BEYOND_STROKE = 1.05
 """Stops give way, and a position sensor's scale is off, by less."""
 _ANOTHER_PLANT = "make the plant file of what was measured (`pamctl plant new`)"
@@ -274,52 +272,27 @@ def _doubt_position(record: Record, plant: PlantSettings) -> Iterator[Problem]:
 
 
 def doubt_sensors(record: Record, plant: PlantSettings) -> Iterator[Problem]:
-    """Yield doubts about clipped channels, which their noise reveals, and shifted ones."""
-    for channel in list_used_channels(record, plant):
-        if channel != "valve_v":  # the command has no sensor
-            yield from _doubt_extremes(record, plant, channel)
+    """Yield doubts about clipped channels, and shifted ones."""
+    columns = measured_columns({c: record[c] for c in list_used_channels(record, plant)})
+    for problem in find_record_problems(record.t_s, columns):
+        if problem.kind == "clipped" and problem.share >= LEAST_CLIPPED:
+            yield from _doubt_clipped(record, plant, problem)
     yield from check_time_shifts(record, rests_on_stop=plant.stroke_m is not None)
 
 
-def _doubt_extremes(record: Record, plant: PlantSettings, channel: str) -> Iterator[Problem]:
-    """Find a channel that stands still at its extreme value, where its noise should show."""
-    values = record[channel]
-    noisy = estimate_white_noise(values) > max(2.0 * find_sensor_step(values), 1e-12)
-    for end, extreme in (("highest", values.max()), ("lowest", values.min())):
-        at_end = values == extreme
-        share = float(at_end.mean())
-        runs = _list_runs(at_end)
-        if share < 0.02 or not runs:
-            continue
-        # A muscle that its pressure pushes cannot rest, unless its load, or a piston, is at a stop.
-        muscle = plant.actuator == "muscle" and plant.stroke_m is None and channel == "position_m"
-        is_cut = any(is_abrupt(values, find_sensor_step(values), run) for run in runs)
-        pushed = muscle and is_cut and _is_still_pushed(record, at_end)
-        if noisy or pushed:
-            yield Problem(
-                record.name,
-                "clipped",
-                f"{channel} stays at its {end} value {extreme:.6g} for "
-                f"{100.0 * share:.0f} % of the time: the sensor is clipped"
-                + (", or a stop holds what moves" if muscle else ""),
-                fix="widen its range, or drive less far"
-                + ("; or give the plant file stroke_m, the way between the stops" * muscle),
-            )
-
-
-def _is_still_pushed(record: Record, at_end: Flags) -> bool:
-    """Tell whether the pressure changes by more than friction holds while the position rests."""
-    if record.pressure_pa is None:
-        return False
-    span = float(np.ptp(record.pressure_pa))
-    inside = record.pressure_pa[at_end]
-    return bool(np.quantile(inside, 0.98) - np.quantile(inside, 0.02) > 0.35 * span)
-
-
-def _list_runs(flags: Flags) -> list[tuple[int, int]]:
-    """Return where flags stand that are long enough to be no chance."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
-    return [(a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a >= LONG_RUN]
+def _doubt_clipped(record: Record, plant: PlantSettings, found: RecordProblem) -> Iterator[Problem]:
+    """Yield that a channel stands still at its extreme where its noise, or a push, should show."""
+    # A muscle that its pressure pushes cannot rest, unless its load, or a piston, is at a stop.
+    muscle = plant.actuator == "muscle" and plant.stroke_m is None and found.column == "position_m"
+    values = record[found.column]
+    if muscle or estimate_white_noise(values) > max(2.0 * find_sensor_step(values), 1e-12):
+        yield Problem(
+            record.name,
+            "clipped",
+            f"{found.column} {found.text}, for {100.0 * found.share:.0f} % of the time",
+            fix="widen its range, or drive less far"
+            + ("; or give the plant file stroke_m, the way between the stops" * muscle),
+        )
 
 
 def _is_at_rest(record: Record, plant: PlantSettings) -> bool:

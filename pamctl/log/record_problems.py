@@ -227,18 +227,19 @@ def _find_frozen(sensor: Sensor) -> list[tuple[int, int]]:
 def _judge_stopped(t_s: Floats, sensor: Sensor, others: Sequence[Sensor]) -> list[RecordProblem]:
     """Return where a sensor holds a value while another one moves.
 
-    Friction holds a position, which comes to rest and leaves it gently: no sensor does so.
+    Friction holds a position, which comes to rest and leaves it gently: no sensor does so. At an
+    extreme one that does not is enough for all.
     """
     held = sorted(_find_held(sensor), key=lambda stretch: stretch[0] - stretch[1])[:MOST_COMPARED]
+    cut = held = sorted(held)
     if sensor.column.name == "position_m":
-        held = [stretch for stretch in held if is_abrupt(sensor.values, sensor.step, stretch)]
-    moving = [(stretch, _find_mover(others, [stretch])) for stretch in sorted(held)]
-    stopped = [stretch for stretch, mover in moving if mover]
-    movers = [mover for _, mover in moving if mover]
-    for extreme in sensor.ends:
-        there = [stretch for stretch in sorted(held) if sensor.values[stretch[0]] == extreme]
-        if not stopped and there and (mover := _find_mover(others, there)):
-            stopped, movers = there, [mover]
+        cut = [stretch for stretch in held if is_abrupt(sensor.values, sensor.step, stretch)]
+    at_ends = [[s for s in held if sensor.values[s[0]] == extreme] for extreme in sensor.ends]
+    groups = [there for there in at_ends if any(stretch in cut for stretch in there)]
+    groups += [[stretch] for stretch in cut]
+    moving = [(group, mover) for group in groups if (mover := _find_mover(others, group))]
+    stopped = sorted({stretch for group, _ in moving for stretch in group})
+    movers = [mover for _, mover in moving]
     return _describe_held(t_s, sensor, stopped, f"while {movers[0]} moves" if movers else "")
 
 
@@ -262,7 +263,8 @@ def _describe_held(
 
 
 def _is_clipped(sensor: Sensor, stretch: tuple[int, int]) -> bool:
-    return sensor.values[stretch[0]] in sensor.ends and not _is_jump_behind(sensor, stretch)
+    leaves = sensor.is_noisy or not _is_jump_behind(sensor, stretch)  # noise is a jump as well
+    return sensor.values[stretch[0]] in sensor.ends and leaves
 
 
 def _find_held(sensor: Sensor) -> list[tuple[int, int]]:
@@ -281,10 +283,15 @@ def _find_held(sensor: Sensor) -> list[tuple[int, int]]:
 
 
 def _is_noise_beside(sensor: Sensor, stretch: tuple[int, int]) -> bool:
-    """Tell whether the noise goes on beside a stretch, as far as the record does."""
-    start, stop = stretch
-    sides = (sensor.values[max(start - BESIDE, 0) : start], sensor.values[stop : stop + BESIDE])
-    beside = [side for side in sides if len(side) == BESIDE]
+    """Tell whether the noise goes on beside a stretch, as far as the record does.
+
+    Noise that is cut at an extreme comes back in between: what is not held there counts.
+    """
+    values, held, far = sensor.values, sensor.values[stretch[0]], BLOCK * BESIDE
+    sides = (values[: stretch[0]][-far:][::-1], values[stretch[1] :][:far])
+    if held in sensor.ends:
+        sides = (sides[0][sides[0] != held], sides[1][sides[1] != held])
+    beside = [side[:BESIDE] for side in sides if len(side) >= BESIDE]
     return bool(beside) and all(_measure_noise(b)[0] > 0.3 * sensor.noise for b in beside)
 
 

@@ -83,6 +83,24 @@ def test_a_fault_of_a_column_is_found_in_its_rows_and_seconds(name, change, kind
     assert problem.is_fatal == (kind == "empty")
 
 
+def test_a_sensor_whose_noise_is_cut_at_its_lowest_is_clipped_with_what_comes_through_between():
+    def cut(values: Any) -> Any:
+        return np.maximum(values, 1e5 + 500.0)
+
+    (problem,) = find(pressure_pa=cut)
+    assert (problem.kind, problem.column) == ("clipped", "pressure_pa")
+    assert problem.share > 0.1
+
+
+def test_a_position_that_is_cut_in_one_motion_is_clipped_in_all_that_end_there():
+    def cut(values: Any) -> Any:
+        return np.minimum(values, 0.012)
+
+    (problem,) = find(position_m=cut)
+    assert problem.kind == "clipped"
+    assert problem.share == pytest.approx(np.mean(cut(make_columns()[2].values) == 0.012), abs=0.01)
+
+
 def test_a_pressure_beyond_the_range_of_its_sensor_is_clipped():
     (problem,) = find(pressure_pa=lambda values: np.minimum(values, 2.7e5))
     assert problem.kind == "clipped"

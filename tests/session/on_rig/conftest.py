@@ -49,7 +49,7 @@ def rig(logs: Path) -> Iterator[SimulatedRig]:
 def done(rig: SimulatedRig, squares: Path) -> Investigation:
     plan = make_rig_plan(rig.settings(), PlantSettings(), str(squares), Budget(3, 2.0))
     investigation = Investigation(plan)
-    asked = ask_only("command_delay", "valve_slew", "valve_spool", "lag", "late")
+    asked = ask_only("command_delay", "valve_slew", "valve_spool")
     with pytest.MonkeyPatch.context() as patch:
         few = partial(diagnose, without=asked)
         patch.setattr("pamctl.session.decide_on_rig.diagnose", few)

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from hal.calibration import CalibrationSettings, calibration, valve_v
-from pamctl.base.texts import count_of
 from pamctl.log.framing import LogError
 from pamctl.log.reader import Log
 from pamctl.log.record_problems import find_record_problems, measured_columns
@@ -139,7 +138,7 @@ def _compute_valve_v(log: Log, output: Floats) -> Floats:
     except ValidationError as error:
         raise LogError(
             f"{log.path} carries no calibration of the valve's driver: "
-            f"the voltage at the valve is unknown ({count_of(error.error_count(), 'problem')})"
+            f"the voltage at the valve is unknown (problems: {error.error_count()})"
         ) from error
     # Plain arithmetic works on arrays as on numbers.
     return valve_v(calibration(settings), output)  # type: ignore[arg-type,return-value]

@@ -239,8 +239,7 @@ def _judge_stopped(t_s: Floats, sensor: Sensor, others: Sequence[Sensor]) -> lis
     groups += [[stretch] for stretch in cut]
     moving = [(group, mover) for group in groups if (mover := _find_mover(others, group))]
     stopped = sorted({stretch for group, _ in moving for stretch in group})
-    movers = [mover for _, mover in moving]
-    return _describe_held(t_s, sensor, stopped, f"while {movers[0]} moves" if movers else "")
+    return _describe_held(t_s, sensor, stopped, f"while {moving[0][1]} moves" if moving else "")
 
 
 def _describe_held(
@@ -411,8 +410,7 @@ def find_excursions(values: Floats, jumps: Counts) -> Iterator[tuple[int, int]]:
             continue
         # A rig may answer a jump of the command by one. It does not go far and come back by itself.
         before = jumps[start - ANSWER]
-        pulsed = jumps[stop] - before > 1
-        if jumps[start] > before and (pulsed or sizes[jump] < NO_ANSWER * span):
+        if jumps[start] > before and (jumps[stop] > before + 1 or sizes[jump] < NO_ANSWER * span):
             continue
         done = stop
         yield start, stop

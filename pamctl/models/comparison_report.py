@@ -105,12 +105,8 @@ def _suggest_next(path: Path, found: _Models, map_path: Path | None) -> str:
 
 def _find_closest(found: _Models) -> str:
     """Return the plant with the smallest gaps, each as a share of the mean of all plants'."""
-    gaps = np.array(
-        [
-            [c.gap(w, s).rms for w in c.all_ways for s in ("position_m", "pressure_pa")]
-            for c in found.values()
-        ]
-    )
+    each = [[c.gap(way, s).rms for way in c.all_ways for s in _BLOCKS] for c in found.values()]
+    gaps = np.array(each)
     gaps = gaps[:, np.isfinite(gaps).all(0) & gaps.any(0)]  # which all plants have
     return [*found][int(np.argmin((gaps / gaps.mean(0)).sum(1)))]
 

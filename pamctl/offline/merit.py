@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.log.reader import Log
+from pamctl.log.row_problems import find_runs
 from pamctl.signals import Phase, find_followed_m
 
 STEADY_S = 5.0
@@ -77,16 +78,13 @@ def compute_merit(t_s: Floats, phase: NDArray[np.int64], error_m: Floats) -> Mer
 
 def _find_steady_parts(t_s: Floats, phase: NDArray[np.int64]) -> list[slice]:
     """Return the last 5 s of each rest that lasts at least 5 s."""
-    resting = np.concatenate(([False], phase == Phase.REST, [False]))
-    begins = np.flatnonzero(~resting[:-1] & resting[1:])
-    ends = np.flatnonzero(resting[:-1] & ~resting[1:])
     parts = []
-    for begin, end in zip(begins, ends, strict=True):
+    for begin, end in find_runs(phase == Phase.REST).tolist():
         # A tick lasts until the next one; half a tick allows for rounding.
         tick_s = (t_s[end - 1] - t_s[begin]) / max(1, end - 1 - begin)
         first = int(np.searchsorted(t_s[:end], t_s[end - 1] + 0.5 * tick_s - STEADY_S))
         if first > begin or t_s[end - 1] - t_s[begin] + 1.5 * tick_s >= STEADY_S:
-            parts.append(slice(max(first, int(begin)), int(end)))
+            parts.append(slice(max(first, begin), end))
     return parts
 
 

@@ -10,6 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pamctl.log.row_problems import find_runs
+
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 _MARGIN = 0.04
@@ -143,10 +145,7 @@ def format_tick(value: float, step: float, largest: float) -> str:
 
 def find_unbroken(x: Floats, y: Floats) -> list[slice]:
     """Return the longest stretches in which both arrays, shape (n,), are finite."""
-    finite = np.concatenate(([False], np.isfinite(x) & np.isfinite(y), [False]))
-    begins = np.flatnonzero(~finite[:-1] & finite[1:])
-    ends = np.flatnonzero(finite[:-1] & ~finite[1:])
-    return [slice(int(b), int(e)) for b, e in zip(begins, ends, strict=True)]
+    return [slice(*run) for run in find_runs(np.isfinite(x) & np.isfinite(y)).tolist()]
 
 
 def keep_extremes(x: Floats, y: Floats, column: float) -> Indices:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.base.new_file import describe_irregular_file
-from pamctl.base.texts import count_of
 from pamctl.control.forms import MOST_ROWS
 from pamctl.control.waves import Sampled
 from pamctl.log.importing.column_roles import names_quantity
@@ -145,7 +144,7 @@ def _require_points(path: Path, t_s: Floats, values: Floats, rows: NDArray[np.in
         raise ValueError(f"{path} has {len(t_s)} row; a table needs two at least")
     bad = np.flatnonzero(~(np.isfinite(t_s) & np.isfinite(values)))
     if len(bad):
-        raise ValueError(f"{path}:{rows[bad[0]]}: no finite number in {count_of(len(bad), 'row')}")
+        raise ValueError(f"{path}:{rows[bad[0]]}: rows without a finite number: {len(bad)}")
     back = np.flatnonzero(np.diff(t_s) <= 0)
     if len(back):
         at = int(back[0]) + 1

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple, Protocol
 
 from pamctl.base.errors import ConfigError, ExitCode, Problem, end_on_signals, name_interrupt
 from pamctl.base.new_file import NewFileError, require_place, write_files
-from pamctl.base.texts import count_of
 from pamctl.base.worker_processes import start_workers
 from pamctl.control.law_registry import find_law, installed_laws
 from pamctl.log.run_meta import bare_name
@@ -267,7 +266,7 @@ def format_gains_file(
     paragraphs = [
         f"{law.title}: {law.equation}. Units: mm, s, V.",
         f"Made by:  {command}",
-        f"Differential evolution, {count_of(best.generation, 'generation')}, {runs}, for "
+        f"Differential evolution, {best.generation} generations, {runs}, for "
         f"{', and for '.join(judges)}; cost {best.cost:.3f}. "
         + (f"{what}: {scored}." if scored else "Not scored: interrupted."),
         f"Score: the largest of every error over {bound} (max "

@@ -107,7 +107,11 @@ def test_a_mat_file_is_a_table_too(tmp_path):
 @pytest.mark.parametrize(
     ("text", "keys", "said"),
     [
-        ("time_s,position_mm\n0,8\n1,nan\n2,9\n", {}, "points.csv:3: no finite number in 1 row"),
+        (
+            "time_s,position_mm\n0,8\n1,nan\n2,9\n",
+            {},
+            "points.csv:3: rows without a finite number: 1",
+        ),
         ("time_s,position_mm\n0,8\n", {}, "has 1 row; a table needs two"),
         ("time_s,position_mm\n0,8\n2,9\n1,9\n", {}, "points.csv:4: time must rise, but 1 s"),
         ("time_s,position_kPa\n0,8\n2,9\n", {}, "give value_column"),

@@ -25,6 +25,7 @@ from pamctl.log.record_problems import (
     count_jumps,
     find_excursions,
     find_sensor_step,
+    round_to_steps,
 )
 
 Rows = NDArray[np.bool_]
@@ -224,9 +225,7 @@ def bridge(values: Array, lost: Rows) -> Array:
     mended = values.copy()
     if lost.any() and not lost.all():
         index, kept = np.arange(len(values)), values[~lost]
-        mended[lost] = np.interp(index[lost], index[~lost], kept)
-        if step := find_sensor_step(kept):
-            mended[lost] = kept[0] + np.round((mended[lost] - kept[0]) / step) * step
+        mended[lost] = round_to_steps(np.interp(index[lost], index[~lost], kept), kept)
     return mended
 
 

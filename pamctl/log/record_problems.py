@@ -143,6 +143,17 @@ def find_sensor_step(values: Floats) -> float:
     return step if len(multiples) > 1 and float(np.quantile(off, 0.95)) < 0.1 else 0.0
 
 
+def round_to_steps(values: Floats, measured: Floats) -> Floats:
+    """Return values made from measured ones, in the steps of their converter.
+
+    A value between two levels would pass for a finer step, and a step of the converter for a spike.
+    Where no reading is like the one before it, levels may be a steady motion's, and none is a rest.
+    """
+    good = measured[np.isfinite(measured)]
+    step = find_sensor_step(good) if (np.diff(good) == 0.0).any() else 0.0
+    return good[0] + np.round((values - good[0]) / step) * step if step else values
+
+
 class Sensor:
     """A sensor's column, its gaps filled, with its noise and its converter's step."""
 

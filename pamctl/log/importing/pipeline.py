@@ -42,6 +42,7 @@ from pamctl.log.importing.measured_table import (
 )
 from pamctl.log.importing.plausibility import judge_clock, judge_record, judge_units
 from pamctl.log.importing.shown_map import propose_missing, show_map
+from pamctl.log.record_problems import round_to_steps
 from pamctl.log.row_problems import GAP_PERIODS, find_gaps, nominal_period_s
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import IMPORTED, TICK_TOPIC, imported_fields
@@ -378,7 +379,7 @@ def _interpolate_at(grid: Floats, t_s: Floats, values: Floats, name: str) -> Flo
         index = np.searchsorted(t_s, grid + 1e-9, side="right") - 1
         held: Floats = values[np.clip(index, 0, len(t_s) - 1)]
         return held
-    return np.interp(grid, t_s, values)
+    return round_to_steps(np.interp(grid, t_s, values), values)
 
 
 CHUNK_TICKS = 2048

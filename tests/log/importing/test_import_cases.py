@@ -332,6 +332,21 @@ def test_gain_offset_and_a_shift_in_time_are_keys_of_a_column(tmp_path):
     np.testing.assert_allclose(measured.valve_v, VALVE_V[:58], atol=1e-9)
 
 
+def test_a_column_shifted_by_part_of_a_row_keeps_the_steps_of_its_sensor(tmp_path):
+    t_s = np.round(np.arange(2000) * 1e-3, 4)
+    slow = 2.0 - 2.0 * np.cos(4.0 * t_s) + np.random.default_rng(4).normal(0.0, 0.0015, 2000)
+    coarse = np.round(slow / 0.005) * 0.005  # mm
+    coarse[:500] = coarse[0]  # rests, but for a flicker between two steps
+    coarse[100:500:37] += 0.005
+    path = write(tmp_path, table(("Time [s]", "Position [mm]"), (t_s, coarse)))
+    text = "time: {column: 1}\nposition: {column: 2, unit: mm, shift_s: -0.00348}\n"
+    done = Outcome(path, "--map", str(write(tmp_path, text, "map.yaml")))
+    shifted = 1e3 * done.signals.position_m
+    np.testing.assert_allclose(shifted, np.round(shifted / 0.005) * 0.005, atol=1e-9)
+    straight = np.interp(done.signals.t_s + 0.00348, t_s, coarse)
+    assert np.abs(shifted - straight).max() <= 0.0025 + 1e-9
+
+
 def test_an_atmosphere_that_is_not_the_usual_one_is_told(tmp_path):
     text = (
         "time: {column: 1}\npressure: {column: 3, unit: bar, gauge: true}\n"

@@ -278,16 +278,16 @@ def _split_given(given: list[str], actuator: str) -> dict[str, str]:
     from pamctl.plant.catalogue import CATALOGUE
     from pamctl.settings.datasheet import list_questions
 
-    names = [question.name for question in list_questions(actuator)]
+    parts = [[part.strip() for part in text.partition("=")] for text in given]
+    names = [q.name for q in list_questions(actuator, [name for name, _, _ in parts])]
     texts = {}
-    for text in given:
-        name, equals, number = (part.strip() for part in text.partition("="))
+    for text, (name, equals, number) in zip(given, parts, strict=True):
         if name not in names or not equals or not number:
-            effect, _, key = name.partition(".")
-            asked = f"; its numbers are {', '.join(names)}"
-            if effect in CATALOGUE and key:
-                written = f"{effect}: {{{key}: {number or 'NUMBER'}}}"
-                asked = f": write `{written}` below the line `effects:` of the plant file"
+            effect = CATALOGUE.get(name.partition(".")[0])
+            asked = f"; its numbers are {', '.join(names)}, and EFFECT.NUMBER of an effect"
+            if effect:
+                known = ", ".join(p.name for p in effect.parameters if not p.choices)
+                asked = f"; the numbers of {effect.name} are {known}"
             raise typer.BadParameter(
                 f"{text!r} is no NAME=NUMBER of the actuator {actuator}"
                 f"{hint_at_nearest(name, names)}{asked}",
@@ -324,7 +324,7 @@ def _collect_numbers(
     """
     from pamctl.settings.datasheet import list_questions, read_quantity
 
-    questions = list_questions(actuator)
+    questions = list_questions(actuator, given)
     values, longer = dict[str, float](), 1.0
     for question in questions:
         if question.name in given:

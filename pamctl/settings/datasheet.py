@@ -207,8 +207,8 @@ class PlantQuestion:
     """An effect that may be absent."""
 
 
-def list_questions(actuator: str) -> tuple[PlantQuestion, ...]:
-    """Return the questions of an actuator in their order."""
+def list_questions(actuator: str, given: Collection[str] = ()) -> tuple[PlantQuestion, ...]:
+    """Return the questions of an actuator in their order, and those of effects that are `given`."""
     needed, optional = _NO_DEFAULT.get(actuator, set()), _OPTIONAL.get(actuator, set())
     own = PlantSettings.model_fields
     fields = {
@@ -229,6 +229,7 @@ def list_questions(actuator: str) -> tuple[PlantQuestion, ...]:
         )
         for name in sorted(fields, key=lambda name: name not in _FIRST)
     ]
+    usual = _EFFECTS.get(actuator, ())
     asked += [
         PlantQuestion(
             f"{effect}.{parameter.name}",
@@ -237,10 +238,10 @@ def list_questions(actuator: str) -> tuple[PlantQuestion, ...]:
             None,
             is_optional=True,
         )
-        for effect in _EFFECTS.get(actuator, ())
+        for effect in dict.fromkeys((*usual, *CATALOGUE))
         if effect in CATALOGUE
         for parameter in CATALOGUE[effect].parameters
-        if not parameter.choices
+        if not parameter.choices and (effect in usual or f"{effect}.{parameter.name}" in given)
     ]
     return tuple(asked)
 
@@ -272,7 +273,7 @@ def format_new_plant(
         "# Written by `pamctl plant new`, to edit. All numbers are in SI.",
         f"# `pamctl diagnose` fits {fitted}; it takes the other numbers as they are.",
     ]
-    questions = list_questions(actuator)
+    questions = list_questions(actuator, values)
     meanings = {
         q.name: q.meaning + (f"; {texts[q.name]}" if q.name in texts else "") for q in questions
     }

@@ -216,15 +216,15 @@ def test_a_file_whose_columns_are_not_clear_is_refused_with_the_way_to_a_map(tmp
     assert "--map MAP.yaml" in done.stderr
 
 
-def test_an_effect_among_the_values_is_told_the_line_that_goes_below_effects(tmp_path):
-    out = tmp_path / "axis.yaml"
-    given = ["--actuator", "muscle", "--value", "mass_kg=6", "--value", "external_load.force_n=5"]
-    refused = make(*given, "--value", "cubic_stiffness.n_per_m3=9", "--out", str(out))
+def test_a_number_of_any_effect_may_be_among_the_values(tmp_path):
+    out = tmp_path / "muscle.yaml"
+    given = ["external_load.force_n=5", "cubic_stiffness.n_per_m3=9", "dead_volume.volume_m3=9 cm3"]
+    done = make(*(word for one in given for word in ("--value", one)), "--out", str(out))
+    assert done.exit_code == 0, done.stderr
+    assert "dead volume" in out.read_text()
+    effects = read_section_file("plant", out).effects
+    assert effects.cubic_stiffness == {"n_per_m3": 9.0}
+    assert effects.dead_volume == {"volume_m3": pytest.approx(9e-6)}
+    refused = make("--value", "dead_volume.size=9", "--out", str(tmp_path / "no.yaml"))
     assert refused.exit_code == 2
-    said = " ".join(refused.stderr.split())
-    assert "write `cubic_stiffness: {n_per_m3: 9}` below the line `effects:` of the plant" in said
-    assert make(*given, "--out", str(out)).exit_code == 0
-    text = out.read_text()
-    assert text.count("effects:\n") == 1
-    out.write_text(text.replace("effects:\n", "effects:\n  cubic_stiffness: {n_per_m3: 9}\n"))
-    assert read_section_file("plant", out).effects.cubic_stiffness == {"n_per_m3": 9.0}
+    assert "the numbers of dead_volume are volume_m3" in " ".join(refused.stderr.split())

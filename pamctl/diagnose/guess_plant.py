@@ -232,15 +232,18 @@ def _find_motion(record: Record, actuator: str, values: Mapping[str, float]) -> 
     rates = _differentiate(record, np.asarray(record.position_m))
     position_m = rates["smooth"]
     grip = friction = np.zeros(len(position_m))
+    p = _paper_numbers(actuator, values)
+    gauge = None if record.pressure_pa is None else record.pressure_pa - p.atmospheric_pressure_pa
     if actuator == "direct":
-        if record.force_n is None:
+        area_m2 = values.get("piston.area_m2", 0.0)
+        pushes = [] if gauge is None or not area_m2 else [area_m2 * gauge]
+        pushes += [] if record.force_n is None else [record.force_n]
+        if not pushes:
             return None
-        drive = np.asarray(record.force_n)
+        drive = np.sum(pushes, axis=0)
     else:
-        if record.pressure_pa is None:
+        if gauge is None:
             return None
-        p = _paper_numbers(actuator, values)
-        gauge = np.asarray(record.pressure_pa) - p.atmospheric_pressure_pa
         drive = gauge * np.array([force_area_m2(p, x) for x in position_m])
         if actuator == "muscle":
             grip = values["braid_count"] * values["braid_contact_area_m2"] * gauge

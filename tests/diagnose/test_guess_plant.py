@@ -1,6 +1,7 @@
 """First guesses from records: an axis and a chamber that another solver made."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -35,6 +36,15 @@ def test_mass_damping_and_spring_of_an_axis_are_guessed_within_a_third():
     found = guess_numbers([record], "direct", {**PAPER, "atmospheric_pressure_pa": 1e5})
     for name, true in (("mass_kg", 4.0), ("damping_n_s_per_m", 60.0), ("stiffness_n_per_m", 900.0)):
         assert found[name].value == pytest.approx(true, rel=0.33), name
+
+
+def test_an_axis_that_the_pressure_on_a_piston_drives_is_guessed_as_by_its_force():
+    record, area_m2 = move_axis(4.0, 60.0, 900.0, 6.0), -3e-4
+    values = {**PAPER, "atmospheric_pressure_pa": 1e5, "piston.area_m2": area_m2}
+    by_air = replace(record, pressure_pa=1e5 + record["force_n"] / area_m2, force_n=None)
+    found = guess_numbers([by_air], "direct", values)
+    assert found == guess_numbers([record], "direct", values)
+    assert not guess_numbers([by_air], "direct", {**values, "piston.area_m2": 0.0})
 
 
 def test_a_spring_that_is_not_there_is_guessed_small():

@@ -346,6 +346,12 @@ def _collect_numbers(
         for q in questions
         if q.name not in values and not q.is_optional
     ]
+    if missing and records:
+        from pamctl.diagnose.record_doubts import doubt_drive
+
+        has_piston = "piston.area_m2" in values
+        doubts = [d for r in records for d in doubt_drive(r, actuator, has_piston=has_piston)]
+        missing = [*(f"no guess: {doubt.sentence}" for doubt in doubts[:1]), *missing]
     if missing:
         raise Failed(ExitCode.USAGE, "\n".join(missing))
     return values, guesses

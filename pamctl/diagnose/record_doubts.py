@@ -46,23 +46,30 @@ DRIVERS: Mapping[str, tuple[str, ...]] = {
 """One of these drives an actuator's model; an axis with a piston is driven by the pressure too."""
 
 
+def doubt_drive(record: Record, actuator: str, *, has_piston: bool) -> Iterator[Problem]:
+    """Yield that a record does not hold what drives this actuator's model."""
+    drivers = (*DRIVERS[actuator], *["pressure_pa"] * (has_piston and actuator == "direct"))
+    if set(drivers) & set(record.channels):
+        return
+    needed = " or ".join(drivers)
+    ways = (
+        ", such as a drive's current with `unit: N` and its N/A for `gain`; or pressure_pa, with "
+        "`effects: {piston: {area_m2: ...}}` in the plant file"
+    )
+    yield Problem(
+        record.name,
+        "actuator",
+        f"the plant file has `actuator: {actuator}`, which {needed} must drive; "
+        f"the record holds {', '.join(record.channels)}",
+        fix=f"give {needed}, by a map where no header names it{ways * (needed == 'force_n')}; "
+        f"or {_ANOTHER_PLANT}",
+    )
+
+
 def doubt_actuator(record: Record, plant: PlantSettings) -> Iterator[Problem]:
     """Yield why a record, with all its channels, is not one of what the plant file describes."""
     kind = f"`actuator: {plant.actuator}`"
-    drivers = DRIVERS[plant.actuator]
-    if plant.actuator == "direct" and "piston" in plant.acting:
-        drivers = (*drivers, "pressure_pa")
-    if not set(drivers) & set(record.channels):
-        needed = " or ".join(drivers)
-        piston = ", or pressure_pa with `effects: {piston: {area_m2: ...}}` in the plant file"
-        yield Problem(
-            record.name,
-            "actuator",
-            f"the plant file has {kind}, which {needed} must drive; "
-            f"the record holds {', '.join(record.channels)}",
-            fix=f"give {needed}{piston if needed == 'force_n' else ''}, by a map where no header "
-            f"names it, or {_ANOTHER_PLANT}",
-        )
+    yield from doubt_drive(record, plant.actuator, has_piston="piston" in plant.acting)
     if plant.actuator == "chamber" and (span_m := _find_motion_m(record)):
         yield Problem(
             record.name,

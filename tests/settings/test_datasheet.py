@@ -206,6 +206,19 @@ def test_numbers_are_guessed_from_measured_text_and_say_so(tmp_path):
     assert "guessed, from the balance of forces" in out.read_text()
 
 
+def test_an_axis_whose_record_holds_no_force_is_told_so_and_how_to_give_its_current(tmp_path):
+    source = tmp_path / "axis.csv"
+    rows = "".join(f"{k},{np.sin(0.1 * k):.4f},{np.cos(0.1 * k):.4f}\n" for k in range(400))
+    source.write_text("time [ms],I_ist [A],position [mm]\n" + rows)
+    given = ("--value", "mass_kg=8.3", "--value", "stiffness_n_per_m=2500")
+    done = make("--from", str(source), "--actuator", "direct", *given, "--out", str(tmp_path / "x"))
+    assert done.exit_code == 2
+    said = " ".join(done.stderr.split())
+    assert "no guess: axis: the plant file has `actuator: direct`, which force_n must drive" in said
+    assert "such as a drive's current with `unit: N` and its N/A for `gain`" in said
+    assert said.index("no guess") < said.index("damping_n_s_per_m")
+
+
 def test_a_file_whose_columns_are_not_clear_is_refused_with_the_way_to_a_map(tmp_path):
     source = tmp_path / "odd.csv"
     rows = "".join(f"{k},{k % 7},{k % 5}\n" for k in range(200))

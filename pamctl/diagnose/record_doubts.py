@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from scipy.ndimage import median_filter
+from scipy.ndimage import median_filter, uniform_filter1d
 
 from pamctl.base.errors import Problem
 from pamctl.base.texts import count_of
@@ -27,6 +27,13 @@ HALF_SPAN = 0.5
 """A signal that moves by this share of its span between two samples is not resolved."""
 LEAST_COMMAND_V = 0.1
 """A command that varies by less opens no valve."""
+MEAN_S, LATEST_S = 0.5, 0.2
+"""Means over this time hide how quickly a regulator answers, up to this late."""
+COPY = 0.997
+"""Squared correlation with the set point of a regulator: 0.999 or more. A valve's command has up to
+0.95; 0.99 where a fifth of its full opening leaks and it is opened little."""
+LEAST_BETWEEN = 0.3
+"""Share of a command's samples away from its ends: any two levels lie on a straight line."""
 STILL_TIMES_NOISE = 10.0
 """A signal that varies by less than this multiple of its noise tells nothing."""
 
@@ -109,6 +116,7 @@ def doubt_record(record: Record, plant: PlantSettings) -> Iterator[Problem]:
     yield from _doubt_rate(record, plant)
     if "valve_v" in list_used_channels(record, plant):
         yield from _doubt_command_unit(record)
+        yield from _doubt_regulator(record)
     if record.pressure_pa is not None:
         yield from _doubt_pressure_unit(record, plant)
     if record.position_m is not None and plant.actuator == "muscle":
@@ -200,6 +208,33 @@ def _doubt_command_unit(record: Record) -> Iterator[Problem]:
             "closes, and rises as it fills",
             fix="subtract the driver's offset (5 V where 0 to 10 V "
             "drive the valve), and turn the sign if more volts exhaust",
+        )
+
+
+def _doubt_regulator(record: Record) -> Iterator[Problem]:
+    """Doubt a command that the pressure follows on a straight line: a valve's is its rate."""
+    command, pressure = record.valve_v, record.pressure_pa
+    window, lags = round(MEAN_S / record.period_s), round(LATEST_S / record.period_s)
+    if command is None or pressure is None or len(command) < 10 * window or window < 1:
+        return
+    middle, span = 0.5 * (np.max(command) + np.min(command)), np.ptp(command)
+    if not span > 0.0 or np.mean(np.abs(command - middle) < 0.4 * span) < LEAST_BETWEEN:
+        return
+    kept = slice(window, -window)
+    asked, got = (uniform_filter1d(row, window)[kept] for row in (command, pressure))
+    alike = max(
+        np.corrcoef(asked[: len(asked) - lag], got[lag:])[0, 1] ** 2
+        for lag in range(0, lags + 1, max(1, lags // 20))
+    )
+    if alike >= COPY:
+        yield Problem(
+            record.name,
+            "regulator",
+            f"pressure_pa follows valve_v like a copy: {100.0 * alike:.2f} % of its variance lies "
+            f"on one straight line, in means over {MEAN_S:g} s, where a valve's command is the "
+            "rate of the pressure. It looks like the set point of a pressure regulator, of which "
+            "pamctl has no model, and like no valve",
+            fix="leave the column out of the map: then only the mechanics is asked",
         )
 
 

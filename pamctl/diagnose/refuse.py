@@ -32,6 +32,7 @@ RULES: Mapping[str, str] = {
     "gap": "gaps in the time leave no stretch that is long enough",
     "coarse": "a signal passes half of its span between two samples",
     "command_unit": "the command does not look like -5 to 5 V",
+    "regulator": "the pressure follows the command like a copy: a regulator's set point, no valve",
     "pressure_unit": "the pressure does not look like absolute pascals",
     "position_unit": "the muscle moves by more than 45 % of its rest length",
     "position_sign": "the muscle is longer than at its vented rest",

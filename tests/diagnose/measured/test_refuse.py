@@ -5,10 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import signal
 from support.cylinder import LiftingMuscle
 from support.made_records import PERIOD_S, measured, pair
 
 import pamctl
+from pamctl.control.experiment import plan_experiment
 from pamctl.diagnose import Record, Verdict, diagnose
 from pamctl.diagnose.read_record import record_of
 from pamctl.diagnose.record_doubts import (
@@ -28,7 +30,11 @@ from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.time_shifts import check_time_shifts
 from pamctl.log.importing.column_map import ImportMap, PressureMap, TimeMap
 from pamctl.log.importing.pipeline import import_log
+from pamctl.plant.drive import drive_coupled
 from pamctl.plant.model import PlantSettings
+from pamctl.plant.parameters import parameters_of
+from pamctl.settings.config_files import config_dir
+from pamctl.settings.resolve import read_section_file
 
 PAPER = PlantSettings()
 DIRECT = PlantSettings.model_validate(
@@ -182,6 +188,40 @@ def test_a_rate_at_which_the_pressure_jumps_is_doubted_but_a_spike_is_not():
     spiky = good["pressure_pa"].copy()
     spiky[1234] += 1e6
     assert "coarse" not in [d.key for d in doubt_record(replace(good, pressure_pa=spiky), PAPER)]
+
+
+@pytest.mark.parametrize("program", ["multisine", "steps", "ramps"])
+def test_the_set_point_of_a_pressure_regulator_is_no_command_of_a_valve(program):
+    t_s, random = np.arange(3500) * 4e-3, np.random.default_rng(3)
+    set_v = {
+        "multisine": 5.0 + sum(np.sin(2.0 * np.pi * hz * t_s + 9.0 * hz) for hz in (0.2, 0.7, 2.6)),
+        "steps": np.repeat(random.uniform(1.0, 9.0, 14), 250),
+        "ramps": np.interp(t_s, [0.0, 4.0, 8.0, 14.0], [1.0, 9.0, 2.0, 8.0]),
+    }[program]
+    answers = signal.StateSpace(*signal.tf2ss([22.0**2], [1.0, 2 * 0.65 * 22.0, 22.0**2]))
+    _, bar, _ = signal.lsim(answers, 0.6 * (set_v - set_v[0]), t_s)
+    pressure_pa = 1e5 * (1.013 + 0.6 * set_v[0] + bar) + random.normal(0.0, 120.0, len(t_s))
+    told = [*doubt_record(Record("a", t_s, set_v - 5.0, pressure_pa), PAPER)]
+    assert [d.key for d in told] == ["regulator"]
+    assert "leave the column out of the map" in told[0].sentence
+    assert [*doubt_record(Record("a", t_s, None, pressure_pa), PAPER)] == []
+
+
+@pytest.mark.parametrize("leak_m2", [0.0, 3e-7])
+def test_the_command_of_a_valve_is_no_set_point_in_any_shipped_program(leak_m2):
+    truth = parameters_of({"valve_leak.area_m2": leak_m2})
+    told = 0
+    for path in sorted((config_dir() / "experiment").glob("*.yaml")):
+        plan = plan_experiment(read_section_file("experiment", path)).segments
+        volts = np.concatenate([np.full(round(1e3 * s.duration_s), s.valve_v) for s in plan])
+        if not np.isfinite(volts).all() or np.ptp(volts) == 0.0:
+            continue  # a closed loop's
+        volts = volts[:20_000]
+        driven = drive_coupled(truth, volts, PERIOD_S)
+        record = Record(path.stem, np.arange(len(volts)) * PERIOD_S, volts, driven.pressure_pa)
+        assert "regulator" not in [d.key for d in doubt_record(record, PAPER)], path.stem
+        told += 1
+    assert told >= 10
 
 
 def test_the_levels_of_a_valve_that_switches_are_to_be_mapped():

@@ -358,14 +358,16 @@ def _collect_numbers(
 
 
 def _list_fitted(plant: PlantSettings, records: list[Record]) -> list[str]:
-    from pamctl.diagnose.evidence.weigh import LOAD, list_guesses, list_stated
+    from pamctl.diagnose.evidence.weigh import LOAD, is_of_air, list_guesses, list_stated
     from pamctl.plant.model import values_of
 
     values = values_of(plant)
     period_s = max([record.period_s for record in records], default=1e-3)
     load = [LOAD] if plant.actuator in ("direct", "cylinder") and LOAD not in plant.known else []
     stated = [number.name for number in list_stated(values, plant.known)]
-    return list(dict.fromkeys([*list_guesses(values, plant, period_s), *load, *stated]))
+    names = dict.fromkeys([*list_guesses(values, plant, period_s), *load, *stated])
+    has_command = not records or any(record.valve_v is not None for record in records)
+    return [name for name in names if has_command or not is_of_air(name)]
 
 
 # --- the manual -------------------------------------------------------------------------------

@@ -69,6 +69,8 @@ def diagnose(
         accepted = check_measured_runs(records, plant, accept, given)
         for doubt in doubt_numbers(records, plant):
             progress(doubt)
+        if plant.actuator in ("muscle", "cylinder") and records[0].valve_v is None:
+            progress("no command: only the mechanics is asked, and the measured pressure drives it")
         stated = pool_stated_noise(records)
         cores = jobs or os.cpu_count() or 1
         found = weigh_evidence(

@@ -36,6 +36,7 @@ from pamctl.diagnose.evidence.run_pieces import (
 )
 from pamctl.diagnose.evidence.sample_masks import find_resolution
 from pamctl.diagnose.plant_numbers import FittedNumber, look_up_parameter
+from pamctl.plant.catalogue import WITH_TERMS
 from pamctl.plant.model import PlantSettings, values_of
 from pamctl.plant.terms import CURVE, KNOTS, LOCATIONS, SUFFIX
 
@@ -64,6 +65,8 @@ CALIBRATED: Mapping[str, Mapping[str, float]] = {
     },
 }
 """Numbers that every model recalibrates, and a visible share of each."""
+OF_AIR = ("valve_gain_m2_per_v", "tank_pressure_pa", "cylinder_volume_m3")
+"""The own numbers of the air and its valve."""
 LOAD = "external_load.force_n"
 """The constant load of a direct mechanism; its force sensor's zero is the same to all data."""
 GUESS = 2.0
@@ -311,6 +314,8 @@ def list_calibrated(
             low = max(low, 1.01 * values["atmospheric_pressure_pa"])
         found.append(Unknown(name, value, low, high, share * value))
     found += list_stated(values, plant.known)
+    if _lacks_command(runs, plant):
+        found = [number for number in found if not is_of_air(number.name)]
     loaded = plant.actuator in ("direct", "cylinder") and not runs.imposed
     if loaded and LOAD not in values and LOAD not in plant.known:
         force = scales_of(runs, plant).force_n
@@ -324,6 +329,17 @@ def list_calibrated(
             Unknown(f"{CHAIN}zero.{channel}", 0.0, -most, most, 0.2 * min(most, np.ptp(row)))
         )
     return tuple(found)
+
+
+def _lacks_command(runs: Runs, plant: PlantSettings) -> bool:
+    """Tell whether the measured pressure drives the model of a muscle or a cylinder."""
+    return plant.actuator in ("muscle", "cylinder") and "valve_v" not in runs.stretches[0].inputs
+
+
+def is_of_air(name: str) -> bool:
+    """Tell whether a number is of the air and its valve: no record without a command shows it."""
+    effect, dot, _ = name.partition(".")
+    return name in OF_AIR or bool(dot and WITH_TERMS[effect].block == "pressure")
 
 
 def list_guesses(
@@ -393,7 +409,7 @@ def list_pool(runs: Runs, values: Mapping[str, float], plant: PlantSettings) -> 
     pool = [h for h in pool if h.setup not in stays]
     if runs.imposed:
         pool = [h for h in pool if not h.scan]
-    if plant.actuator in ("muscle", "cylinder") and "valve_v" not in runs.stretches[0].inputs:
+    if _lacks_command(runs, plant):
         pool = [h for h in pool if h.place in ("friction", "pull", "encoder")]
     if plant.actuator == "chamber":
         pool = [h for h in pool if h.place in ("valve", "supply", "air", "pressure_sensor")]

@@ -309,10 +309,17 @@ def test_a_named_effect_has_its_equation_and_intervals_and_rivals_in_nats(named)
 
 def test_a_log_without_a_command_has_a_page_of_the_mechanics_alone():
     alone = replace(measured("fit", 1), valve_v=None)
-    found = diagnose([alone], [], PlantSettings(), without=ask_only("coulomb_friction"))
+    plant = PlantSettings.model_validate({"effects": {"dead_volume": {"volume_m3": 1e-5}}})
+    said: list[str] = []
+    asked = ask_only("coulomb_friction")
+    found, told = diagnose([alone], [], plant, without=asked, progress=said.append), " ".join(said)
     html = write_html(build_diagnosis_page(found, [alone]))
     assert html.count('class="levels"') == 1
     assert "Valve command" not in html
+    fitted = {n.name for n in found.recalibrated}
+    assert "damping_n_s_per_m" in fitted
+    assert not fitted & {"valve_gain_m2_per_v", "tank_pressure_pa", "dead_volume.volume_m3"}
+    assert told.count("no command: only the mechanics is asked") == 1
     assert "on seconds that were used for no fit" in html
 
 

@@ -13,7 +13,7 @@ from pamctl.diagnose.audit import (
     audit_run,
     find_separating_experiment,
 )
-from pamctl.diagnose.report.next_experiment import write_command
+from pamctl.diagnose.report.next_experiment import holds_full_program, write_command
 from pamctl.offline.closed_loop import SimulatedRun, simulate_run
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
@@ -48,6 +48,13 @@ def test_each_recommended_experiment_exists_and_runs_open_loop_without_a_trip(na
     assert done.tripped_s is None
     assert all(math.isnan(x) for x in done["reference_m"])
     assert 4.0 <= done.t_s[-1] <= 61.0
+
+
+@pytest.mark.parametrize("name", RECOMMENDED)
+def test_only_the_whole_program_holds_motions_of_every_kind(name):
+    done = run(name)
+    record = Record(name, done.t_s, position_m=done["position_m"])
+    assert holds_full_program(record) == (name == WHOLE_PROGRAM)
 
 
 @pytest.mark.parametrize(

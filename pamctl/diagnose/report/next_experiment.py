@@ -6,12 +6,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
+from scipy.signal import find_peaks
 
 from pamctl.diagnose.audit import find_separating_experiment, find_showing_experiment
 from pamctl.diagnose.deciding_program import DecidingProgram, Separation
 from pamctl.diagnose.diagnosis import Diagnosis, Verdict
 from pamctl.diagnose.drawn_programs import sample_commands
 from pamctl.diagnose.evidence.constants import LEFT_TIMES
+from pamctl.diagnose.record import Record
 from pamctl.diagnose.report.finding_words import list_ambiguous, spell_names
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
@@ -32,6 +35,7 @@ MOTIONS: Mapping[str, tuple[str, str]] = {
         "one long record with motions at several speeds both ways, reversals, holds and a sine of "
         "rising frequency",
     ),
+    "again": ("the same motion once more, from the same rest",) * 2,
     "fill-and-hold": (
         "fill to several pressures, close the valve, and wait some 10 s each time",
         "hold the axis still at several loads, some 10 s each time",
@@ -118,14 +122,40 @@ def _choose_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
             return find_separating_experiment(effects)
     said = {f.level for f in diagnosis.findings}
     if diagnosis.verdict is Verdict.NONE_KNOWN or said & {"kind", "place", "set"}:
-        return {
-            "name": "diagnosis",
-            "separates": [],
-            "why": "a full program asks every law at every speed and pressure",
-        }
+        why, is_own = "a full program asks every law at every speed and pressure", True
+        if any(holds_full_program(record) for record in diagnosis.train):
+            is_own = runs_here(diagnosis) or diagnosis.is_of_daemon
+            why = "the records have motions of every kind, and more kinds promise nothing: one "
+            why += "that is repeated shows how much of what is left comes again"
+        return {"name": "diagnosis" if is_own else "again", "separates": [], "why": why}
     spots = [s for s in diagnosis.audit.blind_spots if s.experiment] if diagnosis.audit else []
     hidden = max(spots, key=lambda s: s.sizes, default=None)
     return find_showing_experiment(hidden.name) if hidden and hidden.sizes > NEARLY_SEEN else None
+
+
+STILL_S, STILL, SWING = 0.3, 0.005, 0.05
+"""A signal rests that moves by less than this share of its span in this time; it turns where it
+swings by more than that share."""
+FEWEST_RESTS, FEWEST_TURNS, UNLIKE = 4, 35, 30.0
+"""Of a full program: tenths of the span with rests, turns, and by which factor the slowest stroke
+lasts longer than quick ones, of which a tenth is quicker."""
+
+
+def holds_full_program(record: Record) -> bool:
+    """Tell whether the position, or else the pressure, has rests, slow strokes and quick ones."""
+    rows = (record.position_m, record.pressure_pa, record.valve_v)
+    values = next(row for row in rows if row is not None)
+    window, span = max(1, round(STILL_S / record.period_s)), float(np.ptp(values))
+    still = maximum_filter1d(values, window) - minimum_filter1d(values, window) <= STILL * span
+    rising = 1e-9 * span * np.arange(len(values))  # of equal peaks the last one counts
+    sides = (values + rising, rising - values)
+    ends = [find_peaks(side, prominence=SWING * span)[0] for side in sides]
+    strokes = np.diff(np.sort(np.concatenate(ends)))
+    return (
+        len(np.unique(np.round(10.0 * values[still] / (span or 1.0)))) >= FEWEST_RESTS
+        and len(strokes) >= FEWEST_TURNS
+        and float(strokes.max()) >= UNLIKE * float(np.quantile(strokes, 0.1))
+    )
 
 
 def _describe_program(chosen: DecidingProgram) -> dict[str, Any]:

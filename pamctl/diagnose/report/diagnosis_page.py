@@ -146,7 +146,7 @@ _SURE = {
     "kind": "place and kind",
     "place": "the place",
     "set": "that one of these is there",
-    "rest": "nothing: it mends the model, and is small beside what was found before it",
+    "rest": "nothing: it mends the model, and takes off too little, or is not asked, for a name",
     "unjudged": "nothing: the search was interrupted before its rivals were fitted",
 }
 

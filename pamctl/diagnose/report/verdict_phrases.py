@@ -36,6 +36,12 @@ _DOUBTS: dict[Doubt, str] = {
     "larger": "a larger finding in the same signal has no name, and this may be a part of it",
 }
 """Why a finding has no sure name."""
+_ONLY_MENDS = {
+    False: "what gains less than a tenth of the whole is not asked for its name",
+    True: "no name is sure, as little is taken off of what is left there, or another law may stand "
+    "in its place",
+}
+"""Why no more is said of what mends the model, by whether rivals were fitted."""
 LEAST_SHIFT = 2e-3
 """A number that is off by a smaller share is not mentioned in a sentence."""
 
@@ -166,12 +172,16 @@ def describe_left(diagnosis: Diagnosis) -> str:
 
 
 def describe_rest(diagnosis: Diagnosis) -> str:
-    """Say that small findings mend the model and are not said; empty where there are none."""
-    rest = sum(f.level == "rest" for f in diagnosis.findings)
-    if not rest:
-        return ""
-    more = "One more law mends" if rest == 1 else "Further laws mend"
-    return f"{more} what is left a little; too small to be a finding beside the first."
+    """Say what only mends the model, and why no more is said of it; empty where nothing does."""
+    parts = []
+    for is_judged, why in _ONLY_MENDS.items():
+        rest = [f for f in diagnosis.findings if f.level == "rest" and is_judged == bool(f.judged)]
+        if rest:
+            mend = "mends" if len(rest) == 1 else "mend"
+            parts.append(
+                f"Beside that, {join_words([*map(spell_best, rest)])} {mend} the model: {why}."
+            )
+    return " ".join(parts)
 
 
 def describe_outside(diagnosis: Diagnosis) -> str:

@@ -211,12 +211,27 @@ def explain_no_name(finding: Finding) -> str:
     return _DOUBTS[finding.doubt].format(spell_set([*map(label_hypothesis, finding.rivals)]))
 
 
+NEAR_0 = 0.1
+"""What is known no better than to this share of itself, and may have either sign, is near 0."""
+
+
 def relative_shift(diagnosis: Diagnosis, number: FittedNumber) -> float | None:
-    """Return by which share a recalibrated number is off; None where its interval allows 0."""
-    nominal = diagnosis.start_value(number.name)
-    if number.low <= nominal <= number.high or nominal == 0.0:
+    """Return by which share a number is off; None where its interval allows 0, or it is near 0."""
+    if not _is_off(diagnosis, number) or _is_near_0(diagnosis, number):
         return None
-    return number.value / nominal - 1.0
+    return number.value / diagnosis.start_value(number.name) - 1.0
+
+
+def _is_off(diagnosis: Diagnosis, number: FittedNumber) -> bool:
+    return not number.low <= diagnosis.start_value(number.name) <= number.high
+
+
+def _is_near_0(diagnosis: Diagnosis, number: FittedNumber) -> bool:
+    """Tell whether a share of a number says nothing."""
+    numbers = diagnosis.evidence.model.numbers if diagnosis.evidence else ()
+    both_ways = any(n.low < 0.0 < n.high for n in numbers if n.name == number.name)
+    is_small = number.high - number.low > 2.0 * NEAR_0 * abs(number.value)
+    return diagnosis.start_value(number.name) == 0.0 or (both_ways and is_small)
 
 
 MUCH = 0.2
@@ -240,8 +255,13 @@ def list_shifts(diagnosis: Diagnosis) -> str:
     """Return the numbers of the start model that are off, the largest change first."""
     shifts = [(relative_shift(diagnosis, n) or 0.0, n.name) for n in diagnosis.recalibrated]
     moved = sorted((s for s in shifts if abs(s[0]) > LEAST_SHIFT), key=lambda s: -abs(s[0]))
-    listed = ", ".join(f"{name} {100.0 * shift:+.1f} %" for shift, name in moved)
-    return listed or f"no number by more than {100.0 * LEAST_SHIFT:.1f} %"
+    said = [f"{name} {100.0 * shift:+.1f} %" for shift, name in moved]
+    said += [
+        f"{n.name} {diagnosis.start_value(n.name):.3g} to {n.value:.3g} {n.unit}".rstrip()
+        for n in diagnosis.recalibrated
+        if _is_near_0(diagnosis, n) and _is_off(diagnosis, n)
+    ]
+    return ", ".join(said) or f"no number by more than {100.0 * LEAST_SHIFT:.1f} %"
 
 
 def describe_data(diagnosis: Diagnosis) -> list[str]:

@@ -183,12 +183,18 @@ def _describe_program(chosen: DecidingProgram) -> dict[str, Any]:
 
 def spell_next(experiment: Mapping[str, Any]) -> str:
     """Return a line with what to do next: a command and a remark, or what to record, and why."""
-    do, effects = experiment["do"], experiment["separates"]
-    may_tell = len(effects) > 1 and experiment.get("promises", True)
-    apart = f"it {tell_apart(effects)}" if may_tell else experiment["why"]
+    do = experiment["do"]
+    apart = f"it {told}" if (told := tell_apart_surely(experiment)) else experiment["why"]
     if do.startswith("pamctl"):
         return f"next: {do}  # {apart}"
     return f"next {'' if do.startswith('record:') else 'step: '}{do}. Why: {apart}"
+
+
+def tell_apart_surely(experiment: Mapping[str, Any]) -> str:
+    """Say which explanations an experiment tells apart; empty where it does not promise to."""
+    effects = experiment["separates"]
+    is_sure = len(effects) > 1 and experiment.get("promises", True)
+    return tell_apart(effects) if is_sure else ""
 
 
 _MOST_NAMES = 3
@@ -226,7 +232,7 @@ def explain_choice(chosen: DecidingProgram) -> str:
     least = _describe_separation(chosen.nearest)
     if chosen.promises:
         return f"{least} ({of})"
-    return f"{of} promises no decision: {least}"
+    return f"no program is sure to decide, and this one comes nearest ({of}): {least}"
 
 
 def _describe_separation(s: Separation) -> str:
@@ -244,7 +250,7 @@ def format_experiment_file(chosen: DecidingProgram, logs: Sequence[str]) -> str:
 
 def _list_head_lines(chosen: DecidingProgram, logs: Sequence[str]) -> Iterator[str]:
     yield f"Written by `pamctl diagnose` from {', '.join(logs)}."
-    yield f"It decides between: {name_apart([*chosen.explanations], '; ')}."
+    yield f"It is to decide between: {name_apart([*chosen.explanations], '; ')}."
     yield (
         f"{chosen.duration_s:.1f} s, open loop, from the vented muscle at rest. By the fitted "
         f"models it needs up to {1e-3 * chosen.pressure_pa:.0f} kPa absolute and moves from "

@@ -16,7 +16,7 @@ from pamctl.diagnose.report.next_experiment import (
     advise_own_plant,
     choose_next_experiment,
     runs_here,
-    tell_apart,
+    tell_apart_surely,
     words_of_rig,
 )
 from pamctl.diagnose.report.verdict_phrases import (
@@ -226,8 +226,7 @@ def advise_next_steps(diagnosis: Diagnosis) -> Iterator[str]:
     experiment, is_command = choose_next_experiment(diagnosis), runs_here(diagnosis)
     if not experiment:
         return
-    effects = experiment["separates"]
-    apart = f". It {tell_apart(effects)}" if len(effects) > 1 else ""
+    apart = f". It {told}" if (told := tell_apart_surely(experiment)) else ""
     do = f"`{experiment['do']}`" if is_command else experiment["do"]
     yield f"Next experiment: {do}{apart}. Why: {experiment['why']}."
     done = {"diagnosis"} >= {record.experiment for record in diagnosis.train}

@@ -1,10 +1,21 @@
 """What is said of the rivals of a finding."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import pytest
 
+from pamctl.control.experiment import ProgramSettings
+from pamctl.diagnose.deciding_program import DecidingProgram, Separation
 from pamctl.diagnose.evidence.ladder import Finding, JudgedRival
 from pamctl.diagnose.evidence.measuring_chain import list_of_chain
-from pamctl.diagnose.evidence.pool import PAPER_SCALES, Hypothesis, list_effects, list_terms
+from pamctl.diagnose.evidence.pool import (
+    PAPER_SCALES,
+    Hypothesis,
+    Unknown,
+    list_effects,
+    list_terms,
+)
 from pamctl.diagnose.plant_numbers import FittedNumber
 from pamctl.diagnose.report.finding_words import (
     KINDS,
@@ -14,12 +25,19 @@ from pamctl.diagnose.report.finding_words import (
     spell_finding,
     spell_names,
 )
-from pamctl.diagnose.report.next_experiment import name_apart, spell_next
+from pamctl.diagnose.report.next_experiment import (
+    explain_choice,
+    name_apart,
+    spell_next,
+    tell_apart_surely,
+)
+from pamctl.diagnose.report.verdict_phrases import describe_rest, list_shifts, relative_shift
 from pamctl.plant.effects.description import ACTUATORS
 from pamctl.plant.model import PlantSettings, values_of
 from pamctl.plant.terms import DRIVERS
 
 LATE = next(list_of_chain(["position_m"], {}, 1e-3, "direct", {}))
+CHAIN_OF_POSITION = [*list_of_chain(["position_m"], {}, 1e-3, "direct", {})]
 
 
 @pytest.mark.parametrize(
@@ -103,6 +121,64 @@ def test_a_next_step_is_a_command_with_a_remark_or_plain_words():
     assert recorded == "next record: a sine. Why: it is blind"
     unsure = spell_next({**asked, "do": "play it", "promises": False})
     assert unsure == "next step: play it. Why: a long reason"
+
+
+def test_a_program_is_said_to_tell_explanations_apart_only_where_it_promises_to():
+    two = {"separates": ["null_offset", "valve_curve"]}
+    assert tell_apart_surely({**two, "promises": True}) == "tells null offset from valve curve"
+    assert not tell_apart_surely({**two, "promises": False})
+    assert not tell_apart_surely({"separates": ["null_offset"]})
+    runs = Separation("supply_droop", "filling~curve(command)", "mechanics", 1.99, 0.4)
+    chosen = DecidingProgram(
+        ProgramSettings(kind="program", parts=[{"wave": "hold", "valve_v": 0, "duration_s": 1}]),
+        ("supply_droop", "filling~curve(command)"), (runs,), 3e5, 0.0, 0.02, 9.0, 124, 14, "they",
+    )  # fmt: skip
+    assert explain_choice(chosen) == (
+        "no program is sure to decide, and this one comes nearest (the best of 124 programs, of "
+        "which 14 stay within the limits): if supply droop is true, curve of filling over command "
+        "should leave 1.99 times the floor of the mechanics block"
+    )
+
+
+def test_what_only_mends_the_model_is_said_by_name_with_why_no_more_is_said_of_it():
+    late, smoothed = (
+        h for h in CHAIN_OF_POSITION if h.name in ("position_late", "position_smoothed")
+    )
+    number = FittedNumber("~", 2e-3, 1e-3, 3e-3, "s")
+    ends = 90.0, 110.0
+    small = Finding(
+        late, False, False, "little", 100.0, ends, 0.05, (number,), (), 0, True, ()
+    )  # fmt: skip
+    rival = JudgedRival(
+        late, 9.0, ends, 0.9, is_beaten=False, is_freer=False, is_better=False, model=None
+    )
+    large = replace(small, hypothesis=smoothed, gain_nats=7000.0, share=0.3, judged=(rival,))
+    assert describe_rest(SimpleNamespace(findings=[replace(small, is_rest=False)])) == ""
+    said = describe_rest(SimpleNamespace(findings=[small, large]))
+    assert said == (
+        "Beside that, position_m late by 2 ms mends the model: what gains less than a tenth of the "
+        "whole is not asked for its name. Beside that, position_m smoothed over 2 ms mends the "
+        "model: no name is sure, as little is taken off of what is left there, or another law may "
+        "stand in its place."
+    )
+
+
+def test_a_number_near_0_that_moved_is_said_by_its_values_and_not_by_a_share_of_nothing():
+    load, spring = "external_load.force_n", "cubic_stiffness.n_per_m3"
+    moved = (
+        FittedNumber(load, -0.014, -0.028, 0.0003, "N"),
+        FittedNumber(spring, 1.03e6, 1.02e6, 1.04e6, "N/m3"),
+    )
+    ranges = [Unknown(load, -0.03, -1.6, 1.6, 0.003), Unknown(spring, 1e6, -5e7, 5e7, 1e5)]
+    found = SimpleNamespace(
+        recalibrated=moved,
+        start_value={load: -0.0314, spring: 1e6}.get,
+        evidence=SimpleNamespace(model=SimpleNamespace(numbers=ranges)),
+    )
+    assert list_shifts(found) == (
+        "cubic_stiffness.n_per_m3 +3.0 %, external_load.force_n -0.0314 to -0.014 N"
+    )
+    assert relative_shift(found, moved[0]) is None
 
 
 @pytest.mark.parametrize("actuator", ACTUATORS)

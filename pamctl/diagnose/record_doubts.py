@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 
 import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
@@ -112,41 +113,38 @@ def _find_motion_m(record: Record) -> float:
 
 def doubt_record(record: Record, plant: PlantSettings) -> Iterator[Problem]:
     """Yield what is doubtful about the times and units of a record."""
-    yield from _doubt_length(record, plant)
-    yield from _doubt_rate(record, plant)
+    found = [_doubt_length(record, plant), _doubt_rate(record, plant)]
     if "valve_v" in list_used_channels(record, plant):
-        yield from _doubt_command_unit(record)
-        yield from _doubt_regulator(record)
+        found += [_doubt_command_unit(record), _doubt_regulator(record)]
     if record.pressure_pa is not None:
-        yield from _doubt_pressure_unit(record, plant)
+        found.append(_doubt_pressure_unit(record, plant))
     if record.position_m is not None and plant.actuator == "muscle":
-        yield from _doubt_position(record, plant)
+        found.append(_doubt_position(record, plant))
+    for key, text, fix in chain.from_iterable(found):
+        yield Problem(record.name, key, text, fix=fix)
 
 
-def _doubt_length(record: Record, plant: PlantSettings) -> Iterator[Problem]:
+_Doubts = Iterator[tuple[str, str, str]]
+"""Rule, what is doubtful, and what to do."""
+
+
+def _doubt_length(record: Record, plant: PlantSettings) -> _Doubts:
     stretches = [s for s in record.segments if s.stop - s.start >= SHORTEST_STRETCH]
     if sum(s.stop - s.start for s in stretches) < FEWEST_SAMPLES:
         longest = int(np.argmax(record.step_s))
-        yield Problem(
-            record.name,
-            "gap",
+        text = (
             f"{count_of(len(record.segments) - 1, 'gap')}, the longest of "
             f"{record.step_s[longest]:.3g} s after row {longest}, leave no stretch of "
-            f"{SHORTEST_STRETCH} samples, or fewer than {FEWEST_SAMPLES} samples in such "
-            "stretches",
-            fix="record without pauses of the logger",
+            f"{SHORTEST_STRETCH} samples, or fewer than {FEWEST_SAMPLES} samples in such stretches"
         )
+        yield "gap", text, "record without pauses of the logger"
     is_quick = plant.actuator == "direct" and len(record) >= QUICK_SAMPLES
     if record.duration_s < SHORTEST_S and not is_quick:
-        yield Problem(
-            record.name,
-            "short",
-            f"{record.duration_s:.3g} s long, shorter than {SHORTEST_S:g} s",
-            fix="record a whole excitation",
-        )
+        text = f"{record.duration_s:.3g} s long, shorter than {SHORTEST_S:g} s"
+        yield "short", text, "record a whole excitation"
 
 
-def _doubt_rate(record: Record, plant: PlantSettings) -> Iterator[Problem]:
+def _doubt_rate(record: Record, plant: PlantSettings) -> _Doubts:
     """Doubt a rate at which a state of the plant jumps: how it came there was not seen.
 
     Single outliers do not count. A measured input, such as a force, may jump. Where nothing moves,
@@ -164,18 +162,15 @@ def _doubt_rate(record: Record, plant: PlantSettings) -> Iterator[Problem]:
         jumps = np.where(inside, np.abs(np.diff(smooth)), 0.0)
         largest = int(np.argmax(jumps))
         if jumps[largest] > HALF_SPAN * span:
-            yield Problem(
-                record.name,
-                "coarse",
-                f"{channel} passes {100.0 * jumps[largest] / span:.0f} % of its "
-                f"span between two samples (row {largest}), "
-                f"{1e3 * record.step_s[largest]:.3g} ms apart: how it came there was not "
-                "seen",
-                fix="sample at least ten times faster",
+            text = (
+                f"{channel} passes {100.0 * jumps[largest] / span:.0f} % of its span between two "
+                f"samples (row {largest}), {1e3 * record.step_s[largest]:.3g} ms apart: how it "
+                "came there was not seen"
             )
+            yield "coarse", text, "sample at least ten times faster"
 
 
-def _doubt_command_unit(record: Record) -> Iterator[Problem]:
+def _doubt_command_unit(record: Record) -> _Doubts:
     values = record["valve_v"]
     low, high = float(values.min()), float(values.max())
     runs = f"valve_v runs from {low:.3g} to {high:.3g}"
@@ -185,33 +180,21 @@ def _doubt_command_unit(record: Record) -> Iterator[Problem]:
                  if _falls_while(record, there)]  # fmt: skip
         if falls or high > 5.5:
             shown = "".join(f" the muscle loses its air while it is {x:.3g};" for x in falls)
-            yield Problem(
-                record.name,
-                "command_unit",
-                f"{runs}: a valve that switches;{shown} the model reads 5 V as filling, -5 V as "
-                "exhausting, 0 V as closed",
-                fix="map each level to what it does on your rig (gain and "
-                "offset of the valve in the import map)",
-            )
+            text = f"{runs}: a valve that switches;{shown} the model reads 5 V as filling, -5 V as "
+            text += "exhausting, 0 V as closed"
+            fix = "map each level to what it does on your rig (gain and offset of the valve in the "
+            yield "command_unit", text, fix + "import map)"
     elif high > 10.5 or low < -10.5:
-        yield Problem(
-            record.name,
-            "command_unit",
-            f"{runs}: not volts of command (-5 to 5)",
-            fix="is it in mV or per cent?",
-        )
+        text = f"{runs}: not volts of command (-5 to 5)"
+        yield "command_unit", text, "is it in mV or per cent?"
     elif low > -0.2 and high > 5.5:
-        yield Problem(
-            record.name,
-            "command_unit",
-            f"{runs}: the output voltage, not the command? The command is 0 V where the valve "
-            "closes, and rises as it fills",
-            fix="subtract the driver's offset (5 V where 0 to 10 V "
-            "drive the valve), and turn the sign if more volts exhaust",
-        )
+        text = f"{runs}: the output voltage, not the command? The command is 0 V where the valve "
+        text += "closes, and rises as it fills"
+        fix = "subtract the driver's offset (5 V where 0 to 10 V drive the valve), and turn the "
+        yield "command_unit", text, fix + "sign if more volts exhaust"
 
 
-def _doubt_regulator(record: Record) -> Iterator[Problem]:
+def _doubt_regulator(record: Record) -> _Doubts:
     """Doubt a command that the pressure follows on a straight line: a valve's is its rate."""
     command, pressure = record.valve_v, record.pressure_pa
     window, lags = round(MEAN_S / record.period_s), round(LATEST_S / record.period_s)
@@ -222,20 +205,21 @@ def _doubt_regulator(record: Record) -> Iterator[Problem]:
         return
     kept = slice(window, -window)
     asked, got = (uniform_filter1d(row, window)[kept] for row in (command, pressure))
+    if not (asked[: len(asked) - lags].std() and got[lags:].std()):
+        return
     alike = max(
         np.corrcoef(asked[: len(asked) - lag], got[lag:])[0, 1] ** 2
         for lag in range(0, lags + 1, max(1, lags // 20))
     )
     if alike >= COPY:
-        yield Problem(
-            record.name,
-            "regulator",
+        text = (
             f"pressure_pa follows valve_v like a copy: {100.0 * alike:.2f} % of its variance lies "
             f"on one straight line, in means over {MEAN_S:g} s, where a valve's command is the "
             "rate of the pressure. It looks like the set point of a pressure regulator, of which "
-            "pamctl has no model, and like no valve",
-            fix="leave the column out of the map: then only the mechanics is asked",
+            "pamctl has no model, and like no valve"
         )
+        fix = "leave the column out of the map: then only the mechanics is asked"
+        yield "regulator", text, fix
 
 
 def _falls_while(record: Record, there: Flags) -> bool:
@@ -250,67 +234,42 @@ def _falls_while(record: Record, there: Flags) -> bool:
     )
 
 
-def _doubt_pressure_unit(record: Record, plant: PlantSettings) -> Iterator[Problem]:
+def _doubt_pressure_unit(record: Record, plant: PlantSettings) -> _Doubts:
     low, high = find_usual_ends(record["pressure_pa"])
     atmosphere, tank = plant.parameters.atmospheric_pressure_pa, plant.parameters.tank_pressure_pa
+    falls = f"pressure_pa falls to {low:.4g} Pa"
     if low < -1.1 * atmosphere:
-        yield Problem(
-            record.name,
-            "pressure_unit",
-            f"pressure_pa falls to {low:.4g} Pa, and no gauge shows less than a vacuum",
-            fix="is its sign turned, or its zero off?",
-        )
+        text = f"{falls}, and no gauge shows less than a vacuum"
+        yield "pressure_unit", text, "is its sign turned, or its zero off?"
     elif high < 5e3:
-        yield Problem(
-            record.name,
-            "pressure_unit",
-            f"pressure_pa runs from {low:.3g} to {high:.3g}: not absolute pascals",
-            fix="is it in kPa or bar?",
-        )
+        text = f"pressure_pa runs from {low:.3g} to {high:.3g}: not absolute pascals"
+        yield "pressure_unit", text, "is it in kPa or bar?"
     elif low < 0.5 * atmosphere:
-        yield Problem(
-            record.name,
-            "pressure_unit",
-            f"pressure_pa falls to {low:.4g} Pa, below the atmosphere",
-            fix="is it gauge pressure? It must be absolute",
-        )
+        text = f"{falls}, below the atmosphere"
+        yield "pressure_unit", text, "is it gauge pressure? It must be absolute"
     elif high > 2.0 * tank and plant.actuator != "direct":
-        yield Problem(
-            record.name,
-            "pressure_unit",
-            f"pressure_pa rises to {high:.4g} Pa, the tank has {tank:.4g} Pa",
-            fix="wrong unit, or the wrong tank_pressure_pa in the plant file?",
-        )
+        text = f"pressure_pa rises to {high:.4g} Pa, the tank has {tank:.4g} Pa"
+        fix = "wrong unit, or the wrong tank_pressure_pa in the plant file?"
+        yield "pressure_unit", text, fix
 
 
-def _doubt_position(record: Record, plant: PlantSettings) -> Iterator[Problem]:
+def _doubt_position(record: Record, plant: PlantSettings) -> _Doubts:
     low, high = float(record["position_m"].min()), float(record["position_m"].max())
     length_m = plant.parameters.rest_length_m
     nearest, farthest = sorted((abs(low), abs(high)))
+    runs = f"position_m runs from {low:.3g} to {high:.3g}"
     if 0.5 * length_m < nearest and farthest < 1.05 * length_m:
-        yield Problem(
-            record.name,
-            "position_unit",
-            f"position_m runs from {low:.3g} to {high:.3g} m: the length of the muscle, which is "
-            f"{length_m:.3g} m at rest (rest_length_m), not how far it has contracted",
-            fix="give the map's position an offset, the length at rest in the column's unit, and a "
-            "gain of -1: contraction = offset - length",
-        )
+        text = f"{runs} m: the length of the muscle, which is {length_m:.3g} m at rest "
+        text += "(rest_length_m), not how far it has contracted"
+        fix = "give the map's position an offset, the length at rest in the column's unit, and a "
+        yield "position_unit", text, fix + "gain of -1: contraction = offset - length"
     elif farthest > 0.45 * length_m:
-        yield Problem(
-            record.name,
-            "position_unit",
-            f"position_m runs from {low:.3g} to {high:.3g}, and the plant file's "
-            f"muscle is {length_m:.3g} m long (rest_length_m)",
-            fix="is the column in mm or counts, or the plant file that of another actuator?",
-        )
+        text = f"{runs}, and the plant file's muscle is {length_m:.3g} m long (rest_length_m)"
+        fix = "is the column in mm or counts, or the plant file that of another actuator?"
+        yield "position_unit", text, fix
     elif record.pressure_pa is not None and low < -0.02 * length_m:
-        yield Problem(
-            record.name,
-            "position_sign",
-            f"position_m falls to {low:.3g} m",
-            fix="contraction must count positive, from zero at the vented muscle",
-        )
+        fix = "contraction must count positive, from zero at the vented muscle"
+        yield "position_sign", f"position_m falls to {low:.3g} m", fix
 
 
 def doubt_sensors(record: Record, plant: PlantSettings) -> Iterator[Problem]:

@@ -64,36 +64,26 @@ def doubt_drive(record: Record, actuator: str, *, has_piston: bool) -> Iterator[
         ", such as a drive's current with `unit: N` and its N/A for `gain`; or pressure_pa, with "
         "`effects: {piston: {area_m2: ...}}` in the plant file"
     )
-    yield Problem(
-        record.name,
-        "actuator",
-        f"the plant file has `actuator: {actuator}`, which {needed} must drive; "
-        f"the record holds {', '.join(record.channels)}",
-        fix=f"give {needed}, by a map where no header names it{ways * (needed == 'force_n')}; "
-        f"or {_ANOTHER_PLANT}",
+    text = (
+        f"the plant file has `actuator: {actuator}`, which {needed} must drive; the record holds "
     )
+    fix = f"give {needed}, by a map where no header names it{ways * (needed == 'force_n')}; or "
+    text, fix = text + ", ".join(record.channels), fix + _ANOTHER_PLANT
+    yield Problem(record.name, "actuator", text, fix=fix)
 
 
 def doubt_actuator(record: Record, plant: PlantSettings) -> Iterator[Problem]:
     """Yield why a record, with all its channels, is not one of what the plant file describes."""
-    kind = f"`actuator: {plant.actuator}`"
     yield from doubt_drive(record, plant.actuator, has_piston="piston" in plant.acting)
-    if plant.actuator == "chamber" and (span_m := _find_motion_m(record)):
-        yield Problem(
-            record.name,
-            "actuator",
-            f"position_m moves by {1e3 * span_m:.3g} mm, and the plant file has {kind}, which does "
-            "not move",
-            fix=f"{_ANOTHER_PLANT}, as a muscle or a cylinder",
-        )
-    if plant.stroke_m and (span_m := _find_motion_m(record)) > BEYOND_STROKE * plant.stroke_m:
-        yield Problem(
-            record.name,
-            "actuator",
-            f"position_m moves by {1e3 * span_m:.3g} mm, and the plant file's stroke_m is "
-            f"{1e3 * plant.stroke_m:.3g} mm between two stops",
-            fix="give the column's unit, or the stroke, as it is",
-        )
+    span_m = _find_motion_m(record)
+    moves = f"position_m moves by {1e3 * span_m:.3g} mm, and the plant file"
+    if plant.actuator == "chamber" and span_m:
+        text, fix = f"{moves} has `actuator: chamber`, which does not move", _ANOTHER_PLANT
+        yield Problem(record.name, "actuator", text, fix=f"{fix}, as a muscle or a cylinder")
+    if plant.stroke_m and span_m > BEYOND_STROKE * plant.stroke_m:
+        text = f"{moves}'s stroke_m is {1e3 * plant.stroke_m:.3g} mm between two stops"
+        fix = "give the column's unit, or the stroke, as it is"
+        yield Problem(record.name, "actuator", text, fix=fix)
 
 
 LEAST_CLIPPED = 0.02

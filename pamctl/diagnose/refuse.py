@@ -26,21 +26,11 @@ from pamctl.diagnose.record_doubts import (
 from pamctl.plant.effects.description import describe_unused
 from pamctl.plant.model import PlantSettings
 
-RULES: Mapping[str, str] = {
-    "actuator": "the plant file describes something else than what was measured",
-    "short": "a record lasts less than 2 s; a direct mechanism's also has less than 2000 samples",
-    "gap": "gaps in the time leave no stretch that is long enough",
-    "coarse": "a signal passes half of its span between two samples",
-    "command_unit": "the command does not look like -5 to 5 V",
-    "regulator": "the pressure follows the command like a copy: a regulator's set point, no valve",
-    "pressure_unit": "the pressure does not look like absolute pascals",
-    "position_unit": "the muscle moves by more than 45 % of its rest length",
-    "position_sign": "the muscle is longer than at its vented rest",
-    "clipped": "a sensor stands still at its extreme value",
-    "shifted": "a column answers before its cause, or long after it",
-    "still": "a signal hardly varies in any record",
-}
-"""The rules and what they doubt, by the name that `--accept` takes."""
+RULES = (
+    "actuator", "short", "gap", "coarse", "command_unit", "regulator", "pressure_unit",
+    "position_unit", "position_sign", "clipped", "shifted", "still",
+)  # fmt: skip
+"""The rules by the names that `--accept` takes; the manual says what each doubts."""
 
 
 def leave_out_unused(

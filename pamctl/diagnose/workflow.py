@@ -47,7 +47,7 @@ def diagnose(
 
     The model is fitted to `train`, with each block left out in turn; `holdout` judges it too.
     `without` leaves effects out of the pool. `accept` holds the user's reasons to overrule rules
-    of `quality_rules.RULES`, by rule. `noise` states the sensors' standard deviations in SI by
+    of `refuse.RULES`, by rule. `noise` states the sensors' standard deviations in SI by
     channel, before what the plant file or the records state. `jobs` records are simulated side by
     side [default: as many as there are cores]. Data that cannot be diagnosed give the verdict
     `bad_data`. A KeyboardInterrupt after the first fit becomes `DiagnosisInterrupted`.

@@ -38,8 +38,8 @@ _DOUBTS: dict[Doubt, str] = {
 """Why a finding has no sure name."""
 _ONLY_MENDS = {
     False: "what gains less than a tenth of the whole is not asked for its name",
-    True: "no name is sure, as little is taken off of what is left there, or another law may stand "
-    "in its place",
+    True: "a name is not sure, as little of what is left goes with it, or a law that was not asked "
+    "may stand there",
 }
 """Why no more is said of what mends the model, by whether rivals were fitted."""
 LEAST_SHIFT = 2e-3

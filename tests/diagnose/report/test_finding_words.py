@@ -158,8 +158,8 @@ def test_what_only_mends_the_model_is_said_by_name_with_why_no_more_is_said_of_i
     assert said == (
         "Beside that, position_m late by 2 ms mends the model: what gains less than a tenth of the "
         "whole is not asked for its name. Beside that, position_m smoothed over 2 ms mends the "
-        "model: no name is sure, as little is taken off of what is left there, or another law may "
-        "stand in its place."
+        "model: a name is not sure, as little of what is left goes with it, or a law that was not "
+        "asked may stand there."
     )
 
 

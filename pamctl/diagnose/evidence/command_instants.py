@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from pamctl.diagnose.evidence.constants import COARSE_STEP_S, FINE_STEP_S
-from pamctl.diagnose.evidence.fit import MOST_STEP, STEP, WeighedModel, Weigher
+from pamctl.diagnose.evidence.fit import STEP, WeighedModel, Weigher
 from pamctl.diagnose.evidence.likelihood import Likelihood, to_haar
+from pamctl.diagnose.evidence.paraboloid import MOST_STEP
 from pamctl.diagnose.evidence.run_pieces import Runs
 from pamctl.diagnose.record import estimate_white_noise
 

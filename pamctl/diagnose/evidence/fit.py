@@ -29,6 +29,7 @@ from pamctl.diagnose.evidence.constants import (
     SURE,
 )
 from pamctl.diagnose.evidence.likelihood import Likelihood, Loss, levels_of, to_haar
+from pamctl.diagnose.evidence.paraboloid import FIRST_DAMPING, LEAST_DAMPING, Paraboloid
 from pamctl.diagnose.evidence.pool import CHAIN, Unknown, Variant
 from pamctl.diagnose.evidence.run_pieces import Runs
 from pamctl.diagnose.evidence.sample_masks import find_resolution
@@ -37,14 +38,12 @@ Array = NDArray[np.float64]
 
 STEP = 2e-3
 """Of a number's scale: the step of a one-sided difference."""
-MOST_STEP = 3.0
-"""Scales that a number may move at once;"""
-MOST_GROWN = 0.3
-"""or this share of a size, if that is more: its scale is what shows, and many are much larger."""
 NEAR = 0.5
 """Scales within which a tangent is that of the place."""
 KEPT_PROMISE = 0.3
-"""A tangent is used again while a step gains this share of what it promised."""
+"""A tangent is used again while a step gains this share of what it promised;"""
+KEPT_BENT = 0.75
+"""and a step is bent where it gains less than this share."""
 
 
 @dataclass(eq=False)
@@ -203,51 +202,60 @@ class Weigher:
 
         A step also corrects the tangent by what it moved (Broyden). A rough fit simulates no other.
         """
-        low, high, scale = (
-            np.array([getattr(n, k) for n in m.numbers]) for k in ("low", "high", "scale")
-        )
+        scale = np.array([n.scale for n in m.numbers])
         if not m.d.size:
             self.refine(m)
         m.loss = self.like(m.d, self.floor2)
-        neutral = np.array([n.neutral for n in m.numbers], dtype=float)  # nan of what is no size
-        damping = 1e-3
+        damping = FIRST_DAMPING
         for step in range(steps):
             tangent = self.find_tangent(m)
             fresh = is_rough or bool((np.abs(m.x - m.tangent_at) < NEAR * scale).all())
-            flat = tangent.reshape(len(m.x), -1)
             slopes = self.like.find_slopes(m.d, m.cost, self.floor2)
-            weighed = flat * slopes.ravel()
-            hessian, slope = weighed @ flat.T, weighed @ m.d.ravel()
-            cost = float(m.cost.by_block.sum())
-            better = None
-            most = np.fmax(MOST_STEP, MOST_GROWN * np.abs(m.x - neutral) / scale)
+            here = Paraboloid(m.numbers, m.x, m.d, tangent, slopes)
+            if fresh and here.promise(here.step(LEAST_DAMPING)) < FIT_STOP:
+                break
+            cost, better = float(m.cost.by_block.sum()), None
             for _ in range(4 if fresh else 1):
-                way = _find_step(m.x, low, high, scale, most, hessian, slope, damping)
-                d = self.residual_at(m, m.x + way)
-                loss = self.like(d, self.floor2, m.cost.scales2)
-                if loss.by_block.sum() < cost:
-                    better = m.x + way, d, loss
+                better = self._go_down(m, here, damping)
+                if better is not None:
                     break
-                damping = max(damping, 1e-4) * 10.0
+                damping *= 10.0
             if better is None:
                 if fresh:
                     break
                 m.tangent = None
                 continue
-            go = way / scale
-            promised = float(-(slope @ go) - 0.5 * go @ hessian @ go)
-            missed = (better[1] - m.d).ravel() - go @ flat
-            flat += np.outer(go / max(float(go @ go), 1e-30), missed)
-            m.x, m.d, m.loss = better
-            gained, damping = cost - float(m.loss.by_block.sum()), max(damping / 10.0, 1e-6)
-            if gained < FIT_STOP:
-                if fresh:
-                    break
-                m.tangent = None
-            elif not is_rough and step < steps - 1 and gained < KEPT_PROMISE * promised:
+            go, d, m.loss = better
+            here.correct(go, (d - m.d).ravel())
+            m.x, m.d = here.move(go), d
+            gained = cost - float(m.loss.by_block.sum())
+            stays = fresh if gained < FIT_STOP else gained > KEPT_PROMISE * here.promise(go)
+            damping = LEAST_DAMPING if gained < FIT_STOP else max(damping / 10.0, LEAST_DAMPING)
+            if not stays and not is_rough and step < steps - 1:
                 m.tangent = None
         self.find_tangent(m)
         return m
+
+    def _go_down(
+        self, m: WeighedModel, here: Paraboloid, damping: float
+    ) -> tuple[Array, Array, Loss] | None:
+        """Return a step that costs less, bent if it gains little; None where it costs more.
+
+        Its residual and loss are those behind it.
+        """
+        cost, found = float(m.cost.by_block.sum()), None
+        go = here.step(damping)
+        least = cost - KEPT_BENT * here.promise(go)
+        for _ in range(2):
+            d = self.residual_at(m, here.move(go))
+            loss = self.like(d, self.floor2, m.cost.scales2)
+            now = float(loss.by_block.sum())
+            if now < cost:
+                cost, found = now, (go, d, loss)
+            if now < least:
+                break
+            go = here.bend(go, (d - m.d).ravel(), damping)
+        return found
 
     def polish(self, m: WeighedModel, steps: int = FIT_STEPS) -> WeighedModel:
         """Fit to the end by fine residuals: until the steps' error moves nothing."""
@@ -374,24 +382,6 @@ class Weigher:
             return False
         seen = self.find_seen(a, b).max() > SEEN_SHARE
         return bool(seen or self.find_imprint(a, b).max() > 1.0)
-
-
-def _find_step(
-    x: Array, low: Array, high: Array, scale: Array, most: Array,
-    hessian: Array, slope: Array, damping: float,
-) -> Array:  # fmt: skip
-    """Return a damped step within the ranges, of `most` scales each.
-
-    Numbers whose gradient points out of their range stay.
-    """
-    diagonal = np.diag(hessian)
-    out = ((x <= low) & (slope > 0.0)) | ((x >= high) & (slope < 0.0))
-    free = np.flatnonzero(~out & (diagonal > 0.0))
-    step = np.zeros(len(x))
-    if len(free):
-        ridge = damping * np.diag(diagonal[free]) + 1e-12 * diagonal.max() * np.eye(len(free))
-        step[free] = -np.linalg.solve(hessian[np.ix_(free, free)] + ridge, slope[free])
-    return np.asarray(np.clip(x + np.clip(step, -most, most) * scale, low, high) - x)
 
 
 def find_optimism(tangent: Array, weights: Array, d: Array) -> Array:

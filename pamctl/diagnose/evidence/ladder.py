@@ -16,6 +16,7 @@ import numpy as np
 from pamctl.diagnose.evidence.constants import (
     FREER_SHARE,
     LEFT_SHARE,
+    LEFT_TIMES,
     NAME_NATS,
     NAME_SHARE,
     RIVAL_SHARE,
@@ -111,22 +112,23 @@ def judge_names(
     """Return a model with what may be said of its names; a rival that is ahead takes the place."""
     while m.names:
         findings = climb_ladder(search, base, m)
-        rival = find_rival_ahead(findings)
+        rival = find_rival_ahead(findings, len(m.x))
         if rival is None:
             return m, findings
         search.tell(f"{rival.names[-1]} is ahead of what was found: going on with it")
         other = search.improve(base, search.weigher.settle(rival))
-        if min(m, other, key=search.weigher.weigh_alone) is m:
+        if min(m, other, key=lambda e: search.weigher.weigh_alone(e) + len(e.x)) is m:
             return m, findings
         m = other
     return m, []
 
 
-def find_rival_ahead(findings: Sequence[Finding]) -> WeighedModel | None:
+def find_rival_ahead(findings: Sequence[Finding], numbers: int) -> WeighedModel | None:
     """Return the fitted rival that explains surely more than what was found, if one does.
 
     Where a number of the finding stands at its range, a rival without one need only do as well: it
-    is what the finding becomes there.
+    is what the finding becomes there. Of a model of so many `numbers` each must gain something: a
+    curve that is level is the constant, by its name.
     """
     ahead = [
         (j.behind_nats, j.model)
@@ -138,6 +140,7 @@ def find_rival_ahead(findings: Sequence[Finding]) -> WeighedModel | None:
         and (
             (j.behind_nats < -NAME_NATS and j.interval_nats[1] < 0.0)
             or (finding.at_range and j.behind_nats < NAME_NATS)
+            or (finding.hypothesis.is_term and j.behind_nats < numbers - len(j.model.x))
         )
     ]
     return min(ahead, key=lambda rival: rival[0])[1] if ahead else None
@@ -192,6 +195,7 @@ def _find_level(
     freer = [j.hypothesis for j in judged if j.is_freer and j.is_better]
     says_place = all(h.place == mine.place for h in open_)
     says_kind = says_place and all(h.kind == mine.kind for h in (*open_, *freer))
+    is_lost = weigher.is_much_left(m) and not takes_enough(weigher, without, m, LEFT_TIMES)
     enough = takes_enough(weigher, without, m, LEFT_SHARE if is_first else 2.0 * LEFT_SHARE)
     may_be_none = _may_be_none(search, m, mine, intervals)
     doubts: dict[Doubt, bool] = {
@@ -203,7 +207,7 @@ def _find_level(
     little = bool((taken2 < NAME_SHARE**2 * weigher.find_robust2(base)).all())
     unsure = has_unasked_rival(search.pool, m, mine) if mine.is_term else may_be_none
     doubted = unsure or (little and not says_place)
-    is_rest = not is_first and (doubted or not enough)
+    is_rest = is_lost or (not is_first and (doubted or not enough))
     return Finding(
         mine, says_place, says_kind, doubt, *gained, numbers, at_range, channel, is_rest,
         tuple(sorted(judged, key=lambda j: j.behind_nats)),

@@ -239,7 +239,12 @@ MUCH = 0.2
 
 
 def describe_moved(diagnosis: Diagnosis) -> str:
-    """Say which stated numbers of the start model are far off; empty where none is."""
+    """Say which stated numbers of the start model are far off; empty where none is.
+
+    Where much is left they stand in for what is missing, and nothing is said of them.
+    """
+    if describe_left(diagnosis):
+        return ""
     stated = [n for n in diagnosis.recalibrated if n.name not in diagnosis.nominal.guessed]
     shifts = [(abs(relative_shift(diagnosis, n) or 0.0), n) for n in stated]
     moved = sorted((s for s in shifts if s[0] > MUCH), key=lambda s: -s[0])

@@ -189,7 +189,7 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
         case Verdict.NONE_KNOWN:
             return VerdictWords(
                 f"Something is missing, and nothing that was asked explains it{ended}",
-                gap,
+                f"{gap} {describe_rest(diagnosis)}".rstrip(),
                 "After recalibration, no effect, no fault of the set-up and no law without a name "
                 "explains what is left on stretches that it was not fitted to.",
                 (

@@ -82,21 +82,26 @@ class NameSearch:
         self._fitted: dict[frozenset[str], WeighedModel] = {}
 
     def run(self, base: WeighedModel) -> WeighedModel:
-        """Return the model that nothing improves; of two searches the better, if one leaves much.
+        """Return the model that nothing improves.
 
         What one block of the plant lacks moves the other too, and several large gaps stand in for
-        each other. So where much is left, the names are searched once more with each block driven
-        by the other's measured signal, and go on from there with both simulated.
+        each other. So where one name leaves much, the names are searched with each block driven by
+        the other's measured signal, and from there with both simulated. Only where that leaves much
+        too, the search goes on from the one name, and the better of both stands.
         """
-        m = self.improve(base)
-        if not (self.weigher.train.may_be_apart and self.weigher.is_much_left(m)):
-            return m
+        one = self.improve(base, most=1)
+        if not (self.weigher.train.may_be_apart and self.weigher.is_much_left(one)):
+            return self._go_on(base, one)
         self.tell("much is left: asking again, each block driven by the other's measured signal")
-        apart = self.search_apart(base)
-        if frozenset(apart.names) not in self._fitted:
-            apart = self.improve(base, apart)
-        m, self.other = sorted((m, apart), key=self.weigher.weigh_alone)
+        m = self.improve(base, self.search_apart(base))
+        if self.weigher.is_much_left(m):
+            self.tell("much is left: going on from the first explanation, too")
+            other = self._go_on(base, one)
+            m, self.other = sorted((m, other), key=self.weigher.weigh_alone)
         return m
+
+    def _go_on(self, base: WeighedModel, one: WeighedModel) -> WeighedModel:
+        return self.improve(base, one) if one.names else one
 
     def search_apart(self, base: WeighedModel) -> WeighedModel:
         """Return a model of the names that are found with the blocks apart, fitted with both."""
@@ -107,11 +112,16 @@ class NameSearch:
             m = search.improve(alone)
         return weigher.settle(WeighedModel(m.names, m.numbers, m.held, m.x, m.picked), FIT_STEPS)
 
-    def improve(self, base: WeighedModel, m: WeighedModel | None = None) -> WeighedModel:
-        """Return the model that nothing improves; from a model with names, if one is given."""
+    def improve(
+        self, base: WeighedModel, m: WeighedModel | None = None, most: int = MOST_NAMES
+    ) -> WeighedModel:
+        """Return the model that nothing improves; from a model with names, if one is given.
+
+        It has no more than `most` names.
+        """
         m = m or self.turn_columns(base)
         been, asked = set[frozenset[str]](), list(self.pool)
-        while len(m.names) < MOST_NAMES and frozenset(m.names) not in been:
+        while len(m.names) < most and frozenset(m.names) not in been:
             been.add(frozenset(m.names))
             self._fitted[frozenset(m.names)] = self.found = m
             self.weigher.set_floor(m)

@@ -88,8 +88,11 @@ class Paraboloid:
 
     def _solve(self, slope: Array, damping: float) -> Array:
         """Return the way of the numbers inside to where a slope ends; the others stay."""
-        way, diagonal, its = np.zeros(len(self.x)), np.diag(self.hessian), self.inside
-        ridge = damping * np.diag(diagonal[its]) + 1e-12 * diagonal.max() * np.eye(len(its))
+        way, its = np.zeros(len(self.x)), self.inside
         if len(its):
-            way[its] = -np.linalg.solve(self.hessian[np.ix_(its, its)] + ridge, slope[its])
+            size = np.sqrt(np.diag(self.hessian))  # in which no scale of a number makes it singular
+            least = 1e-12 * size.max() ** 2 * np.eye(len(its))
+            curved = (self.hessian[np.ix_(its, its)] + least) / np.outer(size[its], size[its])
+            slow = slope[its] / size[its]
+            way[its] = -np.linalg.solve(curved + damping * np.eye(len(its)), slow) / size[its]
         return way

@@ -76,7 +76,8 @@ def diagnose(
         found = weigh_evidence(
             train, holdout, plant, without=[*without], noise=stated, jobs=cores, tell=progress
         )
-        for channel in sorted((noise or {}).keys() - found.noise_rms.keys()):
+        acting = {*found.noise_rms, *found.weigher.train.drivers}
+        for channel in sorted((noise or {}).keys() - acting):
             compared = " and ".join(found.noise_rms)
             progress(f"noise of {channel} has no effect: the model is compared with {compared}")
     except (BadData, CannotBeWeighed) as error:
@@ -90,7 +91,7 @@ def diagnose(
         train=tuple(train),
         holdout=tuple(holdout),
         accepted=accepted,
-        noise=describe_channels(records, found.noise_rms, [*faults, *_tell_instants(found)]),
+        noise=describe_channels(records, found.sensor_rms, [*faults, *_tell_instants(found)]),
     )
     if found.stopped_by is not None:
         raise DiagnosisInterrupted(diagnosis) from found.stopped_by

@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 
 from pamctl.base.errors import ExitCode
+from pamctl.diagnose.evidence.input_noise import count_input_noise
 from pamctl.diagnose.evidence.intervals import find_intervals
 from pamctl.diagnose.evidence.ladder import fit_number
 from pamctl.diagnose.evidence.pool import CHAIN
@@ -85,6 +86,7 @@ def fit_record(record: Record, plant: PlantSettings, stated: Stated = Stated()) 
     except ValueError as error:
         raise BadData(str(error)) from None
     m = weigher.settle(start)
+    count_input_noise(weigher, m, known)
     left2 = weigher.like.mean_squares(m.d) / weigher.find_noise2(m)
     ratios = {
         channel.split("_")[0]: max(float(ratio), 1.0)

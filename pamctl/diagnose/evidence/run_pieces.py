@@ -216,6 +216,25 @@ class Runs:
         return np.full(1, float(np.mean(errors**2)) * (self._window * self.period_s) ** 2 / 3.0)
 
     @property
+    def drivers(self) -> tuple[str, ...]:
+        """The measured columns that drive a simulation; a command is known, and not measured."""
+        inputs = self.stretches[0].inputs
+        if self.imposed or ("valve_v" in inputs and self.actuator != "direct"):
+            return ()
+        names = ("force_n", "pressure_pa") if self.actuator == "direct" else ("pressure_pa",)
+        return tuple(name for name in names if name in inputs)
+
+    def with_added(self, added: Sequence[Mapping[str, Array]]) -> Runs:
+        """Return the same records, with so much added to the inputs of each stretch."""
+        view = copy(self)
+        view._whole, view._last = view, None
+        view.stretches = [
+            replace(s, inputs={k: c + more.get(k, 0.0) for k, c in s.inputs.items()})
+            for s, more in zip(self.stretches, added, strict=True)
+        ]
+        return view
+
+    @property
     def may_be_apart(self) -> bool:
         """Whether all is measured that each block of the plant gets from the other."""
         return self.channels == ("position_m", "pressure_pa")

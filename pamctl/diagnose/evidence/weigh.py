@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pamctl.diagnose.evidence.command_instants import CommandInstants, find_instants
 from pamctl.diagnose.evidence.constants import FIT_STEPS, NAME_NATS
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher, bound_gain
+from pamctl.diagnose.evidence.input_noise import count_input_noise
 from pamctl.diagnose.evidence.intervals import find_intervals
 from pamctl.diagnose.evidence.ladder import Finding, climb_ladder, fit_number, judge_names
 from pamctl.diagnose.evidence.likelihood import from_haar
@@ -102,7 +103,7 @@ class EvidenceVerdict:
     gap: Mapping[str, Mapping[str, float]]
     """RMS by stage (`nominal`, `recalibrated`, `extended`) and channel, SI; held out if any is."""
     noise_rms: Mapping[str, float]
-    """Of each channel's sensor, SI."""
+    """Of each channel's sensor, and of what drives the model, passed through it, SI."""
     instants: Sequence[CommandInstants] = ()
     """When the commands acted, where the files do not have all of them."""
     stopped_by: KeyboardInterrupt | None = None
@@ -113,6 +114,12 @@ class EvidenceVerdict:
         """How long the files hold a command while the valve got others; 0 for one sample."""
         refresh = max((i.refresh for i in self.instants), default=1)
         return refresh * self.weigher.train.period_s if refresh > 1 else 0.0
+
+    @property
+    def sensor_rms(self) -> dict[str, float]:
+        """The noise of each channel's sensor alone, SI."""
+        more2 = dict(zip(self.noise_rms, self.weigher.start_error2, strict=True))
+        return {c: float(np.sqrt(max(rms**2 - more2[c], 0.0))) for c, rms in self.noise_rms.items()}
 
     @property
     def values(self) -> dict[str, float]:
@@ -168,6 +175,7 @@ def weigh_evidence(
     weigher.simulations, begin_s = 0, time.process_time()
     base = _free_mistyped(weigher, start, weigher.settle(replace(start), FIT_STEPS))
     _check_it_stays(weigher, base)
+    count_input_noise(weigher, base, noise)
     pool = {
         h.name: h
         for h in list_pool(weigher.train, weigher.base, plant)
@@ -182,6 +190,7 @@ def weigh_evidence(
             base = _refit_instants(weigher, instants, m, base)
             search = NameSearch(weigher, pool, tell)
             m = search.run(base)
+        count_input_noise(weigher, m, noise)
         m, findings = judge_names(search, base, m)
     except KeyboardInterrupt as interrupt:
         tell("interrupted: writing what was found so far; a second Ctrl-C leaves at once")

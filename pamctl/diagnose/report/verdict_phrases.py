@@ -8,6 +8,7 @@ from pamctl.diagnose.diagnosis import Diagnosis, HeldOutGap
 from pamctl.diagnose.evidence.constants import LEFT_TIMES
 from pamctl.diagnose.evidence.ladder import Doubt, Finding
 from pamctl.diagnose.evidence.pool import CHAIN
+from pamctl.diagnose.evidence.run_pieces import Runs
 from pamctl.diagnose.plant_numbers import FittedNumber
 from pamctl.diagnose.report.finding_words import (
     label_hypothesis,
@@ -143,8 +144,8 @@ def spell_gap(channel: str, gap: HeldOutGap) -> list[str]:
 def describe_gap(diagnosis: Diagnosis) -> str:
     """Say what each model leaves of each channel, in plain units, and whether that is noise."""
     evidence, parts = diagnosis.evidence, []
-    is_windowed = evidence and evidence.weigher.train.windowed
-    begins = ", and of the readings that windows begin from," if is_windowed else ""
+    more = list_further_noise(evidence.weigher.train) if evidence else []
+    begins = f", and of {join_words(more)}," if more else ""
     for name, unit, start, again, extended, noise in starmap(spell_gap, diagnosis.gap.items()):
         steps = [f"{start} {unit} by the start model", f"{again} {unit} recalibrated"]
         if diagnosis.findings:
@@ -153,6 +154,12 @@ def describe_gap(diagnosis: Diagnosis) -> str:
     where = "On held-out seconds" if diagnosis.is_held_out else "On the fitted records"
     said = f"{where} the RMS that is left is: {'; '.join(parts)}."
     return f"{said} {describe_left(diagnosis)}".rstrip()
+
+
+def list_further_noise(runs: Runs) -> list[str]:
+    """Return what else than its sensor makes a channel noisy that a perfect model explains."""
+    drivers = [f"the measured {c.split('_')[0]} that drives the model" for c in runs.drivers]
+    return [*drivers, *["the readings that windows begin from"] * runs.windowed]
 
 
 def describe_left(diagnosis: Diagnosis) -> str:

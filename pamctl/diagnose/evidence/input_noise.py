@@ -69,14 +69,17 @@ def find_input_error2(weigher: Weigher, m: WeighedModel, stated: Mapping[str, fl
 
 
 def _bound(weigher: Weigher, passed: Array, left: Array) -> Array:
-    """Return the largest share with which noise stays below what is left, at every time scale."""
+    """Return the largest share with which noise stays below what is left, at every time scale.
+
+    Slow scales of few coefficients are one.
+    """
     like = weigher.like
-    sums = [
-        np.stack([np.bincount(like.level, s.sum(axis=0)) for s in np.where(like.keep, d * d, 0.0)])
-        for d in (left, passed)
-    ]
-    many = (like.counts >= FEWEST) & (sums[1] > 0.0)
-    shares = np.where(many, sums[0] / np.where(many, sums[1], 1.0), 1.0)
+    few = np.flatnonzero((like.counts < FEWEST).any(axis=0))
+    group = np.minimum(like.level, few.min(initial=like.n_levels))
+    squares = (np.where(like.keep, d * d, 0.0).sum(axis=1) for d in (left, passed))
+    of_left, of_passed = (np.stack([np.bincount(group, s) for s in rows]) for rows in squares)
+    is_any = of_passed > 0.0
+    shares = np.where(is_any, of_left / np.where(is_any, of_passed, 1.0), 1.0)
     return np.asarray(np.minimum(shares.min(axis=1), 1.0))
 
 

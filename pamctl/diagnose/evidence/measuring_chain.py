@@ -32,6 +32,9 @@ CROSSTALK = "crosstalk"
 FULL_SCALE_V = 10.0
 """A command of this size couples at most a sensor's whole range into its line."""
 
+SCALE = "scale"
+"""The kind, and the place, of a factor between what drives a mechanism and its position."""
+
 HOME = f"{CHAIN}home."
 """Begins a zero that is free beside an effect which homing does not see."""
 
@@ -47,6 +50,19 @@ def free_home(hypothesis: Hypothesis) -> Hypothesis:
         zero = Unknown(f"{HOME}position_m", 0.0, -half, half, width.scale)
         variants.append(variant._replace(shapes=(*variant.shapes, zero)))
     return replace(hypothesis, variants=tuple(variants))
+
+
+def share_scale(hypothesis: Hypothesis, drivers: Sequence[str]) -> Hypothesis:
+    """Return the hypothesis as the scale of the position, or of the measured columns that drive it.
+
+    By a force of s times the size a mechanism moves s times as far, with other sizes of its other
+    laws: no data tell a force constant that is low from a position that is shown too large.
+    """
+    if hypothesis.family != "encoder_scale" or not drivers:
+        return hypothesis
+    setup = SCALE, " or ".join([*drivers, "position_m"])
+    akin = (*hypothesis.akin, "encoder~curve(position)")  # it can mimic it, at another place
+    return replace(hypothesis, place=SCALE, kind=SCALE, akin=akin, setup=setup)
 
 
 def list_of_chain(

@@ -16,7 +16,12 @@ from pamctl.diagnose.evidence.input_noise import count_input_noise
 from pamctl.diagnose.evidence.intervals import find_intervals
 from pamctl.diagnose.evidence.ladder import Finding, climb_ladder, fit_number, judge_names
 from pamctl.diagnose.evidence.likelihood import from_haar
-from pamctl.diagnose.evidence.measuring_chain import begin_at_soft_end, free_home, list_of_chain
+from pamctl.diagnose.evidence.measuring_chain import (
+    begin_at_soft_end,
+    free_home,
+    list_of_chain,
+    share_scale,
+)
 from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.pool import (
     CHAIN,
@@ -422,6 +427,8 @@ def list_pool(runs: Runs, values: Mapping[str, float], plant: PlantSettings) -> 
         pool = [h for h in pool if h.place in ("friction", "pull", "encoder")]
     if plant.actuator == "chamber":
         pool = [h for h in pool if h.place in ("valve", "supply", "air", "pressure_sensor")]
+    if plant.actuator in ("direct", "cylinder"):  # a muscle's force is not in proportion to it
+        pool = [share_scale(h, runs.drivers) for h in pool]
     return pool
 
 

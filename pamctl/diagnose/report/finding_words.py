@@ -49,6 +49,7 @@ PLACES: Mapping[str, str] = {
     "encoder": "the position sensor",
     "force_n": "the force sensor",
     "clock": "the times of the file",
+    "scale": "the scales of the columns",
 }
 KINDS: Mapping[str, str] = {
     "lag": "something late or slow",
@@ -59,6 +60,7 @@ KINDS: Mapping[str, str] = {
     "turned": "a wrong sign",
     "clock": "a clock of another rate",
     "crosstalk": "a part of the command",
+    "scale": "a factor",
 }
 _COLUMNS = {"encoder": "position_m", "pressure_sensor": "pressure_pa", "command": "valve_v"}
 _SIGNALS = {"command": "the command", "position": "the position", "pressure": "the pressure",

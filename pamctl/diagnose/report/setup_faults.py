@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.evidence.ladder import Finding
+from pamctl.diagnose.evidence.measuring_chain import SCALE
 from pamctl.diagnose.plant_numbers import UNITS
 
 SETUP_UNITS: Mapping[str, str] = {
@@ -22,7 +23,7 @@ _LABELS = {
 }  # fmt: skip
 _FAULTS = {
     "skew": "a late or early", "clock": "another clock of", "filter": "a smoothed",
-    "sign": "a wrong sign of", "crosstalk": "crosstalk in",
+    "sign": "a wrong sign of", "crosstalk": "crosstalk in", "scale": "a wrong scale of",
 }  # fmt: skip
 """Nouns for the labels."""
 CALLED = {
@@ -80,6 +81,9 @@ class SetupFault(NamedTuple):
             n = replace(n, value=n.value - off_m, low=n.low - off_m, high=n.high - off_m)
             unit = "m"
         text, mend = say_fault(kind, number, n.value, unit, said)
+        if kind == SCALE:  # one of several columns, and no data tell which
+            *drivers, number = number.split(" or ")
+            others = [*(label_fault(SCALE, driver) for driver in drivers), *others]
         return cls(kind, number, n.value, (n.low, n.high), unit, said, others, mend, text)
 
 
@@ -125,6 +129,14 @@ def say_fault(
             return (
                 f"{column} also shows the command: {each} for each volt",
                 "part the cables of valve and sensor, and ground their shields at one end",
+            )
+        case "scale":
+            *drivers, position = (CALLED[name] for name in number.split(" or "))
+            size = f"{100.0 * abs(value - 1.0):.3g} % too {'large' if value > 1.0 else 'small'}"
+            return (
+                f"{position} is {size} for {' and '.join(drivers)}: the scale of one is wrong",
+                "measure both, the position beside a gauge, the force by a known weight; "
+                "plant.yaml takes the position's, with sizes of the other laws that go with it",
             )
         case "end_stop":
             way = "farther" if value > 0.0 else "nearer"

@@ -166,7 +166,7 @@ def describe_left(diagnosis: Diagnosis) -> str:
     """Say of which channels more is left than noise; empty where nothing is."""
     left = diagnosis.evidence.left_over_noise if diagnosis.evidence else {}
     high = [
-        f"{spell_figure(times)} times the noise of its sensor in the {SIGNAL_DISPLAYS[c].short}"
+        f"{spell_figure(times)} times that noise in the {SIGNAL_DISPLAYS[c].short}"
         for c, times in left.items()
         if times > LEFT_TIMES
     ]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from pamctl.diagnose.evidence.measured_motion import SMOOTH_S, find_rates
+from pamctl.diagnose.evidence.measured_columns import SMOOTH_S, find_rates
 from pamctl.diagnose.evidence.weigh import LOAD
 from pamctl.diagnose.record import Record
 from pamctl.plant.effects.description import ACTUATORS

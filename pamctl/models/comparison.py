@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.diagnose.evidence.measured_motion import find_starts, judge_motion
+from pamctl.diagnose.evidence.measured_columns import find_starts, judge_motion
 from pamctl.diagnose.evidence.run_pieces import GAP, WARM_S, WINDOW_S
 from pamctl.log import Log, LogError, Signals, signals
 from pamctl.log.record_problems import find_frozen

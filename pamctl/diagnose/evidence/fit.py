@@ -29,10 +29,10 @@ from pamctl.diagnose.evidence.constants import (
     SURE,
 )
 from pamctl.diagnose.evidence.likelihood import Likelihood, Loss, levels_of, to_haar
+from pamctl.diagnose.evidence.measured_columns import find_resolution
 from pamctl.diagnose.evidence.paraboloid import FIRST_DAMPING, LEAST_DAMPING, Paraboloid
 from pamctl.diagnose.evidence.pool import CHAIN, Unknown, Variant
 from pamctl.diagnose.evidence.run_pieces import Runs
-from pamctl.diagnose.evidence.sample_masks import find_resolution
 
 Array = NDArray[np.float64]
 

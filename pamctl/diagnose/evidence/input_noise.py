@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pamctl.diagnose.evidence.constants import COARSE_STEP_S
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
 from pamctl.diagnose.evidence.likelihood import from_haar, levels_of, to_haar
-from pamctl.diagnose.evidence.sample_masks import find_resolution
+from pamctl.diagnose.evidence.measured_columns import find_resolution
 
 Array = NDArray[np.float64]
 

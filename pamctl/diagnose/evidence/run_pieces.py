@@ -28,15 +28,16 @@ from pamctl.diagnose.evidence.constants import (
     LEVELS,
     SCORE_STEP_S,
 )
-from pamctl.diagnose.evidence.measured_motion import (
+from pamctl.diagnose.evidence.measured_columns import (
     SPEED_S,
+    fill_gone,
+    find_neighbours,
     find_rates,
     find_starts,
     has_no_speed,
     judge_motion,
 )
 from pamctl.diagnose.evidence.pool import CHAIN
-from pamctl.diagnose.evidence.sample_masks import fill_gone, find_neighbours
 from pamctl.log.record_problems import find_frozen
 from pamctl.plant.drive import NO_RESTARTS, Restarts, drive_coupled, drive_mechanics, drive_pressure
 from pamctl.plant.effects.description import ACTUATORS

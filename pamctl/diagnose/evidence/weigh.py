@@ -16,6 +16,7 @@ from pamctl.diagnose.evidence.input_noise import count_input_noise
 from pamctl.diagnose.evidence.intervals import find_intervals
 from pamctl.diagnose.evidence.ladder import Finding, climb_ladder, fit_number, judge_names
 from pamctl.diagnose.evidence.likelihood import from_haar
+from pamctl.diagnose.evidence.measured_columns import find_resolution
 from pamctl.diagnose.evidence.measuring_chain import (
     begin_at_soft_end,
     free_home,
@@ -40,7 +41,6 @@ from pamctl.diagnose.evidence.run_pieces import (
     Runs,
     hold_out,
 )
-from pamctl.diagnose.evidence.sample_masks import find_resolution
 from pamctl.diagnose.plant_numbers import FittedNumber, look_up_parameter
 from pamctl.plant.catalogue import WITH_TERMS
 from pamctl.plant.model import PlantSettings, values_of

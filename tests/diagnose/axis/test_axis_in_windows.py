@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from support.made_records import ask_only, axis_plant, list_asked, names_of, numbers_of
 
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, report_diagnosis, sentence
-from pamctl.diagnose.evidence.measured_motion import find_starts, judge_motion
+from pamctl.diagnose.evidence.measured_columns import find_starts, judge_motion
 from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.weigh import list_pool, prepare_weigher
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document

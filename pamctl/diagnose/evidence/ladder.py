@@ -194,20 +194,21 @@ def _find_level(
     open_ = [j.hypothesis for j in judged if not j.is_freer and not j.is_beaten]
     freer = [j.hypothesis for j in judged if j.is_freer and j.is_better]
     says_place = all(h.place == mine.place for h in open_)
-    says_kind = says_place and all(h.kind == mine.kind for h in (*open_, *freer))
-    is_lost = weigher.is_much_left(m) and not takes_enough(weigher, without, m, LEFT_TIMES)
+    is_rough = weigher.is_much_left(m) and not takes_enough(weigher, without, m, LEFT_TIMES)
+    says_kind = says_place and not is_rough and all(h.kind == mine.kind for h in (*open_, *freer))
     enough = takes_enough(weigher, without, m, LEFT_SHARE if is_first else 2.0 * LEFT_SHARE)
     may_be_none = _may_be_none(search, m, mine, intervals)
     doubts: dict[Doubt, bool] = {
         "law": mine.is_term, "open": bool(open_), "freer": bool(freer), "range": bool(at_range),
-        "none": may_be_none, "part": _may_be_part(search, m, mine), "little": not enough,
+        "none": may_be_none, "part": _may_be_part(search, m, mine),
+        "little": is_rough or not enough,
     }  # fmt: skip
     doubt: Doubt = next((why for why, holds in doubts.items() if holds), "")
     taken2 = weigher.find_robust2(without) - weigher.find_robust2(m)
     little = bool((taken2 < NAME_SHARE**2 * weigher.find_robust2(base)).all())
     unsure = has_unasked_rival(search.pool, m, mine) if mine.is_term else may_be_none
     doubted = unsure or (little and not says_place)
-    is_rest = is_lost or (not is_first and (doubted or not enough))
+    is_rest = (not enough and not says_place) if is_first else (doubted or not enough)
     return Finding(
         mine, says_place, says_kind, doubt, *gained, numbers, at_range, channel, is_rest,
         tuple(sorted(judged, key=lambda j: j.behind_nats)),

@@ -33,7 +33,7 @@ _DOUBTS: dict[Doubt, str] = {
     "range": "a number of it stands at an end of its range",
     "none": "its interval holds the value at which it does nothing",
     "part": "a law without a name is missing at its place too, and this may be a part of it",
-    "little": "it takes off little of what is left there, and may be a part of that",
+    "little": "much stays unexplained beside what it takes off, and it may be a part of that",
     "larger": "a larger finding in the same signal has no name, and this may be a part of it",
 }
 """Why a finding has no sure name."""

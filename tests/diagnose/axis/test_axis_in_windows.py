@@ -5,12 +5,10 @@ from math import copysign, exp, pi, sin
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from support.made_records import ask_only, axis_plant, list_asked, names_of, numbers_of
+from support.made_records import ask_only, axis_plant, list_asked, numbers_of
 
-from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, report_diagnosis, sentence
+from pamctl.diagnose import Diagnosis, Record, diagnose, report_diagnosis, sentence
 from pamctl.diagnose.evidence.measured_columns import find_starts, judge_motion
-from pamctl.diagnose.evidence.name_search import NameSearch
-from pamctl.diagnose.evidence.weigh import list_pool, prepare_weigher
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
 from pamctl.plant.drive import Restarts, drive_mechanics
@@ -49,13 +47,17 @@ def positioned(seed: int, cogging_n: float = COGGING_N) -> Record:
 
 
 def test_the_period_of_cogging_is_found_from_what_it_does_to_a_free_mass():
+    records = [positioned(seed) for seed in (1, 2, 3)]
     plant = axis_plant(3.0, 22.0, coulomb_friction={"force_n": 1.0})
-    weigher, start = prepare_weigher([positioned(seed) for seed in (1, 2)], (), plant)
-    assert weigher.train.windowed
-    pool = {h.name: h for h in list_pool(weigher.train, weigher.base, plant)}
-    base = weigher.settle(start)
-    (wave,) = NameSearch(weigher, pool).score(base, ["force~wave(position)"])
-    assert wave.variant.shapes[0].value == pytest.approx(PITCH_M, rel=0.02)
+    asked = ask_only("force~wave", "stribeck", "damping~curve", of=list_asked(records, plant))
+    found = diagnose(records[:2], records[2:], plant, without=asked)
+    assert found.evidence is not None
+    assert found.evidence.weigher.train.windowed
+    (wave,) = found.findings
+    values = numbers_of(found)
+    assert values["force_term.inner"] == pytest.approx(PITCH_M, rel=1e-3)
+    assert np.hypot(*(n.value for n in wave.numbers[:2])) == pytest.approx(COGGING_N, rel=0.01)
+    assert values["coulomb_friction.force_n"] == pytest.approx(DRY_N, rel=0.01)
 
 
 # --- a position that is logged late, or by another clock -----------------------------------------
@@ -194,24 +196,20 @@ def random_tones(seed: int) -> list[tuple[float, float]]:
     return [*zip(random.uniform(6e-3, 20e-3, 5), random.uniform(0.2, 2.2, 5), strict=True)]
 
 
-def diagnose_belt(told) -> Diagnosis:
+def diagnose_belt() -> Diagnosis:
     records = [drive_belt(seed) for seed in (1, 2, 3, 4)]
     plant = axis_plant(2.0 * BELT_KG, 2.0 * BELT_DAMPING)
     asked = ask_only(
         "encoder", "late", "coulomb_friction", "presliding", of=list_asked(records, plant)
     )
-    stated = {"force_n": 0.01}
-    return diagnose(
-        records[:2], records[2:], plant, without=asked, noise=stated, progress=told.append
-    )
+    return diagnose(records[:2], records[2:], plant, without=asked)
 
 
-def test_play_is_named_where_the_mass_is_judged_in_windows():
-    told: list[str] = []
-    found = diagnose_belt(told)
-    assert not [line for line in told if "has no effect" in line]  # it is passed to the position
-    assert names_of(found)[0] == "encoder_backlash"
-    assert found.verdict is Verdict.NAMED
+def test_play_has_its_place_where_the_mass_is_judged_in_windows():
+    found = diagnose_belt()
+    first = found.findings[0]
+    assert (first.name, first.level) == ("encoder_backlash", "place")
+    assert max(found.evidence.left_over_noise.values()) > 3.0  # so no name is sure
     values = numbers_of(found)
     assert values["encoder_backlash.width_m"] == pytest.approx(PLAY_M, rel=0.05)
     assert values["mass_kg"] == pytest.approx(BELT_KG, rel=0.01)

@@ -85,23 +85,23 @@ class NameSearch:
         """Return the model that nothing improves.
 
         What one block of the plant lacks moves the other too, and several large gaps stand in for
-        each other. So where one name leaves much, the names are searched with each block driven by
+        each other. So where two names leave much, the names are searched with each block driven by
         the other's measured signal, and from there with both simulated. Only where that leaves much
-        too, the search goes on from the one name, and the better of both stands.
+        too, the search goes on from the two names, and the better of both stands.
         """
-        one = self.improve(base, most=1)
-        if not (self.weigher.train.may_be_apart and self.weigher.is_much_left(one)):
-            return self._go_on(base, one)
+        two = self.improve(base, most=2)
+        if not (self.weigher.train.may_be_apart and self.weigher.is_much_left(two)):
+            return self._go_on(base, two)
         self.tell("much is left: asking again, each block driven by the other's measured signal")
         m = self.improve(base, self.search_apart(base))
         if self.weigher.is_much_left(m):
-            self.tell("much is left: going on from the first explanation, too")
-            other = self._go_on(base, one)
+            self.tell("much is left: going on from the first explanations, too")
+            other = self._go_on(base, two)
             m, self.other = sorted((m, other), key=self.weigher.weigh_alone)
         return m
 
-    def _go_on(self, base: WeighedModel, one: WeighedModel) -> WeighedModel:
-        return self.improve(base, one) if one.names else one
+    def _go_on(self, base: WeighedModel, m: WeighedModel) -> WeighedModel:
+        return self.improve(base, m) if m.names else m
 
     def search_apart(self, base: WeighedModel) -> WeighedModel:
         """Return a model of the names that are found with the blocks apart, fitted with both."""

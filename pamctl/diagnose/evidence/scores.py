@@ -374,7 +374,7 @@ def extend_model(weigher: Weigher, m: WeighedModel, score: EvidenceScore) -> Wei
     free = {u.name for u in variant.free}
     held = {**m.held, **{k: v for k, v in variant.held.items() if k not in free}}
     begin = np.concatenate([m.x, [u.neutral or 0.0 for u in variant.sizes], shapes])
-    moved = m.x + np.clip(score.move, -MOST_SHARE, MOST_SHARE) * [n.scale for n in m.numbers]
+    moved = m.x + np.clip(score.move, -LIKELY_MOVE, LIKELY_MOVE) * [n.scale for n in m.numbers]
     end = np.concatenate([moved, sizes, shapes])
     low, high = (np.array([getattr(n, k) for n in numbers]) for k in ("low", "high"))
     e = WeighedModel(

@@ -113,7 +113,7 @@ class Weigher:
         self.like_held = None
         if held_out is not None:
             self.like_held = Likelihood(held_out.find_kept(level), least2)
-        self.floor2, self.start_error2 = least2, train.find_start_error2()
+        self.floor2, self.further_noise2 = least2, train.find_start_error2()
         self.simulations = 0
         """How often all records were simulated."""
         self.pushes: dict[str, Array] = {}
@@ -342,12 +342,13 @@ class Weigher:
     def find_noise2(self, m: WeighedModel) -> Array:
         """Return the squared noise of each channel: its finest level, never below its step.
 
-        Where a simulation begins anew in each window, by the error of its first speed more.
+        `further_noise2` is what else a perfect model leaves: by the first speed of each window, and
+        by the noise of measured columns that drive it.
         """
         fine = m.d[..., : self.like.block // 2] ** 2
         kept = self.like.keep[..., : self.like.block // 2]
         middle = np.array([np.median(f[k]) for f, k in zip(fine, kept, strict=True)])
-        return np.maximum(middle / 0.455, self.like.least2) + self.start_error2
+        return np.maximum(middle / 0.455, self.like.least2) + self.further_noise2
 
     def is_much_left(self, m: WeighedModel) -> bool:
         """Tell whether a model leaves clearly more than the noise of some channel."""

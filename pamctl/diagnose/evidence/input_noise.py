@@ -43,7 +43,7 @@ def count_input_noise(
     `stated` are deviations of sensors by channel, SI.
     """
     starts2 = weigher.train.find_start_error2()
-    weigher.start_error2 = starts2 + find_input_error2(weigher, m, stated or {})
+    weigher.further_noise2 = starts2 + find_input_error2(weigher, m, stated or {})
 
 
 def find_input_error2(weigher: Weigher, m: WeighedModel, stated: Mapping[str, float]) -> Array:

@@ -127,8 +127,8 @@ def find_rival_ahead(findings: Sequence[Finding], numbers: int) -> WeighedModel 
     """Return the fitted rival that explains surely more than what was found, if one does.
 
     Where a number of the finding stands at its range, a rival without one need only do as well: it
-    is what the finding becomes there. Of a model of so many `numbers` each must gain something: a
-    curve that is level is the constant, by its name.
+    is what the finding becomes there. A law without a name, in a model of so many `numbers`, gives
+    way to what does as well with a nat for each number: a level curve is a constant.
     """
     ahead = [
         (j.behind_nats, j.model)

@@ -123,7 +123,7 @@ class EvidenceVerdict:
     @property
     def sensor_rms(self) -> dict[str, float]:
         """The noise of each channel's sensor alone, SI."""
-        more2 = dict(zip(self.noise_rms, self.weigher.start_error2, strict=True))
+        more2 = dict(zip(self.noise_rms, self.weigher.further_noise2, strict=True))
         return {c: float(np.sqrt(max(rms**2 - more2[c], 0.0))) for c, rms in self.noise_rms.items()}
 
     @property

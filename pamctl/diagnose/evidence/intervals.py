@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,8 @@ from pamctl.diagnose.evidence.constants import NUGGET, STRETCH
 from pamctl.diagnose.evidence.fit import Array, WeighedModel, Weigher
 from pamctl.plant.terms import KNOTS
 
+Intervals = Mapping[str, tuple[float, float]]
+"""Of each number its low and its high end."""
 LEAST_LEFT = 1e-3
 """Of a stretch that is left out: what it alone shows stays finite."""
 MADE_UP = 0.01
@@ -61,6 +63,21 @@ def find_intervals(weigher: Weigher, m: WeighedModel) -> dict[str, tuple[float, 
     return {
         n.name: (float(v - w), float(v + w)) for n, v, w in zip(m.numbers, m.x, off, strict=True)
     }
+
+
+def widen_intervals(
+    intervals: Intervals, m: WeighedModel, instead: Sequence[WeighedModel]
+) -> Intervals:
+    """Return intervals that reach to where each number is in models that may be true instead.
+
+    What the data do not tell apart moves the numbers of what is sure: a leak and a valve keep their
+    ratio, and both go with the volume of the air, which a mending law may take up.
+    """
+    wide = {}
+    for name, (low, high) in intervals.items():
+        values = [m.values[name], *(e.values[name] for e in instead if name in e.values)]
+        wide[name] = low + min(values) - values[0], high + max(values) - values[0]
+    return wide
 
 
 def find_law_share(weigher: Weigher, m: WeighedModel) -> float:

@@ -23,7 +23,7 @@ from pamctl.diagnose.evidence.constants import (
     SURE,
 )
 from pamctl.diagnose.evidence.fit import KEPT_PROMISE, Array, WeighedModel, Weigher, bound_gain
-from pamctl.diagnose.evidence.intervals import find_intervals
+from pamctl.diagnose.evidence.intervals import Intervals, find_intervals, widen_intervals
 from pamctl.diagnose.evidence.measuring_chain import HOME
 from pamctl.diagnose.evidence.name_search import NameSearch, list_at_range
 from pamctl.diagnose.evidence.pool import CHAIN, Hypothesis
@@ -31,7 +31,6 @@ from pamctl.diagnose.evidence.run_pieces import APART_M, LATE_M
 from pamctl.diagnose.evidence.scores import EvidenceScore
 from pamctl.diagnose.plant_numbers import FittedNumber, unit_of
 
-Intervals = Mapping[str, tuple[float, float]]
 Doubt = Literal["", "law", "open", "freer", "range", "none", "part", "little", "larger"]
 """Why a name is not said: it is a law without one; another is not beaten; a law does better; a
 number is at its range; it may be nothing; it may be a part of a law; it takes off little of what is
@@ -108,19 +107,21 @@ class Finding:
 
 def judge_names(
     search: NameSearch, base: WeighedModel, m: WeighedModel
-) -> tuple[WeighedModel, list[Finding]]:
-    """Return a model with what may be said of its names; a rival that is ahead takes the place."""
-    while m.names:
-        findings = climb_ladder(search, base, m)
+) -> tuple[WeighedModel, list[Finding], Intervals]:
+    """Return a model, what may be said of its names, and the interval of each of its numbers.
+
+    A rival that is ahead takes the place of a name.
+    """
+    while True:
+        findings, intervals = climb_ladder(search, base, m)
         rival = find_rival_ahead(findings, len(m.x))
         if rival is None:
-            return m, findings
+            return m, findings, intervals
         search.tell(f"{rival.names[-1]} is ahead of what was found: going on with it")
         other = search.improve(base, search.weigher.settle(rival))
         if min(m, other, key=lambda e: search.weigher.weigh_alone(e) + len(e.x)) is m:
-            return m, findings
+            return m, findings, intervals
         m = other
-    return m, []
 
 
 def find_rival_ahead(findings: Sequence[Finding], numbers: int) -> WeighedModel | None:
@@ -148,16 +149,23 @@ def find_rival_ahead(findings: Sequence[Finding], numbers: int) -> WeighedModel 
 
 def climb_ladder(
     search: NameSearch, base: WeighedModel, m: WeighedModel, *, judges: bool = True
-) -> list[Finding]:
+) -> tuple[list[Finding], Intervals]:
     """Return what may be said of each name of a model, in the order in which they were found.
 
-    Unless it `judges`, no rival is asked, and nothing is said.
+    Unless it `judges`, no rival is asked, and nothing is said. The intervals are those of all
+    numbers, and reach to where a number is in a model that may be true instead: without what only
+    mends this one, or with a rival that is not beaten.
     """
-    intervals = find_intervals(search.weigher, m)
+    intervals: Intervals = find_intervals(search.weigher, m)
     search.weigher.meet(base, m)
     whole = max(base.total - m.total, 1e-9)
     found = [_find_level(search, base, m, name, intervals, whole, judges) for name in m.names]
-    return [f if f.doubt or stands_alone(f, found) else replace(f, doubt="larger") for f in found]
+    found = [f if f.doubt or stands_alone(f, found) else replace(f, doubt="larger") for f in found]
+    instead = [j.model for f in found for j in f.judged if j.model is not None and not j.is_freer]
+    instead += [search.drop(m, f.name) for f in found if f.is_rest]
+    intervals = widen_intervals(intervals, m, instead)
+    tick = search.weigher.train.period_s
+    return [replace(f, numbers=_list_numbers(m, f.name, intervals, tick)) for f in found], intervals
 
 
 def stands_alone(finding: Finding, found: Sequence[Finding]) -> bool:
@@ -182,13 +190,12 @@ def _find_level(
     own = without.left_out - m.left_out
     low, _, high = bound_gain(own)
     gained = float(own.sum()), (float(low), float(high)), float(own.sum()) / whole
-    numbers = _list_numbers(m, name, intervals, weigher.train.period_s)
     at_range = list_at_range(m, name)
     channel = int(weigher.find_imprint(without, m).argmax())
     is_small = not is_first and own.sum() < NAME_SHARE * whole
     if is_small or not judges:  # nobody asks for its rivals
         return Finding(
-            mine, False, False, "little", *gained, numbers, at_range, channel, is_small, (), judges
+            mine, False, False, "little", *gained, (), at_range, channel, is_small, (), judges
         )
     judged = _judge_rivals(search, without, m, mine, own)
     open_ = [j.hypothesis for j in judged if not j.is_freer and not j.is_beaten]
@@ -210,7 +217,7 @@ def _find_level(
     doubted = unsure or (little and not says_place)
     is_rest = (not enough and not says_place) if is_first else (doubted or not enough)
     return Finding(
-        mine, says_place, says_kind, doubt, *gained, numbers, at_range, channel, is_rest,
+        mine, says_place, says_kind, doubt, *gained, (), at_range, channel, is_rest,
         tuple(sorted(judged, key=lambda j: j.behind_nats)),
     )  # fmt: skip
 

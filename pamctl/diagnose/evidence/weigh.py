@@ -13,7 +13,7 @@ from pamctl.diagnose.evidence.command_instants import CommandInstants, find_inst
 from pamctl.diagnose.evidence.constants import FIT_STEPS, NAME_NATS
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher, bound_gain
 from pamctl.diagnose.evidence.input_noise import count_input_noise
-from pamctl.diagnose.evidence.intervals import find_intervals
+from pamctl.diagnose.evidence.intervals import Intervals
 from pamctl.diagnose.evidence.ladder import Finding, climb_ladder, fit_number, judge_names
 from pamctl.diagnose.evidence.likelihood import from_haar
 from pamctl.diagnose.evidence.measured_columns import find_resolution
@@ -96,6 +96,8 @@ class EvidenceVerdict:
     """What the evidence says, and the models that it rests on."""
 
     findings: tuple[Finding, ...]
+    intervals: Intervals
+    """Of all numbers of the extended model, 90 % at least."""
     start: WeighedModel
     """The plant file's model, with nothing fitted."""
     base: WeighedModel
@@ -135,9 +137,8 @@ class EvidenceVerdict:
     def recalibrated(self) -> tuple[FittedNumber, ...]:
         """The start model's own numbers, as the extended model has them."""
         own = {n.name for n in self.base.numbers if not n.name.startswith(CHAIN)}
-        intervals = find_intervals(self.weigher, self.model)
         return tuple(
-            fit_number(n.name, float(v), intervals[n.name])
+            fit_number(n.name, float(v), self.intervals[n.name])
             for n, v in zip(self.model.numbers, self.model.x, strict=True)
             if n.name in own
         )
@@ -196,11 +197,11 @@ def weigh_evidence(
             search = NameSearch(weigher, pool, tell)
             m = search.run(base)
         count_input_noise(weigher, m, noise)
-        m, findings = judge_names(search, base, m)
+        m, findings, intervals = judge_names(search, base, m)
     except KeyboardInterrupt as interrupt:
         tell("interrupted: writing what was found so far; a second Ctrl-C leaves at once")
         m, stopped_by = search.found or base, interrupt
-        findings = climb_ladder(search, base, m, judges=False) if m.names else []
+        findings, intervals = climb_ladder(search, base, m, judges=False)
     weigher.secants.clear()  # they are large, and a verdict keeps its weigher
     weigher.set_floor(m)
     weigher.leave_out(m)
@@ -211,7 +212,17 @@ def weigh_evidence(
     left = np.sqrt(weigher.find_noise2(m))
     noise_rms = dict(zip(weigher.train.channels, map(float, left), strict=True))
     return EvidenceVerdict(
-        tuple(findings), start, base, m, weigher, pool, gap, noise_rms, instants, stopped_by
+        tuple(findings),
+        intervals,
+        start,
+        base,
+        m,
+        weigher,
+        pool,
+        gap,
+        noise_rms,
+        instants,
+        stopped_by,
     )
 
 

@@ -140,7 +140,7 @@ def test_a_rival_that_is_ahead_takes_the_place_of_what_was_found():
     weigher.leave_out(base)
     search.best_scores = dict.fromkeys(asked, 1.0)
     (wrong,) = search.refit(base, search.score(base, ["spring_hysteresis"]), 1)
-    m, findings = judge_names(search, base, weigher.settle(wrong))
+    m, findings, _ = judge_names(search, base, weigher.settle(wrong))
     assert m.names == ("coulomb_friction",)
     assert [(f.name, f.level) for f in findings] == [("coulomb_friction", "name")]
 
@@ -177,13 +177,18 @@ def test_what_another_search_found_in_its_stead_is_a_rival_of_a_name():
     weigher.set_floor(base)
     weigher.leave_out(base)
     scale, cap = (search.refit(base, search.score(base, [name]), 1)[0] for name in asked)
-    alone = judge_names(search, base, weigher.settle(scale))[1]
+    _, alone, narrow = judge_names(search, base, weigher.settle(scale))
     search.other = weigher.settle(cap)
-    beside = judge_names(search, base, weigher.settle(scale))[1]
+    _, beside, wide = judge_names(search, base, weigher.settle(scale))
     assert [(f.name, f.level) for f in (*alone, *beside)] == [
         ("encoder_scale", "name"), ("encoder_scale", "set"),
     ]  # fmt: skip
     assert [h.name for h in beside[0].rivals] == ["rest_length"]
+    there = search.other.values["braid_length_m"]
+    is_inside = [
+        low <= there <= high for low, high in (i["braid_length_m"] for i in (narrow, wide))
+    ]
+    assert is_inside == [False, True], "a number is known as far as the two agree"
 
 
 def test_what_stands_at_its_range_is_asked_what_it_becomes_from_where_the_model_stands():

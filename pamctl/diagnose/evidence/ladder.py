@@ -215,7 +215,7 @@ def _find_level(
     little = bool((taken2 < NAME_SHARE**2 * weigher.find_robust2(base)).all())
     unsure = has_unasked_rival(search.pool, m, mine) if mine.is_term else may_be_none
     doubted = unsure or (little and not says_place)
-    is_rest = (not enough and not says_place) if is_first else (doubted or not enough)
+    is_rest = not enough or (doubted and not is_first)
     return Finding(
         mine, says_place, says_kind, doubt, *gained, (), at_range, channel, is_rest,
         tuple(sorted(judged, key=lambda j: j.behind_nats)),

@@ -147,8 +147,11 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
                 _advise_after_naming(diagnosis, again),
             )
         case Verdict.DESCRIBED:
+            title = "Missing from the model, and without a name:"
+            if left:
+                title = "More is missing than was found; of what was asked, most is explained by"
             return VerdictWords(
-                f"Missing from the model, and without a name: {others}{ended}",
+                f"{title} {others}{ended}",
                 body,
                 f"No name is sure ({describe_unnamed(diagnosis)}). This says where and how "
                 "something acts. What it is, the rig must show.",

@@ -206,6 +206,7 @@ def test_no_verdict_says_that_nothing_is_missing_where_much_is_left(named, verdi
     words = choose_words(replace(found, evidence=replace(found.evidence, noise_rms=noise)))
     said = f"{words.title}. {words.body} {words.why} {' '.join(words.advice)}"
     assert "more is missing" in said
+    assert not re.match("Missing from the model, and without a name", words.title)
     assert not re.search("othing is missing|no further effect|explains the measurement[.]", said)
     assert not re.search("it does,|fits the measurement|predicts what was measured", said)
 

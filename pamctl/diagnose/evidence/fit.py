@@ -40,6 +40,9 @@ STEP = 2e-3
 """Of a number's scale: the step of a one-sided difference."""
 NEAR = 0.5
 """Scales within which a tangent is that of the place."""
+MOST_TRIES = 8
+"""Dampings that are tried, each ten times the last: the first steps may go round a box of longest
+moves, where no tangent holds."""
 KEPT_PROMISE = 0.3
 """A tangent is used again while a step gains this share of what it promised;"""
 KEPT_BENT = 0.75
@@ -215,11 +218,13 @@ class Weigher:
             if fresh and here.promise(here.step(LEAST_DAMPING)) < FIT_STOP:
                 break
             cost, better = float(m.cost.by_block.sum()), None
-            for _ in range(4 if fresh else 1):
+            for _ in range(MOST_TRIES if fresh else 1):
                 better = self._go_down(m, here, damping)
                 if better is not None:
                     break
                 damping *= 10.0
+                if here.promise(here.step(damping)) < FIT_STOP:
+                    break
             if better is None:
                 if fresh:
                     break
@@ -372,14 +377,19 @@ class Weigher:
         return all(size < SMALL_SHARE * smallest for size, smallest in away)
 
     def counts(self, a: WeighedModel, b: WeighedModel) -> bool:
-        """Tell whether b's last name is worth saying against a: sure, seen, and sized."""
+        """Tell whether b's last name is worth saying against a: sure, seen, and sized.
+
+        It gains on the records that are held out, too. Where b still leaves much, since other names
+        are missing, it does not surely lose there.
+        """
         if self.is_small(b):
             return False
         gain = a.left_out - b.left_out
         low, middle, _ = bound_gain(gain)
         if low <= 0.0 or middle <= NAME_NATS:
             return False
-        if gain[self.like.n_blocks :].sum() < 0.0:  # the records that are held out
+        held_out = gain[self.like.n_blocks :]
+        if held_out.sum() < 0.0 and not (self.is_much_left(b) and bound_gain(held_out)[2] > 0.0):
             return False
         seen = self.find_seen(a, b).max() > SEEN_SHARE
         return bool(seen or self.find_imprint(a, b).max() > 1.0)

@@ -135,12 +135,9 @@ class NameSearch:
             least = max(NAME_NATS, NAME_SHARE * scored[0].gain) if scored else 0.0
             hopeful = [s for s in scored if s.gain > least and s.shows]
             hopeful = [*hopeful[:SHORTLIST], *self._list_again(m, scored, hopeful)]
-            if not hopeful:
-                break
-            fits = self.refit(m, hopeful, len(hopeful))
-            best = ", ".join(f"{f.names[-1]} {m.total - f.total:.0f}" for f in fits[:3])
-            self.tell(f"fitted, they gain, in nats: {best}")
-            taken = self.take(m, fits)
+            taken = self.take(m, self.refit(m, hopeful, len(hopeful))) if hopeful else None
+            if taken is None and (anew := self._begin_all(m, lambda h: h.far or h.is_effect)):
+                taken = self.take(m, self._polish_best(m, anew))
             if taken is None:
                 break
             taken = self.choose_form(m, taken)
@@ -164,6 +161,8 @@ class NameSearch:
     def take(self, m: WeighedModel, fits: Sequence[WeighedModel]) -> WeighedModel | None:
         """Return the first that counts; what is too small by its name counts by no law either."""
         small = list[Hypothesis]()
+        best = ", ".join(f"{f.names[-1]} {m.total - f.total:.0f}" for f in fits[:3])
+        self.tell(f"fitted, they gain, in nats: {best}")
         for f in fits:
             its = self.pool[f.names[-1]]
             if self.weigher.counts(m, f) and not any(s.may_be(its) for s in small):
@@ -208,23 +207,25 @@ class NameSearch:
         weigher.meet(base, best)
         return best if best is not base and weigher.counts(base, best) else base
 
-    def _move_ends(self, m: WeighedModel) -> list[tuple[float, WeighedModel]]:
-        """Return the fitted models with a stop where the piston stopped, and with a soft one.
+    def _begin_all(
+        self, m: WeighedModel, asked: Callable[[Hypothesis], object]
+    ) -> list[tuple[float, WeighedModel]]:
+        """Return models with one name more, fitted from the plant file's numbers, and their gains.
 
-        The own numbers stood in for it: a fit begins at the plant file's. It is asked only where
-        much is left.
+        Far from the truth no tangent tells what a name is worth. Nothing leads to an end of the
+        stroke, where the own numbers stood in for it. A valve's null without the leak that it feeds
+        is wrong by half, and beside it a leak gains nothing. It is asked only where much is left.
         """
-        weigher, floor2 = self.weigher, self.weigher.floor2
-        ends = {h.name: h.far for h in self.pool.values() if h.far and self.fits_in(m, h)}
-        if not ends or not weigher.is_much_left(m):
-            return []
-        before, moved = float(m.cost.by_block.sum()), list[tuple[float, WeighedModel]]()
-        for name, far in ends.items():
-            e = weigher.settle(_begin_anew(m, {**m.picked, name: far}))
-            weigher.floor2 = floor2
-            e.loss = weigher.like(e.d, floor2)
-            moved.append((before - float(e.cost.by_block.sum()), e))
-        return moved
+        weigher, floor2, found = self.weigher, self.weigher.floor2, []
+        before = float(m.cost.by_block.sum())
+        for h in self.pool.values() if weigher.is_much_left(m) else ():
+            if asked(h) and self.fits_in(m, h):
+                e = _begin_anew(m, {**m.picked, h.name: h.far or h.variants[0]})
+                e = weigher.settle(e) if h.far else weigher.fit(e, ROUGH_STEPS)
+                weigher.floor2 = floor2
+                e.loss = weigher.like(e.d, floor2)
+                found.append((before - float(e.cost.by_block.sum()), e))
+        return found
 
     def score(self, m: WeighedModel, names: Sequence[str]) -> list[EvidenceScore]:
         """Return the scores of those names that a model may take, the best first.
@@ -294,16 +295,26 @@ class NameSearch:
         for score in chosen:
             e = weigher.fit(extend_model(weigher, m, score), ROUGH_STEPS, is_rough=True)
             rough.append((before - float(e.cost.by_block.sum()), e))
-        rough += self._move_ends(m)
+        rough += self._begin_all(m, lambda h: h.far)
         best = max(gain for gain, _ in rough)
         for k, score in enumerate(chosen):
             if rough[k][0] < best < score.gain:  # it promised more: the dose's tangent misled it
                 e = weigher.fit(extend_model(weigher, m, score), ROUGH_STEPS)
                 rough[k] = max(rough[k], (before - float(e.cost.by_block.sum()), e), key=_gain_of)
+        return self._polish_best(m, rough, least)
+
+    def _polish_best(
+        self, m: WeighedModel, rough: list[tuple[float, WeighedModel]], least: float = NAME_NATS
+    ) -> list[WeighedModel]:
+        """Return models by what they gain, fitted to the end if a rough fit gains half of the best.
+
+        It must gain half of `least`, too.
+        """
+        weigher = self.weigher
         for gain, e in rough:
             self.best_fits[e.names[-1]] = max(gain, self.best_fits.get(e.names[-1], 0.0))
         rough.sort(key=_gain_of, reverse=True)
-        least, fits = 0.5 * max(least, rough[0][0]), list[WeighedModel]()
+        least, fits = 0.5 * max(least, *(gain for gain, _ in rough)), list[WeighedModel]()
         for gain, e in rough:
             worth = len(fits) < POLISHED and gain > least and weigher.may_be_seen(m, e)
             fits.append(weigher.polish(e) if worth else weigher.leave_out(e))

@@ -106,6 +106,11 @@ class Hypothesis:
         split = (term.rstrip(")").replace("(", "~").split("~") for term in terms)
         return frozenset((at, by) for at, operator, by in split if by and operator not in _KINDS)
 
+    @property
+    def is_effect(self) -> bool:
+        """Tell whether it is an effect of the catalogue that needs no search for a period."""
+        return not (self.is_term or self.setup or self.scan)
+
     def may_be(self, term: Hypothesis) -> bool:
         """Tell whether this is a name of what a free term describes."""
         return not self.is_term and (self.place == term.place or term.name in self.akin)

@@ -15,7 +15,7 @@ from support.made_records import ask_only, measured, names_of, pair
 from pamctl.base.errors import ExitCode
 from pamctl.diagnose import Diagnosis, DiagnosisInterrupted, Record, Verdict, diagnose, sentence
 from pamctl.diagnose.audit import audit_run
-from pamctl.diagnose.evidence.weigh import forecast_simulations
+from pamctl.diagnose.evidence import forecast
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page, format_plant_file
 from pamctl.diagnose.report.verdict_phrases import list_shifts
@@ -69,7 +69,7 @@ def test_a_hidden_dead_band_is_named_and_measured_on_both_sides():
 def test_the_forecast_of_the_time_is_right_within_a_factor_of_two():
     for found, findings in ((diagnosed(), 0), (of_a_dead_band(), 1)):
         assert found.evidence is not None
-        foretold = forecast_simulations(len(found.evidence.pool), findings)
+        foretold = forecast.ASKED * len(found.evidence.pool) + forecast.FITTED * findings
         assert 0.5 * foretold < found.evidence.weigher.simulations < 2.0 * foretold
 
 

@@ -7,6 +7,7 @@ only fine residuals decide.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -117,8 +118,8 @@ class Weigher:
         if held_out is not None:
             self.like_held = Likelihood(held_out.find_kept(level), least2)
         self.floor2, self.further_noise2 = least2, train.find_start_error2()
-        self.simulations = 0
-        """How often all records were simulated."""
+        self.simulations, self.begun_s = 0, time.process_time()
+        """How often all records were simulated, and since when."""
         self.pushes: dict[str, Array] = {}
         """Of each hypothesis, the square of what a unit dose adds to each channel's residual, and
         the model's own numbers do not."""

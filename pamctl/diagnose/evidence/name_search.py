@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
@@ -18,6 +19,7 @@ from pamctl.diagnose.evidence.constants import (
     SHORTLIST,
 )
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
+from pamctl.diagnose.evidence.forecast import foretell_more
 from pamctl.diagnose.evidence.measuring_chain import STOP, SWITCHED
 from pamctl.diagnose.evidence.pool import Hypothesis, Variant
 from pamctl.diagnose.evidence.scores import EvidenceScore, drop_name, extend_model, score_all
@@ -122,6 +124,7 @@ class NameSearch:
         m = m or self.turn_columns(base)
         been, asked = set[frozenset[str]](), list(self.pool)
         while len(m.names) < most and frozenset(m.names) not in been:
+            round_s = -time.process_time()
             been.add(frozenset(m.names))
             self._fitted[frozenset(m.names)] = self.found = m
             self.weigher.set_floor(m)
@@ -143,6 +146,7 @@ class NameSearch:
             taken = self.choose_form(m, taken)
             m = self.exchange(base, self.settle_anew(self.weigher.settle(taken, 4)))
             m = self.choose_forms_again(m)
+            self.tell(foretell_more(self.weigher, m, round_s + time.process_time()))
         self.found = self.prune(m)
         return self.found
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pamctl.diagnose.evidence.command_instants import CommandInstants, find_instants
 from pamctl.diagnose.evidence.constants import FIT_STEPS, NAME_NATS
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher, bound_gain
+from pamctl.diagnose.evidence.forecast import foretell
 from pamctl.diagnose.evidence.input_noise import count_input_noise
 from pamctl.diagnose.evidence.intervals import Intervals
 from pamctl.diagnose.evidence.ladder import Finding, climb_ladder, fit_number, judge_names
@@ -84,9 +85,6 @@ MAY_BE_ABSENT = ("kinetic_friction_per_m",)
 """Guesses that may be 0: not every braid rubs."""
 RUN_AWAY = 1e3
 """Times the span of a channel: so far from it no model of the rig can be."""
-ASKED, FITTED = 6.5, 250
-"""Simulations for each hypothesis until nothing is found, and for the fits of each finding. Of 19
-rigs of several kinds 18 took between half and twice of what is foretold for what was found."""
 ZERO_PA = 250.0
 """Homing leaves so much on a pressure sensor's zero; an encoder is homed within a count."""
 
@@ -178,8 +176,9 @@ def weigh_evidence(
     weigher, start = prepare_weigher(records, held_out, plant, noise, jobs, holds_out=True)
     instants = find_instants(weigher)
     weigher.refine(start)  # also compiles what this rig needs
-    weigher.simulations, begin_s = 0, time.process_time()
+    weigher.simulations, weigher.begun_s = 0, time.process_time()
     base = _free_mistyped(weigher, start, weigher.settle(replace(start), FIT_STEPS))
+    fit_s = (time.process_time() - weigher.begun_s) / max(weigher.simulations, 1)
     _check_it_stays(weigher, base)
     count_input_noise(weigher, base, noise)
     pool = {
@@ -189,7 +188,7 @@ def weigh_evidence(
     }
     search, stopped_by = NameSearch(weigher, pool, tell), None
     try:
-        tell(_foretell(weigher, len(pool), time.process_time() - begin_s))
+        tell(foretell(weigher, base, len(pool), fit_s))
         m = search.improve(base) if instants else search.run(base)
         if instants:
             tell("fitting when the commands acted, beside what was found; then asking again")
@@ -223,22 +222,6 @@ def weigh_evidence(
         noise_rms,
         instants,
         stopped_by,
-    )
-
-
-def forecast_simulations(asked: int, findings: int) -> float:
-    """Return how many simulations a search among so many hypotheses takes."""
-    return ASKED * asked + findings * (FITTED + 0.25 * ASKED * asked)
-
-
-def _foretell(weigher: Weigher, asked: int, took_s: float) -> str:
-    """Say how long the search will take, from what the simulations of the first fit took."""
-    each_s = took_s / max(weigher.simulations, 1)
-    none_s, one_s, two_s = (each_s * forecast_simulations(asked, found) for found in range(3))
-    return (
-        f"recalibrated; about {none_s:.0f} s of processor time if nothing is missing, "
-        f"{one_s:.0f} s if one thing is, and {two_s - one_s:.0f} s for each further one, found or "
-        "exchanged; twice that where much stays unexplained"
     )
 
 

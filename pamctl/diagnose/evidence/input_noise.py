@@ -31,6 +31,8 @@ wave of f Hz has more in means over less than 0.28 / f s."""
 MOST_COLOUR = 4.0
 """Times the noise of the finest scale: at slow ones no more is taken for noise. The coloured noise
 of a current sensor left 30 um of a position. Half: 16 um of it are explained. Twice: 34 um."""
+CLEARLY = 2.0
+"""Times the mean square that a model leaves: a noise that leaves more is none."""
 FEWEST = 48
 """Differences, or coefficients, of which a size is made."""
 
@@ -52,20 +54,49 @@ def find_input_error2(weigher: Weigher, m: WeighedModel, stated: Mapping[str, fl
     It is nowhere more than what the model leaves at that time scale: a force that really jumps from
     sample to sample is no noise, as the position follows it.
     """
+    drivers = weigher.train.drivers
+    if not drivers:
+        return np.zeros(len(weigher.train.channels))
+    passed = _pass_noise(
+        weigher, m, {name: estimate_noise(weigher, name, stated.get(name)) for name in drivers}
+    )
+    return weigher.like.mean_squares(passed) * np.minimum(_bound(weigher, passed, m.d), 1.0)
+
+
+def find_enough_noise(weigher: Weigher, m: WeighedModel, more2: Array) -> dict[str, float]:
+    """Return the deviation of a driver's noise that would add so much to each channel, by column.
+
+    `more2` are mean squares. A driver is left out whose noise would leave clearly more than the
+    model does at some time scale.
+    """
+    found = {}
+    for name in weigher.train.drivers:
+        sizes = estimate_noise(weigher, name)
+        passed = _pass_noise(weigher, m, {name: sizes})
+        most = _bound(weigher, passed, m.d)
+        times2 = np.minimum(most, 1.0) + more2 / weigher.like.mean_squares(passed)
+        if (times2 < CLEARLY * most).all():
+            found[name] = float(sizes[0] * np.sqrt(times2.max()))
+    return found
+
+
+def estimate_noise(weigher: Weigher, name: str, stated: float | None = None) -> Array:
+    """Return the deviation of a driver's noise at each Haar level, by all records."""
+    parts = (part for part in (weigher.train, weigher.held_out) if part is not None)
+    columns = [s.inputs[name] for part in parts for s in part.stretches]
+    return estimate_sizes(columns, weigher.train.block, stated)
+
+
+def _pass_noise(weigher: Weigher, m: WeighedModel, sizes: Mapping[str, Array]) -> Array:
+    """Return the Haar coefficients of what a drawn noise of these drivers moves."""
     runs, rng = weigher.train, np.random.default_rng(0)
-    parts = (part for part in (runs, weigher.held_out) if part is not None)
-    stretches = [s for part in parts for s in part.stretches]
     added: list[dict[str, Array]] = [{} for _ in runs.stretches]
-    for name in runs.drivers:
-        sizes = estimate_sizes([s.inputs[name] for s in stretches], runs.block, stated.get(name))
+    for name, of_levels in sizes.items():
         for each, stretch in zip(added, runs.stretches, strict=True):
-            each[name] = draw_noise(len(stretch.inputs[name]), sizes, rng)
-    if not runs.drivers:
-        return np.zeros(len(runs.channels))
+            each[name] = draw_noise(len(stretch.inputs[name]), of_levels, rng)
     values = {**weigher.base, **m.values}
     moved = runs.with_added(added).simulate(values, COARSE_STEP_S)
-    passed = to_haar(runs.fill_masked(moved - runs.simulate(values, COARSE_STEP_S)))
-    return weigher.like.mean_squares(passed) * _bound(weigher, passed, m.d)
+    return to_haar(runs.fill_masked(moved - runs.simulate(values, COARSE_STEP_S)))
 
 
 def _bound(weigher: Weigher, passed: Array, left: Array) -> Array:
@@ -79,8 +110,8 @@ def _bound(weigher: Weigher, passed: Array, left: Array) -> Array:
     squares = (np.where(like.keep, d * d, 0.0).sum(axis=1) for d in (left, passed))
     of_left, of_passed = (np.stack([np.bincount(group, s) for s in rows]) for rows in squares)
     is_any = of_passed > 0.0
-    shares = np.where(is_any, of_left / np.where(is_any, of_passed, 1.0), 1.0)
-    return np.asarray(np.minimum(shares.min(axis=1), 1.0))
+    shares = np.where(is_any, of_left / np.where(is_any, of_passed, 1.0), np.inf)
+    return np.asarray(shares.min(axis=1))
 
 
 def estimate_sizes(columns: Sequence[Array], block: int, stated: float | None = None) -> Array:

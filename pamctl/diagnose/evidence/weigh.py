@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.diagnose.evidence.command_instants import CommandInstants, find_instants
-from pamctl.diagnose.evidence.constants import FIT_STEPS, NAME_NATS
+from pamctl.diagnose.evidence.constants import FIT_STEPS, LEFT_TIMES, NAME_NATS
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher, bound_gain
 from pamctl.diagnose.evidence.forecast import foretell
-from pamctl.diagnose.evidence.input_noise import count_input_noise
+from pamctl.diagnose.evidence.input_noise import count_input_noise, find_enough_noise
 from pamctl.diagnose.evidence.intervals import Intervals
 from pamctl.diagnose.evidence.ladder import Finding, climb_ladder, fit_number, judge_names
 from pamctl.diagnose.evidence.likelihood import from_haar
@@ -109,6 +109,9 @@ class EvidenceVerdict:
     """RMS by stage (`nominal`, `recalibrated`, `extended`) and channel, SI; held out if any is."""
     noise_rms: Mapping[str, float]
     """Of each channel's sensor, and of what drives the model, passed through it, SI."""
+    enough_noise: Mapping[str, float] = field(default_factory=dict)
+    """By column that drives the model, the noise (a deviation) that would leave as much as is left,
+    SI; empty where only noise is left, or where no noise would."""
     instants: Sequence[CommandInstants] = ()
     """When the commands acted, where the files do not have all of them."""
     stopped_by: KeyboardInterrupt | None = None
@@ -208,21 +211,14 @@ def weigh_evidence(
         stage: _find_gap(weigher, each)
         for stage, each in (("nominal", start), ("recalibrated", base), ("extended", m))
     }
-    left = np.sqrt(weigher.find_noise2(m))
-    noise_rms = dict(zip(weigher.train.channels, map(float, left), strict=True))
+    noise2 = weigher.find_noise2(m)
+    noise_rms = dict(zip(weigher.train.channels, map(float, np.sqrt(noise2)), strict=True))
+    more2 = np.array([*gap["extended"].values()]) ** 2 / LEFT_TIMES**2 - noise2
+    enough = find_enough_noise(weigher, m, more2) if (more2 > 0.0).any() else {}
     return EvidenceVerdict(
-        tuple(findings),
-        intervals,
-        start,
-        base,
-        m,
-        weigher,
-        pool,
-        gap,
-        noise_rms,
-        instants,
-        stopped_by,
-    )
+        tuple(findings), intervals, start, base, m, weigher, pool, gap, noise_rms, enough,
+        instants, stopped_by,
+    )  # fmt: skip
 
 
 def _refit_instants(

@@ -42,6 +42,7 @@ from pamctl.diagnose.report.next_experiment import (
 from pamctl.diagnose.report.traces_part import ModelStage, list_stages, write_traces
 from pamctl.diagnose.report.verdict_phrases import (
     describe_data,
+    describe_left,
     explain_no_name,
     relative_shift,
     spell_end,
@@ -312,6 +313,8 @@ def write_blind_spots(page: Report, diagnosis: Diagnosis) -> None:
         for s in spots
     ]
     caption = "An effect in this list may be present although it is not named."
+    if describe_left(diagnosis):
+        caption += " What is left unexplained may hide effects of other sizes, and others too."
     page.add(ReportTable(["effect", "why", "experiment that shows it"], rows, caption))
 
 

@@ -19,6 +19,7 @@ from pamctl.diagnose.report.finding_words import (
     spell_place,
     spell_set,
 )
+from pamctl.log.schema import unit_of_column
 from pamctl.report.report import SIGNAL_DISPLAYS, spell_figure
 
 IMPOSED = (
@@ -172,9 +173,18 @@ def describe_left(diagnosis: Diagnosis) -> str:
     ]
     if not high:
         return ""
-    return (
-        f"That is still {join_words(high)}: more is missing, or the rig does not repeat itself "
-        "any better."
+    said = f"That is still {join_words(high)}: more is missing, or the rig does not repeat itself"
+    return f"{said} any better. {_describe_enough_noise(diagnosis)}".rstrip()
+
+
+def _describe_enough_noise(diagnosis: Diagnosis) -> str:
+    """Say what noise of what drives the model would leave as much; empty where none would."""
+    enough = diagnosis.evidence.enough_noise if diagnosis.evidence else {}
+    return " ".join(
+        f"Or the sensor of the measured {column.split('_')[0]}, which drives the model, has slow "
+        f"noise of about {sigma:.2g} {unit_of_column(column)}: if it may, "
+        f"`--noise {column}={sigma:.2g}` states it."
+        for column, sigma in enough.items()
     )
 
 

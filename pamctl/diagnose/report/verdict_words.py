@@ -89,6 +89,7 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
     part, left = "what a plant file can hold of it" if outside else "", describe_left(diagnosis)
     predicts = "" if part or left else ", which predicts what was measured"
     better = " better" if left else ""
+    missing = "More is missing than was found" if left else "Missing from the model"
     look = f"Look at the residual below, and at the rig: {words_of_rig(diagnosis).suspects}."
     runs = "`pamctl run`, `tune`, `compare`"
     takers = runs if _can_run(diagnosis.nominal) else "`pamctl compare`"
@@ -139,7 +140,7 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
             )
         case Verdict.NAMED:
             return VerdictWords(
-                f"Missing from the model: {names}{ended}",
+                f"{missing}: {names}{ended}",
                 body,
                 "The model does not explain the measurement, not even with those values of its own "
                 f"numbers that fit best. With {names} it does{better}, and nothing else that was "
@@ -147,11 +148,9 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
                 _advise_after_naming(diagnosis, again),
             )
         case Verdict.DESCRIBED:
-            title = "Missing from the model, and without a name:"
-            if left:
-                title = "More is missing than was found; of what was asked, most is explained by"
+            found = "of what was asked, most is explained by" if left else "and without a name:"
             return VerdictWords(
-                f"{title} {others}{ended}",
+                f"{missing}, {found} {others}{ended}",
                 body,
                 f"No name is sure ({describe_unnamed(diagnosis)}). This says where and how "
                 "something acts. What it is, the rig must show.",
@@ -177,7 +176,7 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
         case Verdict.PARTIAL:
             has_names = f"{names}; and" if names else "at least"
             return VerdictWords(
-                f"Missing from the model: {has_names}, without a name, {others}{ended}",
+                f"{missing}: {has_names}, without a name, {others}{ended}",
                 body,
                 f"Sure by name: {names or 'what is said of the set-up'}. Of the rest the place is "
                 "sure, or place and kind. The numbers of what is named rest on the law that stands "

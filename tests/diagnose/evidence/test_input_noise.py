@@ -88,6 +88,26 @@ def test_what_the_noise_of_the_force_leaves_is_no_missing_effect():
     assert "and of the measured force that drives the model" in sentence(found)
 
 
+def test_of_slower_noise_than_is_counted_the_verdict_says_how_it_is_stated():
+    def drift(seed: int) -> np.ndarray:
+        white = np.random.default_rng(seed).normal(0.0, 1.0, len(T_S))
+        return np.asarray(0.3 * WHITE_N * white + lfilter([0.15], [1.0, -0.99], white))
+
+    forces = {"quick": tones(1), "slow": triangle(8.0), "judge": triangle(5.0)}
+    *fit, judge = [
+        move(name, force_n, drift(seed)) for seed, (name, force_n) in enumerate(forces.items())
+    ]
+    asked = ask_only("coulomb_friction", of=list_asked(fit, PLANT))
+    found = diagnose(fit, [judge], PLANT, without=asked)
+    assert found.evidence is not None
+    assert found.evidence.left_over_noise["position_m"] > 3.0
+    (enough_n,) = found.evidence.enough_noise.values()
+    assert f"if it may, `--noise force_n={enough_n:.2g}` states it" in sentence(found)
+    again = diagnose(fit, [judge], PLANT, without=asked, noise={"force_n": enough_n})
+    assert again.evidence is not None
+    assert again.evidence.left_over_noise["position_m"] < 3.1
+
+
 def test_a_real_friction_is_found_beside_the_noise_of_the_force():
     *fit, judge = move_thrice(dry_n=1.0)
     asked = ask_only("coulomb_friction", "cubic_stiffness", of=list_asked(fit, PLANT))

@@ -89,14 +89,14 @@ class NameSearch:
         What one block of the plant lacks moves the other too, and several large gaps stand in for
         each other. So where two names leave much, the names are searched with each block driven by
         the other's measured signal, and from there with both simulated. Only where that leaves much
-        too, the search goes on from the two names, and the better of both stands.
+        too, without the two names, the search goes on from them, and the better of both stands.
         """
         two = self.improve(base, most=2)
         if not (self.weigher.train.may_be_apart and self.weigher.is_much_left(two)):
             return self._go_on(base, two)
         self.tell("much is left: asking again, each block driven by the other's measured signal")
         m = self.improve(base, self.search_apart(base))
-        if self.weigher.is_much_left(m):
+        if self.weigher.is_much_left(m) and not {*two.names} <= {*m.names}:
             self.tell("much is left: going on from the first explanations, too")
             other = self._go_on(base, two)
             m, self.other = sorted((m, other), key=self.weigher.weigh_alone)
@@ -139,8 +139,9 @@ class NameSearch:
             hopeful = [s for s in scored if s.gain > least and s.shows]
             hopeful = [*hopeful[:SHORTLIST], *self._list_again(m, scored, hopeful)]
             taken = self.take(m, self.refit(m, hopeful, len(hopeful))) if hopeful else None
-            if taken is None and (anew := self._begin_all(m, lambda h: h.far or h.is_effect)):
-                taken = self.take(m, self._polish_best(m, anew))
+            if taken is None and self.weigher.is_far_off(m):
+                anew = self._begin_all(m, lambda h: h.far or h.is_effect)
+                taken = self.take(m, self._polish_best(m, anew)) if anew else None
             if taken is None:
                 break
             taken = self.choose_form(m, taken)
@@ -218,7 +219,8 @@ class NameSearch:
 
         Far from the truth no tangent tells what a name is worth. Nothing leads to an end of the
         stroke, where the own numbers stood in for it. A valve's null without the leak that it feeds
-        is wrong by half, and beside it a leak gains nothing. It is asked only where much is left.
+        is wrong by half, and beside it a leak gains nothing. It is asked only where much is left,
+        and of effects where that is a visible share of a channel's span.
         """
         weigher, floor2, found = self.weigher, self.weigher.floor2, []
         before = float(m.cost.by_block.sum())

@@ -24,7 +24,6 @@ from pamctl.log.record_problems import (
     MOST_SPIKES,
     count_jumps,
     find_excursions,
-    find_sensor_step,
     round_to_steps,
 )
 
@@ -110,7 +109,8 @@ def _mend_channels(record: Record) -> tuple[Record, list[SensorFault]]:
                 says += f"{hum.amplitude:.3g} {CHANNELS[channel]}; it is taken off"
                 faults.append(SensorFault(channel, "hum", says))
         mended[channel] = values
-    return replace(record, **mended, counts=None if counts.all() else counts), faults
+    steps = {f.channel: record.find_step(f.channel) for f in faults if f.kind == "hum"}
+    return replace(record, **mended, counts=None if counts.all() else counts, steps=steps), faults
 
 
 # --- time stamps ---------------------------------------------------------------------------------
@@ -368,7 +368,8 @@ def align_resting_pressure(records: Sequence[Record]) -> list[Record]:
             excess_pa = zero_pa * max(1.0 - (uncertain_pa / zero_pa) ** 2, 0.0)
             if excess_pa:
                 pressure_pa = records[k]["pressure_pa"] - excess_pa
-                aligned[k] = replace(records[k], pressure_pa=pressure_pa)
+                steps = {**records[k].steps, "pressure_pa": records[k].find_step("pressure_pa")}
+                aligned[k] = replace(records[k], pressure_pa=pressure_pa, steps=steps)
     return aligned
 
 
@@ -412,4 +413,4 @@ def is_filtered(record: Record, channel: str) -> bool:
         )
         for n in (1, APART)
     )
-    return far > SMOOTHER * max(near, find_sensor_step(record[channel]))
+    return far > SMOOTHER * max(near, record.find_step(channel))

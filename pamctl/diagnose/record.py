@@ -58,6 +58,8 @@ class Record:
     """False where a sample is an outlier, a dropout or missing, shape (n,); None if all count."""
     stated_noise: Mapping[str, float] = field(default_factory=dict)
     """Standard deviation of a reading by channel, in SI, where the user states it."""
+    steps: Mapping[str, float] = field(default_factory=dict, compare=False)
+    """Of the converter by channel, in SI, where mending took the readings off them."""
     atmosphere_pa: float | None = field(default=None, compare=False)
     """From which an imported gauge pressure counts; None where no import map says it."""
     moments: tuple[Moment, ...] = field(default=(), compare=False)
@@ -120,6 +122,10 @@ class Record:
             raise KeyError(f"{self.name} has no {channel}")
         column: Array = values
         return column
+
+    def find_step(self, channel: str) -> float:
+        """Return the step with which a channel was digitised; 0 where none is visible."""
+        return self.steps.get(channel) or find_sensor_step(self[channel])
 
     def cut_samples(self, start: int, stop: int, name: str) -> Record:
         """Return the samples [start, stop) as a record of their own."""
@@ -222,7 +228,7 @@ def describe_channels(
         if name not in sensors:
             found[name] = ChannelNoise(faults=mine)
             continue
-        step = float(np.median([find_sensor_step(r[name]) for r in records]))
+        step = float(np.median([r.find_step(name) for r in records]))
         stated = [r.stated_noise[name] for r in records if name in r.stated_noise]
         if stated:
             size, source = sqrt(np.mean(np.square(stated))), "stated"
@@ -241,7 +247,7 @@ def pool_stated_noise(records: Sequence[Record]) -> dict[str, float]:
     for channel in SENSORS:
         stated = [r.stated_noise[channel] for r in records if channel in r.stated_noise]
         if stated and channel in records[0].channels:
-            step = float(np.median([find_sensor_step(r[channel]) for r in records]))
+            step = float(np.median([r.find_step(channel) for r in records]))
             white2 = float(np.mean(np.square(stated))) - step**2 / 12.0
             pooled[channel] = sqrt(max(white2, 0.0))
     return pooled

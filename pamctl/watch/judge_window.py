@@ -17,7 +17,6 @@ import numpy as np
 from scipy.signal import butter, savgol_filter, sosfiltfilt
 
 from pamctl.diagnose.record import Array, Record, estimate_white_noise
-from pamctl.log.record_problems import find_sensor_step
 from pamctl.plant.drive import drive_mechanics, drive_pressure
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import PlantParameters, rest_state
@@ -118,7 +117,7 @@ class SensorNoise:
 
 def read_sensor_noise(record: Record, channel: str) -> SensorNoise:
     """Return a channel's noise: as stated, or from its differences."""
-    step = find_sensor_step(record[channel])
+    step = record.find_step(channel)
     total = record.stated_noise.get(channel, estimate_white_noise(record[channel]))
     return SensorNoise(float(np.sqrt(max(total**2 - step**2 / 12.0, 0.0))), step)
 

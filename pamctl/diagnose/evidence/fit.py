@@ -30,7 +30,6 @@ from pamctl.diagnose.evidence.constants import (
     SURE,
 )
 from pamctl.diagnose.evidence.likelihood import Likelihood, Loss, levels_of, to_haar
-from pamctl.diagnose.evidence.measured_columns import find_resolution
 from pamctl.diagnose.evidence.paraboloid import FIRST_DAMPING, LEAST_DAMPING, Paraboloid
 from pamctl.diagnose.evidence.pool import CHAIN, Unknown, Variant
 from pamctl.diagnose.evidence.run_pieces import Runs
@@ -114,9 +113,9 @@ class Weigher:
         `noise` states standard deviations of sensors, SI, by channel: no scale is below them.
         """
         self.train, self.held_out, self.base = train, held_out, base
-        steps = map(find_resolution, train.shown.reshape(len(train.shown), -1))
         stated = ((noise or {}).get(channel, 0.0) for channel in train.channels)
-        least2 = np.array([max(q**2 / 12.0, s**2) for q, s in zip(steps, stated, strict=True)])
+        steps = zip(train.resolutions, stated, strict=True)
+        least2 = np.array([max(q**2 / 12.0, s**2) for q, s in steps])
         level = levels_of(train.block)
         self.like = Likelihood(train.find_kept(level), least2)
         self.like_held = None

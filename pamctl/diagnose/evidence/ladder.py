@@ -56,6 +56,8 @@ class JudgedRival:
     """Whether it surely gains so much more that it speaks against the name all the same."""
     model: WeighedModel | None
     """The fitted model with it; None of one that is beaten."""
+    idle_numbers: int = 0
+    """So many more numbers it has, which gain nothing: for this alone it is beaten."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,7 @@ class Finding:
     is_rest: bool
     """Whether it is small beside what was found before it: it mends the model, and is no cause."""
     judged: tuple[JudgedRival, ...]
-    """All rivals that were fitted, the nearest first."""
+    """One of each name that was fitted, the nearest first."""
     is_judged: bool = True
     """Whether rivals were asked at all; not where the search was interrupted."""
 
@@ -165,7 +167,15 @@ def climb_ladder(
     instead += [search.drop(m, f.name) for f in found if f.is_rest]
     intervals = widen_intervals(intervals, m, instead)
     tick = search.weigher.train.period_s
+    found = [replace(f, judged=_keep_nearest(f.judged)) for f in found]
     return [replace(f, numbers=_list_numbers(m, f.name, intervals, tick)) for f in found], intervals
+
+
+def _keep_nearest(judged: Sequence[JudgedRival]) -> tuple[JudgedRival, ...]:
+    """Return one rival of each name, the nearest: a beaten one only where no other is there."""
+    farthest_first = sorted(judged, key=lambda j: (not j.is_beaten, -j.behind_nats))
+    kept = {rival.hypothesis.name: rival for rival in farthest_first}
+    return tuple(sorted(kept.values(), key=lambda j: j.behind_nats))
 
 
 def stands_alone(finding: Finding, found: Sequence[Finding]) -> bool:
@@ -217,9 +227,8 @@ def _find_level(
     doubted = unsure or (little and not says_place)
     is_rest = not enough or (doubted and not is_first)
     return Finding(
-        mine, says_place, says_kind, doubt, *gained, (), at_range, channel, is_rest,
-        tuple(sorted(judged, key=lambda j: j.behind_nats)),
-    )  # fmt: skip
+        mine, says_place, says_kind, doubt, *gained, (), at_range, channel, is_rest, tuple(judged)
+    )
 
 
 def _may_be_part(search: NameSearch, m: WeighedModel, mine: Hypothesis) -> bool:
@@ -276,7 +285,9 @@ def _judge_rivals(
         asked_of += [(search.other, n) for n in search.other.names if n not in m.names]
     for rival, name in asked_of:
         its, lead = pool[name], weigher.leave_out(rival).left_out - m.left_out
-        beaten = _is_beaten(weigher, rival, m, lead, gain)
+        beaten, extra = _is_beaten(weigher, rival, m, lead, gain), len(rival.x) - len(m.x)
+        idle = 0 if beaten or lead.sum() <= -extra else max(extra, 0)
+        beaten |= idle > 0
         failed = rival.total > without.total - KEPT_PROMISE * promised.get(its.name, 0.0)
         if its.place == mine.place and failed:  # its fit failed: it may be true
             beaten &= promised.get(its.name, 0.0) < LEFT_SHARE * gain
@@ -288,6 +299,7 @@ def _judge_rivals(
                 is_freer=its.is_term and (its.place == mine.place or its.name in mine.akin),
                 is_better=bool(bound_gain(-lead)[0] > FREER_SHARE * gain),
                 model=None if beaten else replace(rival, tangent=None),
+                idle_numbers=idle if beaten else 0,
             )
         )  # fmt: skip
     return judged
@@ -296,13 +308,10 @@ def _judge_rivals(
 def _is_beaten(
     weigher: Weigher, rival: WeighedModel, m: WeighedModel, lead: Array, gain: float
 ) -> bool:
-    """Tell whether a rival surely explains less, or gains nothing for its further numbers."""
-    least, extra = bound_gain(lead)[0], len(rival.x) - len(m.x)
-    return bool(
-        least > RIVAL_SHARE * gain
-        or (least > NAME_NATS and takes_enough(weigher, rival, m))
-        or (extra > 0 and lead.sum() > -extra)
-    )
+    """Tell whether a rival surely explains less."""
+    least = bound_gain(lead)[0]
+    is_less = least > NAME_NATS and takes_enough(weigher, rival, m)
+    return bool(is_less or least > RIVAL_SHARE * gain)
 
 
 def _list_numbers(

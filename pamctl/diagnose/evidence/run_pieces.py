@@ -33,6 +33,7 @@ from pamctl.diagnose.evidence.measured_columns import (
     fill_gone,
     find_neighbours,
     find_rates,
+    find_resolution,
     find_starts,
     has_no_speed,
     judge_motion,
@@ -203,6 +204,11 @@ class Runs:
                 f"no record is as long as a block of {self.block * self.period_s:g} s"
             )
         self._lay_out()
+        steps = [getattr(record, "steps", {}) for record in records]
+        told = (min((s[c] for s in steps if s.get(c)), default=0.0) for c in self.channels)
+        rows = zip(self.shown, told, strict=True)
+        self.resolutions = [max(find_resolution(row.ravel()), step) for row, step in rows]
+        """The step with which each channel was digitised; mended samples are off it."""
         self._last: tuple[Any, Array] | None = None
         self._whole = self
 

@@ -101,6 +101,7 @@ def _describe_rival(judged: JudgedRival) -> dict[str, Any]:
         "interval_nats": [*judged.interval_nats],
         "is_beaten": judged.is_beaten,
         "is_freer": judged.is_freer,
+        "idle_numbers": judged.idle_numbers,
     }
 
 
@@ -194,11 +195,8 @@ def _report_finding(diagnosis: Diagnosis, finding: Finding) -> Iterator[Part]:
     low, high = finding.interval_nats
     gain = f"gain {finding.gain_nats:.0f} nats ({low:.0f} to {high:.0f})"
     yield Text(f"{spell_finding(diagnosis, finding)}: {sure}; {gain}")
-    standings: dict[str, str] = {}
-    for rival in finding.judged:  # the best first; the same one may come in two models
-        named = spell_names(label_hypothesis(rival.hypothesis))
-        standings.setdefault(named, describe_standing(rival))
-    yield Points([f"{named}: {said}" for named, said in standings.items()][:MOST_RIVALS])
+    rivals = [(label_hypothesis(j.hypothesis), j) for j in finding.judged[:MOST_RIVALS]]
+    yield Points([f"{spell_names(label)}: {describe_standing(j)}" for label, j in rivals])
 
 
 def _report_numbers(diagnosis: Diagnosis) -> Iterator[Part]:

@@ -276,7 +276,8 @@ def _explain_rivals(finding: Finding) -> str:
     )
     return (
         "Each rival was fitted in its place, beside the rest of the model. A rival is beaten if it "
-        f"surely loses a tenth of what is lost without the finding.{left}"
+        "surely loses a tenth of what is lost without the finding, or takes off clearly less, or "
+        f"has more numbers and gains nothing for them.{left}"
         f"{freer if near < len(open_ones) else ''}"
     )
 

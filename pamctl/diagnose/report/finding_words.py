@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from pamctl.base.texts import count_of
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.evidence.ladder import Finding, JudgedRival
 from pamctl.diagnose.evidence.measuring_chain import list_of_chain
@@ -173,8 +174,10 @@ def spell_set(labels: Sequence[str], first: str = "") -> str:
 
 
 def describe_standing(rival: JudgedRival) -> str:
-    """Say how far a rival is behind or ahead, and what it means if it is not beaten."""
+    """Say how far a rival is behind or ahead, and what it means if that does not tell."""
     nats = f"{abs(rival.behind_nats):.0f} nats {'behind' if rival.behind_nats >= 0.0 else 'ahead'}"
+    if rival.idle_numbers:
+        return f"{nats}, and beaten: {count_of(rival.idle_numbers, 'more number')} for no gain"
     if rival.is_beaten:
         return nats
     if rival.is_freer:

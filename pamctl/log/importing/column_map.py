@@ -19,7 +19,7 @@ from pydantic import Field, field_validator, model_validator
 
 from hal.calibration import CalibrationSettings, Configured
 from pamctl.base.texts import to_json
-from pamctl.log.importing.headers import RADIANS, TIME, UNITS, read_unit
+from pamctl.log.importing.headers import TIME, UNITS, explain_angle, read_unit
 
 if TYPE_CHECKING:
     from pamctl.log.importing.measured_table import Floats
@@ -97,11 +97,8 @@ class _MeasuredMap(_PartMap):
         known = UNITS[cls.quantity]
         if not isinstance(unit, str) or unit in known:
             return unit
-        if cls.quantity == "position_m" and (radians := RADIANS.get(unit.lower())):
-            raise ValueError(
-                f"{unit} is an angle, and a position is an arc: write `unit: m, gain: G`, where G "
-                f"is the radius of the pulley or lever in m times {radians:g}"
-            )
+        if cls.quantity == "position_m" and (angle := explain_angle(unit)):
+            raise ValueError(f"{unit} is {angle}")
         si = next(iter(known))
         example = ""
         if cls.quantity == "valve_v" and unit == "mA":

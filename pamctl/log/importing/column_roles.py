@@ -19,12 +19,13 @@ from pamctl.log.importing.column_map import (
     quote,
 )
 from pamctl.log.importing.headers import (
+    NAMES,
     OF_A_COMMAND,
     OTHER,
-    RADIANS,
     TIME,
     UNITS,
     Certainty,
+    explain_angle,
     parse_column_name,
     split_words,
 )
@@ -34,7 +35,7 @@ from pamctl.log.importing.measured_table import (
     MeasuredTable,
     TableColumn,
 )
-from pamctl.log.importing.shown_map import NEVER_ABSOLUTE_PA, find_lowest_pa, refuse
+from pamctl.log.importing.shown_map import NEVER_ABSOLUTE_PA, find_lowest_pa, find_period, refuse
 
 OF_THE_AIR_PA = (95e3, 106e3)
 """A vented muscle's absolute pressure, at any height and weather of a laboratory."""
@@ -107,9 +108,10 @@ def _find_unused_parts(
 def choose_by_header(table: MeasuredTable) -> ChosenColumns:
     """Return the columns that their headers name, each with its unit.
 
-    Raise ImportRefused, with a map to fill in, where two columns may be one quantity, a word leaves
-    a doubt, a pressure may be gauge or absolute, a quantity is named without a unit that it has, or
-    there is no time. A table of two valves, chambers or joints is refused without a map.
+    Raise ImportRefused, with a map to fill in, where several columns may be one quantity, a
+    pressure may be gauge or absolute, a quantity is named without a unit that it has, or there is
+    no time. A column in doubt is taken where no other one may be that quantity. A table of two
+    valves, chambers or joints is refused without a map.
     """
     found = {q: [c for c in table.columns if names_quantity(c, q)] for q in UNITS}
     _require_one_of_each(found)
@@ -126,6 +128,10 @@ def choose_by_header(table: MeasuredTable) -> ChosenColumns:
     for quantity, named in found.items():
         surest = max((c.header.certainty for c in named if _is_clear(c)), default=Certainty.SURE)
         clear = [c for c in named if _is_clear(c) and c.header.certainty == surest]
+        if not clear and named and (unit := _find_only_unit(table, named)):
+            clear = named
+            told = f"{quote(named[0].name)} is taken as {quantity} in {unit}, as no other column "
+            warnings.append(("map", f"{told}may be it; if that is wrong, use --map"))
         if not clear:
             doubts += map(_ask, named)
             continue
@@ -179,12 +185,30 @@ def _is_clear(column: TableColumn) -> bool:
     return header.certainty >= Certainty.SURE and bool(header.unit) and not column.is_text
 
 
+MOST_PERIOD_S = 0.025
+"""Times that rise by no more are seconds: as milliseconds they would be of 40 kHz or more."""
+
+
+def _find_only_unit(table: MeasuredTable, named: Sequence[TableColumn]) -> str:
+    """Return the unit of a column in doubt that alone may be its quantity; empty for another."""
+    header, words = named[0].header, split_words(named[0].called or named[0].name)
+    if len(named) > 1 or named[0].is_text or header.certainty < Certainty.DOUBT:
+        return ""
+    if header.quantity == TIME and not header.said_unit:
+        return "s" if 0.0 < find_period(named[0]) <= MOST_PERIOD_S else ""
+    is_other = any(q != header.quantity and its & words for q, its in NAMES.items())
+    rest = (c.header for c in table.columns if c is not named[0] and not c.header.others)
+    is_one = not is_other and not any(h.unit in UNITS[header.quantity] for h in rest)
+    return header.unit if is_one else ""
+
+
 def _say_why_unread(column: TableColumn) -> str:
     if column.is_text:
         return column.says or "words, no numbers"
     if others := column.header.others:
         return f"{min(others)!r} in its name is not what a sensor of the rig measures"
-    return "its name says no quantity with its unit that pamctl reads"
+    unread = "its name says no quantity with its unit that pamctl reads"
+    return explain_angle(column.header.said_unit) or unread
 
 
 _INDEX = re.compile(r"\d+|(?<![^\W_])[a-d](?![^\W_])", re.I)
@@ -280,7 +304,7 @@ def _read_as(
 ) -> dict[str, Any]:
     """Return the keys of a column; `gauge` is None, with a doubt, where the file does not tell."""
     header = column.header
-    keys: dict[str, Any] = {"column": table.name_of(column), "unit": header.unit}
+    keys: dict[str, Any] = {"column": table.name_of(column), "unit": header.unit or "s"}
     if header.quantity != "pressure_pa":
         return keys
     keys["gauge"] = header.is_gauge
@@ -309,11 +333,8 @@ def _ask(column: TableColumn) -> str:
         return f"{name} may be {quantity}, or something else"
     if not said:
         return f"{name} states no unit for {quantity}"
-    if quantity == "position_m" and (radians := RADIANS.get(said.lower())):
-        return (
-            f"{name} is an angle: as a position it counts along the arc on which the muscle or rod "
-            f"pulls, so the map's gain is the radius of the pulley or lever in m times {radians:g}"
-        )
+    if quantity == "position_m" and (angle := explain_angle(said)):
+        return f"{name} is {angle}"
     units = ", ".join(UNITS[quantity])
     return (
         f"{name} is in {said!r}, which is no unit of {quantity} ({units}): `gain` and `offset` in "

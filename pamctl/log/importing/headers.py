@@ -94,6 +94,15 @@ RADIANS = {"deg": 0.0174533, "degree": 0.0174533, "degrees": 0.0174533,
            "\N{DEGREE SIGN}": 0.0174533, "rad": 1.0, "radian": 1.0, "radians": 1.0}  # fmt: skip
 """Radians in a unit of an angle: times the lever's length they make a position."""
 
+
+def explain_angle(unit: str) -> str:
+    """Return how an angle becomes a position; nothing for a unit of no angle."""
+    radians = RADIANS.get(unit.lower(), 0.0)
+    size = "1" if radians == 1.0 else f"{radians:g} (pi / 180)"
+    said = "an angle: with `unit: m`, its gain is the radius of the pulley or lever in m times"
+    return f"{said} {size}" if radians else ""
+
+
 CURRENTS = frozenset({"a", "amp", "amps", "ampere", "amperes"})
 """Units of a motor's current in lower case; mA are those of a valve or of a sensor."""
 
@@ -191,8 +200,10 @@ OTHER = frozenset({
     "alimentazione", "vitesse", "velocidad", "velocita", "errore", "erreur",
 })  # fmt: skip
 """Words for another thing than the measured quantity."""
-OF_A_COMMAND = frozenset({"set", "setpoint", "sp", "soll", "demand", "desired", "reference"})
-"""They do not rule out the valve's command."""
+OF_A_COMMAND = frozenset({
+    "set", "setpoint", "sp", "soll", "sollwert", "demand", "desired", "reference",
+})  # fmt: skip
+"""They do not rule out the valve's command; in volts, and of nothing else, they may be it."""
 _BRACKETED = re.compile(r"(.*?)\s*[\[(](.+?)[\])]+\s*", re.DOTALL)
 _ANY_SENSE = "|".join(sorted(_SENSES_OF_A_UNIT[True] | _SENSES_OF_A_UNIT[False]))
 _SENSE_WORDS = rf"(\S+\s+(?:{_ANY_SENSE}))"
@@ -256,6 +267,9 @@ def read_header(name: str, called: str = "", unit: str = "") -> Header:
     words = split_words(label)
     others = frozenset(words & OTHER)
     named = [quantity for quantity, its in NAMES.items() if its & words]
+    is_set_point = bool(others) and others <= OF_A_COMMAND - {"reference"}  # of a sensor's bridge
+    if found and found.quantity == "valve_v" and not named and is_set_point:
+        named = ["valve_v"]
     is_apart = bool(unit) or (called or name).endswith((")", "]"))
     is_unit = found and (is_apart or found.quantity in named or said.lower() not in _SUBSCRIPTS)
     measures = found.quantity if found and is_unit else ""
@@ -271,7 +285,8 @@ def read_header(name: str, called: str = "", unit: str = "") -> Header:
         quantity = quantities[0]
         of_a_command = OF_A_COMMAND if quantity == "valve_v" else frozenset()
         stated = found.unit if found and found.quantity == quantity else ""
-        is_sure = words - NAMES[quantity] <= _BESIDE | of_a_command
+        is_sure = bool(words & NAMES[quantity] or is_alone)
+        is_sure &= words - NAMES[quantity] <= _BESIDE | of_a_command
         if not (words - NAMES[quantity]) & (OTHER - of_a_command) and (stated or is_sure):
             certainty = Certainty.SURE if is_sure else Certainty.DOUBT
             gauge = tell_gauge(found, words)
@@ -311,6 +326,10 @@ def split_unit(name: str, unit: str) -> tuple[str, str, SaidQuantity | None]:
         found = read_unit(match[2]) if match else None
         if match and (found or match[2].lower() in (*RADIANS, "ma")):
             return match[1], match[2], found
+    for word in reversed([*re.finditer(r"(?<=[\s_])[^\s_]+(?=[\s_])", name)]):
+        found, rest = read_unit(word[0]), f"{name[: word.start()]} {name[word.end() :]}"
+        if found and NAMES[found.quantity] & split_words(rest):  # `p_bar_abs`, `pos_mm_raw`
+            return rest, word[0], found
     bracketed = _BRACKETED.fullmatch(name.strip())
     return (bracketed[1], bracketed[2], None) if bracketed else (name, "", None)
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pamctl.log.importing.column_map import KEYS, quote, write_key
-from pamctl.log.importing.headers import CURRENTS, NAMES, RADIANS, TIME, UNITS, split_words
+from pamctl.log.importing.headers import CURRENTS, NAMES, TIME, UNITS, explain_angle, split_words
 from pamctl.log.importing.measured_table import ImportRefused, MapWanted, MeasuredTable, TableColumn
 
 NEVER_ABSOLUTE_PA = 80e3
@@ -125,9 +125,8 @@ def _propose(table: MeasuredTable, column: TableColumn, *, is_first: bool) -> st
             keys["gauge"] = find_lowest_pa(column) < NEVER_ABSOLUTE_PA
             remark = f"or gauge: {str(not keys['gauge']).lower()}; the file does not say"
     line = write_key(KEYS[header.quantity], keys, remark)
-    radians = RADIANS.get(header.said_unit.lower())
-    if radians and header.quantity == "position_m":
-        return f"# {line}  # an angle: add gain, the radius in m times {radians:g}"
+    if (angle := explain_angle(header.said_unit)) and header.quantity == "position_m":
+        return f"# {line}  # {angle}"
     if scale := _propose_scale(column):
         remark = f"if it spans -5 to 5 V, and more {header.said_unit} fill"
         return f"# {write_key(KEYS[header.quantity], keys | scale, remark)}"
@@ -159,14 +158,18 @@ def _propose_scale(column: TableColumn) -> dict[str, float] | None:
 def _propose_time(table: MeasuredTable, columns: Sequence[TableColumn]) -> str:
     """Return the line for the first column that always rises, else for a rate."""
     for column in columns:
-        step = np.diff(column.values)
-        if len(step) and bool((step > 0.0).all()):
-            period = float(np.median(step))
+        if period := find_period(column):
             unit = "s" if period < 0.5 else "ms" if period < 1e3 else "us" if period < 1e6 else "ns"
             keys = {"column": table.name_of(column), "unit": column.unit or unit}
             remark = "" if column.unit else f"a row every {period:g}: is it in {unit}?"
             return write_key("time", keys, remark)
     return "time: {rate_hz: 1000}  # no column always rises: write the rows per second"
+
+
+def find_period(column: TableColumn) -> float:
+    """Return the usual step of a column that always rises; 0 of another."""
+    step = np.diff(column.values)
+    return float(np.median(step)) if len(step) and bool((step > 0.0).all()) else 0.0
 
 
 def find_lowest_pa(column: TableColumn, share: float = 0.001) -> float:

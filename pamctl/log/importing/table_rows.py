@@ -130,7 +130,7 @@ def _find_names(above: Sequence[Row], width: int) -> tuple[list[str], list[str]]
         stated = [cell for cell in cells if cell.strip("[]()- ")]
         are_units = bool(stated) and 2 * sum(map(_may_be_unit, stated)) >= len(stated)
         if not any(units) and are_units:
-            units = [cell if _may_be_unit(cell) else "" for cell in cells]
+            units = [cell if cell in stated else "" for cell in cells]
         elif _has_no_number(cells):
             names = cells
             break

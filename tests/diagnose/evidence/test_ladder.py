@@ -2,10 +2,19 @@
 
 import numpy as np
 import pytest
+from support.made_records import ask_only, pair
 
+from pamctl.diagnose import diagnose
 from pamctl.diagnose.evidence.fit import WeighedModel
-from pamctl.diagnose.evidence.ladder import Finding, has_unasked_rival, stands_alone
+from pamctl.diagnose.evidence.ladder import (
+    Finding,
+    climb_ladder,
+    has_unasked_rival,
+    stands_alone,
+)
+from pamctl.diagnose.evidence.name_search import NameSearch
 from pamctl.diagnose.evidence.pool import PAPER_SCALES, Hypothesis, list_effects, list_terms
+from pamctl.plant.model import PlantSettings
 
 REACH = {"time": (0.0, 10.0), "position": (0.0, 0.02), "pressure": (0.0, 3e5)}
 COMMAND = {"command": (-5.0, 5.0), "velocity": (-0.1, 0.1)}
@@ -58,3 +67,23 @@ def test_a_second_law_may_stand_for_one_that_cannot_stand_beside_the_first(
     m = WeighedModel((first, second), (), {}, np.zeros(0))
     assert has_unasked_rival(pool, m, pool[second]) is is_unasked
     assert not has_unasked_rival(pool, m, pool[first])
+
+
+def test_a_rival_of_two_models_is_judged_once_and_says_if_its_further_numbers_gain_nothing(
+    monkeypatch,
+):
+    asked = ask_only("valve_deadband", "chamber_leak")
+    widths = {"valve_deadband__fill_width_v": 0.25, "valve_deadband__exhaust_width_v": 0.2}
+    evidence = diagnose(*pair(**widths), PlantSettings(), without=asked).evidence
+    assert evidence is not None
+    search, m = NameSearch(evidence.weigher, evidence.pool), evidence.model
+    scores = search.score(m, ["chamber_leak"])
+    (both,) = search.refit(m, scores, 1)
+    further = len(both.x) - len(m.x)
+    assert (both.names, further) == (("valve_deadband", "chamber_leak"), 1)
+    monkeypatch.setattr(search, "score", lambda *_: scores)
+    monkeypatch.setattr(search, "refit", lambda *_: [both, both])
+    ((finding,), _) = climb_ladder(search, evidence.base, m)
+    (rival,) = finding.judged
+    assert abs(rival.behind_nats) < 1.0
+    assert (rival.is_beaten, rival.idle_numbers, finding.level) == (True, further, "name")

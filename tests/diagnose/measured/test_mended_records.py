@@ -264,6 +264,23 @@ def test_what_is_no_matter_of_homing_stays(other):
     assert find_shifts([rest_and_move(0.0, 1), other]) == [0.0, 0.0]
 
 
+@pytest.mark.parametrize("mended", ["hum", "zero"])
+def test_a_column_that_is_mended_off_its_converters_steps_keeps_their_size(mended):
+    is_hum, step_pa = mended == "hum", 400.0
+    records = [measured("fit", 7)] if is_hum else [rest_and_move(80.0 * k, k) for k in range(3)]
+    for k, record in enumerate(records):
+        hum = is_hum * 600.0 * np.sin(2 * np.pi * 50.02 * record.t_s + 1.0)
+        rounded_pa = np.round((record["pressure_pa"] + hum) / step_pa) * step_pa
+        records[k] = replace(record, pressure_pa=rounded_pa)
+    records, faults = mend_records(records) if is_hum else (align_resting_pressure(records), [])
+    assert [(f.channel, f.kind) for f in faults] == is_hum * [("pressure_pa", "hum")]
+    assert any(record["pressure_pa"][0] % step_pa for record in records)
+    assert [r.find_step("pressure_pa") for r in records] == pytest.approx(len(records) * [step_pa])
+    weigher, _ = prepare_weigher(records, (), PlantSettings())
+    at = weigher.train.channels.index("pressure_pa")
+    assert np.sqrt(12.0 * weigher.like.least2[at]) == pytest.approx(step_pa)
+
+
 def test_equal_zeros_are_hardly_moved_by_the_noise_of_the_rests():
     pairs = [[rest_and_move(0.0, 2 * k), rest_and_move(0.0, 2 * k + 1)] for k in range(40)]
     moved = np.array([find_shifts(pair)[0] for pair in pairs])

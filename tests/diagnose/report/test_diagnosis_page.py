@@ -239,17 +239,6 @@ def test_a_spring_that_may_be_absent_is_called_so_and_no_end_of_a_range(
     assert title.endswith(absent if said == "no spring" else low_end)
 
 
-def test_a_rival_that_came_in_two_models_is_said_once(named):
-    (first,) = named.findings
-    twice = replace(first, judged=(first.judged[0], *first.judged))
-    found = replace(named, evidence=replace(named.evidence, findings=(twice,)))
-    said = [row for row in format_terminal(report_diagnosis(found)).splitlines() if "nats" in row]
-    assert said == [
-        row for row in format_terminal(report_diagnosis(named)).splitlines() if "nats" in row
-    ]
-    assert len(said) > 1
-
-
 def test_a_number_of_the_start_model_that_is_far_off_stands_in_the_sentence(named):
     first = named.recalibrated[0]
     for share, is_said in ((1.5, True), (1.1, False)):

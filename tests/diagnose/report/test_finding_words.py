@@ -41,19 +41,20 @@ CHAIN_OF_POSITION = [*list_of_chain(["position_m"], {}, 1e-3, "direct", {})]
 
 
 @pytest.mark.parametrize(
-    ("behind_nats", "is_beaten", "words"),
+    ("behind_nats", "is_beaten", "idle", "words"),
     [
-        (62.0, True, "62 nats behind"),
-        (14.0, False, "14 nats behind, which does not rule it out"),
-        (-621.0, False, "621 nats ahead"),
+        (62.0, True, 0, "62 nats behind"),
+        (1.0, True, 2, "1 nats behind, and beaten: 2 more numbers for no gain"),
+        (14.0, False, 0, "14 nats behind, which does not rule it out"),
+        (-621.0, False, 0, "621 nats ahead"),
     ],
 )
 def test_a_rival_is_behind_or_ahead_and_never_a_negative_number_behind(
-    behind_nats, is_beaten, words
+    behind_nats, is_beaten, idle, words
 ):
     ends = (behind_nats - 5.0, behind_nats + 5.0)
     rival = JudgedRival(
-        LATE, behind_nats, ends, 0.9, is_beaten, is_freer=False, is_better=False, model=None
+        LATE, behind_nats, ends, 0.9, is_beaten, False, False, None, idle_numbers=idle
     )
     assert describe_standing(rival) == words
 

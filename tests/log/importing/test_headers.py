@@ -35,6 +35,8 @@ UNDERSTOOD = {
     "Stellgröße [V]": ("valve_v", "V", None),
     "AO0 (V)": ("valve_v", "V", None),
     "Zeit in ms": ("t_s", "ms", None),
+    "time_s_since_start": ("t_s", "s", None),
+    "sensor_pressure_bar_abs": ("pressure_pa", "bar", False),
     "zeit": ("t_s", "", None),
     "Ventil [V]": ("valve_v", "V", None),
     "Druck [bar rel]": ("pressure_pa", "bar", True),
@@ -52,10 +54,13 @@ UNDERSTOOD = {
     "Joint angle [deg]": ("position_m", "", None),
     "Gelenkwinkel [\N{DEGREE SIGN}]": ("position_m", "", None),
 }
-DOUBTFUL = ["F_z [N]", "Chamber A pressure [bar]", "pressure_cap_bar", "nActPos [mm]"]
+DOUBTFUL = ["F_z [N]", "Chamber A pressure [bar]", "pressure_cap_bar", "nActPos [mm]",
+            "SDE_pressure_bar_abs", "pos_mm_raw", "MPYE_setpoint_V", "Sollwert [V]"]  # fmt: skip
 NOT_MEASURED = [
     "Sollposition [mm]", "Position set point (mm)", "Supply pressure [bar]", "Versorgungsdruck_bar",
     "AI0 (V)", "Output voltage [V]", "y_mm", "Temperature (C)", "Position error [mm]",
+    "Druck_soll_V", "MPYE_setpoint_bar", "supply_pressure_bar_abs", "Speed setpoint [V]",
+    "Reference voltage [V]",
 ]  # fmt: skip
 
 

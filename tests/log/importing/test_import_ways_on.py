@@ -197,9 +197,63 @@ def test_a_command_in_milliamperes_or_percent_gets_the_gain_of_its_span(
 ):
     command = np.linspace(low, high, len(T_S))
     refused = import_names(tmp_path / "a.csv", f"t,{name},x_mm", T_S, command, T_S)
-    assert f"# valve: {{column: '{name}', unit: V, {shown}}}  # if it spans" in refused.stderr
+    told = f"# valve: {{column: '{name}', unit: V, {shown}}}  # if it spans"
+    assert told in everything(refused)
     unknown = import_names(tmp_path / "b.csv", f"t,{name},x_mm", T_S, 10.0 * command, T_S)
-    assert "its unit is not known" in unknown.stderr
+    assert "its unit is not known" in everything(unknown)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        "t,MPYE_setpoint_V,SDE_pressure_bar_abs,LVDT_pos_mm",
+        "DAQ time [s],Sollwert [V],Hose pressure [bar abs],pos_mm_raw",
+    ],
+)
+def test_a_column_in_doubt_is_taken_where_no_other_may_be_its_quantity_and_told(tmp_path, names):
+    bar_abs, position_mm = GOOD["pressure_pa"] / 1e5, 1e3 * POSITION_M
+    done = import_names(tmp_path / "a.csv", names, T_S, VALVE_V, bar_abs, position_mm)
+    for quantity, values in GOOD.items():
+        np.testing.assert_allclose(getattr(done.signals, quantity), values, atol=1e-9, rtol=1e-9)
+    taken = [f["message"] for f in done.report["findings"] if f["kind"] == "map"]
+    valve = names.split(",")[1]
+    told = f"'{valve}' is taken as valve_v in V, as no other column may be it; if that is wrong"
+    assert any(text.startswith(told) for text in taken)
+
+
+@pytest.mark.parametrize(
+    ("names", "asked"),
+    [
+        ("t_s,heater setpoint [V],x_mm,AI0 [V]", "'heater setpoint [V]' may be valve_v"),
+        ("t_s,p_bar,Valve position [mm],valve_v", "'Valve position [mm]' may be position_m"),
+        ("t_s,Hose pressure [bar],x_mm,Sonda [kPa]", "'Hose pressure [bar]' may be pressure_pa"),
+    ],
+)
+def test_a_column_in_doubt_is_asked_for_where_another_has_its_unit_or_its_words(
+    tmp_path, names, asked
+):
+    refused = import_names(tmp_path / "a.csv", names, T_S, T_S, 1e3 * POSITION_M, VALVE_V)
+    assert f"{asked}, or something else" in refused.stderr
+
+
+def test_a_time_without_its_unit_is_asked_for_where_its_rows_may_be_of_milliseconds(tmp_path):
+    for every, is_told in ((0.05, False), (0.02, True)):
+        times = every * np.arange(len(T_S))
+        path = tmp_path / f"{every}.csv"
+        done = import_names(path, "t,p_gauge_bar,x_mm", times, 2 + VALVE_V, 1e3 * POSITION_M)
+        assert ("'t' is taken as t_s in s" in everything(done)) == is_told
+        assert ("'t' states no unit for t_s" in everything(done)) != is_told
+
+
+def test_an_angle_by_a_line_of_units_is_told_the_gain_that_makes_a_position_of_it(tmp_path):
+    rows = [f"{k / 1000};{k % 7};{3 * (k % 5)}" for k in range(200)]
+    text = "\n".join(["Zeit;Druck;Winkel Rolle", "s;bar;\N{DEGREE SIGN}", *rows])
+    (tmp_path / "a.csv").write_text(text)
+    done = Outcome(tmp_path / "a.csv")
+    gain = "its gain is the radius of the pulley or lever in m times 0.0174533 (pi / 180)"
+    said = f"an angle: with `unit: m`, {gain}"
+    assert done.report["columns"][2]["left_out"] == said
+    assert f"unit: m}}  # {said}" in done.report["map_text"]
 
 
 def test_an_lvm_file_that_was_cut_off_says_so_and_loses_its_last_row(tmp_path, parsed_here):

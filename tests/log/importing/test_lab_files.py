@@ -265,7 +265,10 @@ TIME = {"Time [s]": T_S}
             "# pressure: {column: 'P2 [bar]', unit: bar, gauge: true}  # or gauge: false",
         ),
         ({"Pressure [bar]": GAUGE_BAR + 1.5}, "'Pressure [bar]' may be gauge or absolute"),
-        ({"Hose pressure [bar]": GAUGE_BAR}, "may be pressure_pa, or something else"),
+        (
+            {"Hose pressure [bar]": GAUGE_BAR, "Line pressure [bar]": GAUGE_BAR},
+            "may be pressure_pa, or something else",
+        ),
         ({"Valve position [mm]": POSITION_MM}, "position: {column: 'Valve position [mm]'"),
         ({"Position [mm]": POSITION_MM, "x [mm]": POSITION_MM}, "may each be position_m"),
     ],

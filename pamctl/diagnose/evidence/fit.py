@@ -411,8 +411,8 @@ class Weigher:
         """Tell whether b's last name is worth saying against a: sure, seen, and sized.
 
         It gains on the records that are held out, too; far from the truth it does not surely lose
-        there. What leaves a half of what was much, and of no channel more, counts anyway: the poorer
-        model resolves little of it.
+        there. What leaves a half of what was much, and of no channel more, counts anyway: the
+        poorer model resolves little of it.
         """
         if self.is_small(b):
             return False

@@ -148,9 +148,9 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
                 _advise_after_naming(diagnosis, again),
             )
         case Verdict.DESCRIBED:
-            found = "of what was asked, most is explained by" if left else "and without a name:"
+            found = "; of what was asked, most is explained by" if left else ", and without a name:"
             return VerdictWords(
-                f"{missing}, {found} {others}{ended}",
+                f"{missing}{found} {others}{ended}",
                 body,
                 f"No name is sure ({describe_unnamed(diagnosis)}). This says where and how "
                 "something acts. What it is, the rig must show.",

@@ -33,6 +33,8 @@ MOST_COLOUR = 4.0
 of a current sensor left 30 um of a position. Half: 16 um of it are explained. Twice: 34 um."""
 CLEARLY = 2.0
 """Times the mean square that a model leaves: a noise that leaves more is none."""
+ROUNDED = 1.1
+"""Times a mean square: two digits of its root are said."""
 FEWEST = 48
 """Differences, or coefficients, of which a size is made."""
 
@@ -51,8 +53,8 @@ def count_input_noise(
 def find_input_error2(weigher: Weigher, m: WeighedModel, stated: Mapping[str, float]) -> Array:
     """Return the mean square that the noise of what drives a model leaves of each channel.
 
-    It is nowhere more than what the model leaves at that time scale: a force that really jumps from
-    sample to sample is no noise, as the position follows it.
+    It is nowhere more than what the model leaves at that time scale, or clearly more if it was
+    stated: a force that really jumps from sample to sample is no noise, as the position follows it.
     """
     drivers = weigher.train.drivers
     if not drivers:
@@ -60,7 +62,8 @@ def find_input_error2(weigher: Weigher, m: WeighedModel, stated: Mapping[str, fl
     passed = _pass_noise(
         weigher, m, {name: estimate_noise(weigher, name, stated.get(name)) for name in drivers}
     )
-    return weigher.like.mean_squares(passed) * np.minimum(_bound(weigher, passed, m.d), 1.0)
+    most = _bound(weigher, passed, m.d) * (CLEARLY if stated else 1.0)
+    return weigher.like.mean_squares(passed) * np.minimum(most, 1.0)
 
 
 def find_enough_noise(weigher: Weigher, m: WeighedModel, more2: Array) -> dict[str, float]:
@@ -76,7 +79,7 @@ def find_enough_noise(weigher: Weigher, m: WeighedModel, more2: Array) -> dict[s
         most = _bound(weigher, passed, m.d)
         times2 = np.minimum(most, 1.0) + more2 / weigher.like.mean_squares(passed)
         if (times2 < CLEARLY * most).all():
-            found[name] = float(sizes[0] * np.sqrt(times2.max()))
+            found[name] = float(sizes[0] * np.sqrt(ROUNDED * times2.max()))
     return found
 
 

@@ -239,3 +239,21 @@ def test_what_gained_when_it_was_fitted_is_fitted_again_only_where_much_is_left(
     scored = search.score(base, ["stribeck", "return_friction"])
     hopeful = [s for s in scored if s.name == "return_friction"]
     assert [s.name for s in search._list_again(base, scored, hopeful)] == again
+
+
+def test_what_halves_what_is_much_counts_and_is_begun_anew_from_the_plant_files_numbers() -> None:
+    weigher, start = prepare_weigher(*records_of({"chamber_leak": 20}, 40724), PAPER)
+    pool = {h.name: h for h in list_pool(weigher.train, weigher.base, PAPER)}
+    search, base = NameSearch(weigher, pool), weigher.settle(start)
+    weigher.set_floor(base)
+    weigher.leave_out(base)
+    assert weigher.is_much_left(base)
+    ((gain, begun),) = search._begin_all(base, lambda h: h.name == "chamber_leak")
+    assert gain > 0.0
+    leak = weigher.settle(begun)
+    weigher.meet(base, leak)
+    assert weigher.is_by_far_better(base, leak)
+    assert not weigher.is_by_far_better(leak, base)
+    assert not weigher.is_by_far_better(leak, leak)
+    weigher.set_floor(leak)
+    assert not search._begin_all(leak, lambda h: h.is_effect), "only noise is left"

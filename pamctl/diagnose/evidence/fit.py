@@ -336,18 +336,12 @@ class Weigher:
         Only the time scales count at which it takes something off: at others its own numbers may
         leave more, as they no longer stand in for what is missing there.
         """
-        off2 = self._find_robust2(a) - self._find_robust2(b)
+        off2 = robust2_of(self.like, a.d) - robust2_of(self.like, b.d)
         return np.asarray(np.sqrt(np.maximum(off2, 0.0).sum(axis=1) / self.find_noise2(b)))
 
     def find_robust2(self, m: WeighedModel) -> Array:
         """Return the robust mean square of each channel's residual, SI."""
-        return np.asarray(self._find_robust2(m).sum(axis=1))
-
-    def _find_robust2(self, m: WeighedModel) -> Array:
-        """Return the part of each level in that, shape (channels, levels + 1)."""
-        scales2 = self.like.find_scales2(m.d, self.like.least2)
-        counts = self.like.counts
-        return np.asarray(counts * scales2 / counts.sum(axis=1, keepdims=True))
+        return np.asarray(robust2_of(self.like, m.d).sum(axis=1))
 
     def find_noise2(self, m: WeighedModel) -> Array:
         """Return the squared noise of each channel: its finest level, never below its step.
@@ -401,11 +395,7 @@ class Weigher:
         parts = [(self.like, m.d)]
         if self.like_held is not None and m.away is not None:
             parts.append((self.like_held, m.away[1]))
-        rows = []
-        for like, d in parts:
-            scales2, counts = like.find_scales2(d, like.least2), like.counts
-            rows.append((counts * scales2).sum(axis=1) / counts.sum(axis=1))
-        return np.stack(rows, axis=1)
+        return np.stack([robust2_of(like, d).sum(axis=1) for like, d in parts], axis=1)
 
     def counts(self, a: WeighedModel, b: WeighedModel) -> bool:
         """Tell whether b's last name is worth saying against a: sure, seen, and sized.
@@ -427,6 +417,12 @@ class Weigher:
             return False
         seen = self.find_seen(a, b).max() > SEEN_SHARE
         return bool(seen or self.find_imprint(a, b).max() > 1.0)
+
+
+def robust2_of(like: Likelihood, d: Array) -> Array:
+    """Return the part of each level in each channel's robust mean square, SI."""
+    scales2, counts = like.find_scales2(d, like.least2), like.counts
+    return np.asarray(counts * scales2 / counts.sum(axis=1, keepdims=True))
 
 
 def find_optimism(tangent: Array, weights: Array, d: Array) -> Array:

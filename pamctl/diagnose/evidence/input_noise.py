@@ -62,18 +62,20 @@ def find_input_error2(weigher: Weigher, m: WeighedModel, stated: Mapping[str, fl
     passed = _pass_noise(
         weigher, m, {name: estimate_noise(weigher, name, stated.get(name)) for name in drivers}
     )
-    most = _bound(weigher, passed, m.d) * (CLEARLY if stated else 1.0)
+    most = _bound(weigher, passed, m.d) * (CLEARLY if {*drivers} & {*stated} else 1.0)
     return weigher.like.mean_squares(passed) * np.minimum(most, 1.0)
 
 
-def find_enough_noise(weigher: Weigher, m: WeighedModel, more2: Array) -> dict[str, float]:
+def find_enough_noise(
+    weigher: Weigher, m: WeighedModel, more2: Array, stated: Mapping[str, float]
+) -> dict[str, float]:
     """Return the deviation of a driver's noise that would add so much to each channel, by column.
 
-    `more2` are mean squares. A driver is left out whose noise would leave clearly more than the
-    model does at some time scale.
+    `more2` are mean squares. A driver is left out whose noise is stated, or would leave clearly
+    more than the model does at some time scale.
     """
     found = {}
-    for name in weigher.train.drivers:
+    for name in (name for name in weigher.train.drivers if name not in stated):
         sizes = estimate_noise(weigher, name)
         passed = _pass_noise(weigher, m, {name: sizes})
         most = _bound(weigher, passed, m.d)

@@ -140,7 +140,7 @@ class NameSearch:
             hopeful = [*hopeful[:SHORTLIST], *self._list_again(m, scored, hopeful)]
             taken = self.take(m, self.refit(m, hopeful, len(hopeful))) if hopeful else None
             if taken is None and self.weigher.is_far_off(m):
-                anew = self._begin_all(m, lambda h: h.far or h.is_effect)
+                anew = self._begin_all(m, lambda h: h.is_effect)
                 taken = self.take(m, self._polish_best(m, anew)) if anew else None
             if taken is None:
                 break

@@ -17,7 +17,6 @@ from pamctl.diagnose.evidence.input_noise import count_input_noise, find_enough_
 from pamctl.diagnose.evidence.intervals import Intervals
 from pamctl.diagnose.evidence.ladder import Finding, climb_ladder, fit_number, judge_names
 from pamctl.diagnose.evidence.likelihood import from_haar
-from pamctl.diagnose.evidence.measured_columns import find_resolution
 from pamctl.diagnose.evidence.measuring_chain import (
     begin_at_soft_end,
     free_home,
@@ -214,7 +213,7 @@ def weigh_evidence(
     noise2 = weigher.find_noise2(m)
     noise_rms = dict(zip(weigher.train.channels, map(float, np.sqrt(noise2)), strict=True))
     more2 = np.array([*gap["extended"].values()]) ** 2 / LEFT_TIMES**2 - noise2
-    enough = find_enough_noise(weigher, m, more2) if (more2 > 0.0).any() else {}
+    enough = find_enough_noise(weigher, m, more2, noise or {}) if (more2 > 0.0).any() else {}
     return EvidenceVerdict(
         tuple(findings), intervals, start, base, m, weigher, pool, gap, noise_rms, enough,
         instants, stopped_by,
@@ -326,8 +325,7 @@ def list_calibrated(
         found.append(Unknown(LOAD, 0.0, -10.0 * force, 10.0 * force, 0.1 * force))
     if "force_n" in runs.stretches[0].inputs and not runs.imposed:
         found.append(Unknown(APART_M, 0.0, -tick, tick, 0.2 * tick))
-    for channel, row in zip(runs.channels, runs.shown, strict=True):
-        step = find_resolution(row.ravel())
+    for channel, row, step in zip(runs.channels, runs.shown, runs.resolutions, strict=True):
         most = {"pressure_pa": ZERO_PA, "position_m": step}.get(channel, 1e3 * np.ptp(row))
         found.append(
             Unknown(f"{CHAIN}zero.{channel}", 0.0, -most, most, 0.2 * min(most, np.ptp(row)))

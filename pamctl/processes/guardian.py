@@ -74,6 +74,8 @@ class Listener:
         self._now_ns = now_ns
         self._beat_ns = beat_ns
         self._silent_ns = 0
+        self.heard_ns = 0
+        """How long the heart has been heard to beat, counted in the same way."""
 
     def measure_silence_ns(self, now_ns: int, beat_ns: int) -> int:
         """Look at the heartbeat; return how long it has stood still."""
@@ -82,6 +84,7 @@ class Listener:
             self._silent_ns += counted_ns
         else:
             self._silent_ns = min(max(0, now_ns - beat_ns), counted_ns)
+            self.heard_ns += counted_ns
         self._now_ns, self._beat_ns = now_ns, beat_ns
         return self._silent_ns
 
@@ -109,7 +112,7 @@ class Silence:
         self._books = CpuBooks(loop_pid)
         self._is_counting = False
         self._sleep = SleepWatch()
-        self._woke_ns: int | None = None
+        self._heard_asleep_ns: int | None = None
         self._heartbeat_ns, self._starved_ns, self._lead_ns = heartbeat_ns, starved_ns, lead_ns
 
     def find_fault(self) -> str:
@@ -119,7 +122,7 @@ class Silence:
         slept_ns = self._sleep.slept_ns()
         if slept_ns <= self._heartbeat_ns:
             return fault
-        if not fault and self._goes_on(now_ns):
+        if not fault and self._goes_on():
             fault = "the loop went on"
         return f"{fault} after the PC had slept for {slept_ns * 1e-9:.1f} s" if fault else ""
 
@@ -137,12 +140,14 @@ class Silence:
             return ""
         return f"the loop was starved: it got no CPU for {silent_ms:.0f} ms"
 
-    def _goes_on(self, now_ns: int) -> bool:
+    def _goes_on(self) -> bool:
         """Tell whether a loop still ticks, though it should have tripped: the PC has slept."""
-        if self._woke_ns is None:
-            self._woke_ns = now_ns
+        heard_ns = self._listener.heard_ns
+        if self._heard_asleep_ns is None:
+            self._heard_asleep_ns = heard_ns
         is_ticking = self._ring.loop_stage == LoopStage.TICKING and not self._ring.loop_done
-        return is_ticking and now_ns - self._woke_ns > self._heartbeat_ns + self._lead_ns
+        had_ns = self._heartbeat_ns + self._lead_ns
+        return is_ticking and heard_ns - self._heard_asleep_ns > had_ns
 
     def _count_cpu_time(self, now_ns: int, silent_ns: int) -> None:
         is_suspicious = silent_ns > 2 * _POLL_NS

@@ -115,6 +115,22 @@ def test_a_loop_that_goes_on_after_the_pc_slept_is_killed_once_it_had_its_time(
     assert looked_ms[-1] == 20 + lead_ms + 1
 
 
+def test_a_pc_that_stands_still_after_its_sleep_does_not_cost_the_loop_its_time(
+    tmp_path, monkeypatch
+):
+    """Neither loop nor guardian ran: at most two periods of looking count."""
+    looked_ns = [10**9, 10**9 + 5 * MS, 10**9 + 3000 * MS, 10**9 + 3005 * MS]
+    now = SimpleNamespace(ns=looked_ns[0])
+    monkeypatch.setattr(SleepWatch, "slept_ns", lambda watch: 20_000_000_000)
+    monkeypatch.setattr(guardian, "time", SimpleNamespace(monotonic_ns=lambda: now.ns))
+    with Ring.create(tmp_path / "a.ring", meta(tmp_path / "a.mcap"), rows=256) as ring:
+        silence = Silence(ring, 0, 100 * MS, 0)
+        ring.loop_stage = LoopStage.TICKING
+        for now.ns in looked_ns:
+            ring.loop_beat_ns = now.ns
+            assert not silence.find_fault()
+
+
 def test_a_calibration_over_which_the_pc_slept_ends(monkeypatch):
     settings = resolve(overrides=[f"rig.sim.device={DEVICE}"])
     with open_workplace(settings) as bench:

@@ -33,8 +33,13 @@ static void add(struct timespec *t, int64_t ns) {
     t->tv_nsec = sum % 1000000000LL;
 }
 int clock_gettime(clockid_t clock, struct timespec *t) {
-    int failed = syscall(SYS_clock_gettime, clock, t);
-    if (!failed && clock == CLOCK_MONOTONIC) add(t, -*shift_ns);
+    int failed;
+    int64_t shifted_ns;
+    do {  /* again, if the sleep came between the two */
+        shifted_ns = *shift_ns;
+        failed = syscall(SYS_clock_gettime, clock, t);
+    } while (shifted_ns != *shift_ns);
+    if (!failed && clock == CLOCK_MONOTONIC) add(t, -shifted_ns);
     return failed;
 }
 int clock_nanosleep(clockid_t clock, int flags, const struct timespec *until,

@@ -8,8 +8,7 @@ only fine residuals decide.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -136,21 +135,6 @@ class Weigher:
             one[:] = 0.0
             one[c] = -1.0
             self._zeros[f"{CHAIN}zero.{channel}"] = to_haar(one)
-
-    @contextmanager
-    def apart(self) -> Iterator[None]:
-        """Simulate each block by the other's measured signal, until this is left."""
-        parts = [runs for runs in (self.train, self.held_out) if runs is not None]
-        try:
-            self._set_apart(parts, True)
-            yield
-        finally:
-            self._set_apart(parts, False)
-
-    def _set_apart(self, parts: Sequence[Runs], is_apart: bool) -> None:
-        for runs in parts:
-            runs.set_apart(is_apart)
-        self.forget_responses()
 
     def forget_responses(self) -> None:
         """Drop what hypotheses did to simulations that are not made like that any more."""

@@ -9,9 +9,8 @@ from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
 ASKED, FITTED = 6.5, 550
 """Simulations for each hypothesis until nothing is found, and for the fits of each finding. Of 20
 rigs of several kinds 18 took between half and twice of what is foretold for what was found."""
-DEARER, APART = 2.0, 4.0
-"""Times the first fit's: a simulation for a finding, with its tangent. Times a finding's fits:
-where the blocks are asked apart, and then together."""
+DEARER = 2.0
+"""Times the first fit's: a simulation for a finding, with its tangent."""
 JUDGED = 0.6
 """Times the search: the last round, which finds nothing, and the fits of rivals."""
 
@@ -20,14 +19,11 @@ def foretell(weigher: Weigher, base: WeighedModel, asked: int, fit_s: float) -> 
     """Say how long the search will take, from what a simulation of the first fit took."""
     none_s, each_s = ASKED * asked * fit_s, DEARER * FITTED * fit_s
     is_much = weigher.is_much_left(base)
-    line = (
+    return (
         f"recalibrated{', and much is left' if is_much else ''}; about {none_s:.0f} s of processor "
         f"time if nothing is missing, {none_s + each_s:.0f} s if one thing is, and {each_s:.0f} s "
         "for each further one, found or exchanged"
     )
-    if is_much and weigher.train.may_be_apart:
-        line += f"; {APART * each_s:.0f} s for each where two leave much (blocks are asked alone)"
-    return line
 
 
 def foretell_more(weigher: Weigher, m: WeighedModel, round_s: float) -> str:

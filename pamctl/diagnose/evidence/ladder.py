@@ -261,10 +261,7 @@ def _may_be_none(
 def _judge_rivals(
     search: NameSearch, without: WeighedModel, m: WeighedModel, mine: Hypothesis, own: Array
 ) -> list[JudgedRival]:
-    """Fit what may stand in a name's stead; `own` is what the name gains, by block.
-
-    What another search found in its stead is a rival too: its model is fitted already.
-    """
+    """Fit what may stand in a name's stead; `own` is what the name gains, by block."""
     weigher, pool, gain = search.weigher, search.pool, float(own.sum())
     asked = [n for n in pool if n != mine.name and _may_rival(search, n, mine)]
     scored = _choose_rivals(search, search.score(without, asked), mine)
@@ -280,11 +277,9 @@ def _judge_rivals(
     for close in [r for r in rivals if weigher.leave_out(r).total < least]:
         weigher.settle(close, 4)  # as the model was: on a ridge a fit goes on for long
     weigher.meet(without, m)
-    judged, asked_of = list[JudgedRival](), [(rival, rival.names[-1]) for rival in rivals]
-    if search.other is not None and mine.name not in search.other.names:
-        asked_of += [(search.other, n) for n in search.other.names if n not in m.names]
-    for rival, name in asked_of:
-        its, lead = pool[name], weigher.leave_out(rival).left_out - m.left_out
+    judged = list[JudgedRival]()
+    for rival in rivals:
+        its, lead = pool[rival.names[-1]], weigher.leave_out(rival).left_out - m.left_out
         beaten, extra = _is_beaten(weigher, rival, m, lead, gain), len(rival.x) - len(m.x)
         idle = 0 if beaten or lead.sum() <= -extra else max(extra, 0)
         beaten |= idle > 0

@@ -73,8 +73,6 @@ class NameSearch:
         self.weigher, self.pool, self.tell = weigher, pool, tell
         self.found: WeighedModel | None = None
         """The best model so far, for a search that is interrupted."""
-        self.other: WeighedModel | None = None
-        """The model of the search that did less well, where there were two."""
         self.best_scores: dict[str, float] = {}
         """The best gain that each hypothesis of a shortlist promised in any round."""
         self.best_fits: dict[str, float] = {}
@@ -82,37 +80,6 @@ class NameSearch:
         self._scored: dict[frozenset[str], list[EvidenceScore]] = {}
         self._without: dict[tuple[object, ...], WeighedModel] = {}
         self._fitted: dict[frozenset[str], WeighedModel] = {}
-
-    def run(self, base: WeighedModel) -> WeighedModel:
-        """Return the model that nothing improves.
-
-        What one block of the plant lacks moves the other too, and several large gaps stand in for
-        each other. So where two names leave much, the names are searched with each block driven by
-        the other's measured signal, and from there with both simulated. Only where that leaves much
-        too, without the two names, the search goes on from them, and the better of both stands.
-        """
-        two = self.improve(base, most=2)
-        if not (self.weigher.train.may_be_apart and self.weigher.is_much_left(two)):
-            return self._go_on(base, two)
-        self.tell("much is left: asking again, each block driven by the other's measured signal")
-        m = self.improve(base, self.search_apart(base))
-        if self.weigher.is_much_left(m) and not {*two.names} <= {*m.names}:
-            self.tell("much is left: going on from the first explanations, too")
-            other = self._go_on(base, two)
-            m, self.other = sorted((m, other), key=self.weigher.weigh_alone)
-        return m
-
-    def _go_on(self, base: WeighedModel, m: WeighedModel) -> WeighedModel:
-        return self.improve(base, m) if m.names else m
-
-    def search_apart(self, base: WeighedModel) -> WeighedModel:
-        """Return a model of the names that are found with the blocks apart, fitted with both."""
-        weigher, plain = self.weigher, _begin_anew(base, {})
-        with weigher.apart():
-            search = NameSearch(weigher, self.pool, self.tell)
-            alone = weigher.settle(plain, FIT_STEPS)
-            m = search.improve(alone)
-        return weigher.settle(WeighedModel(m.names, m.numbers, m.held, m.x, m.picked), FIT_STEPS)
 
     def improve(
         self, base: WeighedModel, m: WeighedModel | None = None, most: int = MOST_NAMES
@@ -388,14 +355,14 @@ class NameSearch:
     def exchange(self, base: WeighedModel, m: WeighedModel) -> WeighedModel:
         """Drop names that count no longer, or put others in their place, while that helps.
 
-        Of a plant of one block, where much is left, all stay until the end: no other search is
-        done, and what is not in the model yet may hide what a name is worth.
+        Of a plant of one block, where much is left, all stay until the end: what is not in the
+        model yet may hide what a name is worth.
         """
         weigher = self.weigher
         for round_ in range(3 if len(m.names) > 1 else 0):
             weigher.meet(base, m)
             whole = base.total - m.total
-            is_lost = not weigher.train.may_be_apart and weigher.is_much_left(m)
+            is_lost = not weigher.train.has_two_blocks and weigher.is_much_left(m)
             for name in m.names if round_ else m.names[:-1]:
                 without = self.drop(m, name)
                 loss = without.total - m.total

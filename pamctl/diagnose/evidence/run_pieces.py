@@ -1,9 +1,8 @@
 """The records, as blocks of samples with masks, and the simulation of all their sensors.
 
-A muscle or a chamber runs from the command. Where a search asks for it, each of its blocks runs by
-the other's measured signal. A mechanism runs from the measured force: freely where its spring lets
-it forget, else in windows. Where something else moves an axis, the equation gives the force. What a
-hypothesis of the measuring chain does is done to the simulated readings.
+A muscle or a chamber runs from the command. A mechanism runs from the measured force: freely where
+its spring lets it forget, else in windows. Where something else moves an axis, the equation gives
+the force. What a hypothesis of the measuring chain does is done to the simulated readings.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ from pamctl.diagnose.evidence.measured_columns import (
 )
 from pamctl.diagnose.evidence.pool import CHAIN
 from pamctl.log.record_problems import find_frozen
-from pamctl.plant.drive import NO_RESTARTS, Restarts, drive_coupled, drive_mechanics, drive_pressure
+from pamctl.plant.drive import NO_RESTARTS, Restarts, drive_coupled, drive_mechanics
 from pamctl.plant.effects.description import ACTUATORS
 from pamctl.plant.parameters import (
     ACTUATOR,
@@ -76,15 +75,6 @@ LATE_M, CLOCK_M = f"{CHAIN}late.position_m", f"{CHAIN}clock.position_m"
 """When a position is read: a window begins with the state of another instant."""
 APART_M = f"{CHAIN}apart.position_m"
 """Force and position of one row are read up to a sample apart, or the force is held between."""
-UNDONE = (
-    f"{CHAIN}atmosphere",
-    *(
-        f"{CHAIN}{done}.{c}"
-        for done in ("factor", "late", "clock", "cross")
-        for c in ("position_m", "pressure_pa")
-    ),
-)
-"""What is undone in a measured signal that drives the other block."""
 FAR = 1e4
 """What a simulation shows where the plant leaves the range of its model."""
 
@@ -184,7 +174,7 @@ class Runs:
 
         Held-out records are simulated `like` those that are fitted, `jobs` records side by side.
         """
-        self.jobs, self.is_apart = jobs, False
+        self.jobs = jobs
         self.actuator = ACTUATORS[round(plant.get(ACTUATOR, 0.0))]
         self.period_s = float(np.median([np.median(np.diff(r.t_s)) for r in records or ()]))
         motion = judge_motion(records, self.actuator, self.period_s)
@@ -242,13 +232,9 @@ class Runs:
         return view
 
     @property
-    def may_be_apart(self) -> bool:
-        """Whether all is measured that each block of the plant gets from the other."""
+    def has_two_blocks(self) -> bool:
+        """Whether what is measured shows both blocks of the plant, mechanics and air."""
         return self.channels == ("position_m", "pressure_pa")
-
-    def set_apart(self, is_apart: bool) -> None:
-        """Drive each block by the other's measured signal from now on, or by the simulated one."""
-        self._whole.is_apart, self._whole._last = is_apart, None
 
     @property
     def whole(self) -> Runs:
@@ -400,10 +386,8 @@ class Runs:
         early: tuple[str, ...] = ("valve_v", "t_s", ADDED_PA, ADDED_M)
         if self.windowed:
             early += (LATE_M, CLOCK_M, APART_M)
-        if self._whole.is_apart:
-            early += UNDONE
         command = {k: v for k, v in chain.items() if k.endswith(early)}
-        key = (step_s, self._whole.is_apart, *sorted((plain | command).items()))
+        key = (step_s, *sorted((plain | command).items()))
         last = self._whole._last
         if last is None or last[0] != key:
             rows = self._drive(parameters_of(plain), step_s, command)
@@ -443,38 +427,15 @@ class Runs:
             start = self._start(p, stretch, command)
             response = drive_mechanics(p, inputs["pressure_pa"], grid, start=start)
             return response.position_m[None]
-        commands = recorded_v = inputs["valve_v"]
+        commands = inputs["valve_v"]
         if command:
             commands = commands * command.get(f"{CHAIN}factor.valve_v", 1.0)
             when_s = grid.samples_s * (1.0 + command.get(f"{CHAIN}clock.valve_v", 0.0))
             when_s = when_s + command.get(f"{CHAIN}late.valve_v", 0.0)
             commands = np.interp(when_s, grid.samples_s, commands)
         start = self._start(p, stretch, command)
-        if not self._whole.is_apart:
-            coupled = drive_coupled(p, commands, grid, start=start)
-            return np.stack([getattr(coupled, channel) for channel in self.channels])
-        read = [
-            self._undo_chain(row, channel, recorded_v, grid.samples_s, command)
-            for row, channel in zip(stretch.shown, self.channels, strict=True)
-        ]
-        moved = drive_mechanics(p, read[1], grid, start=start)
-        filled = drive_pressure(p, commands, read[0], grid, start=start)
-        return np.stack([moved.position_m, filled.pressure_pa])
-
-    def _undo_chain(
-        self, shown: Array, channel: str, commands_v: Array, when_s: Array,
-        chain: Mapping[str, float],
-    ) -> Array:  # fmt: skip
-        """Return what a sensor read behind what was done to its readings; no zero is undone."""
-        read = shown - chain.get(f"{CHAIN}added.{channel}", 0.0)
-        read = read - chain.get(f"{CHAIN}cross.{channel}", 0.0) * commands_v
-        if channel == "pressure_pa" and f"{CHAIN}atmosphere" in chain:
-            read = read - self._atmosphere_pa + chain[f"{CHAIN}atmosphere"]
-        late_s = chain.get(f"{CHAIN}late.{channel}", 0.0)
-        rate = 1.0 + chain.get(f"{CHAIN}clock.{channel}", 0.0)
-        if late_s or rate != 1.0:
-            read = _read_at((when_s + late_s) / rate, when_s, read)
-        return np.asarray(read / chain.get(f"{CHAIN}factor.{channel}", 1.0))
+        coupled = drive_coupled(p, commands, grid, start=start)
+        return np.stack([getattr(coupled, channel) for channel in self.channels])
 
     def _start(self, p: PlantParameters, stretch: RunPiece, chain: Mapping[str, float]) -> Any:
         """Return the first state; None for a vented muscle. Friction may hold a piston anywhere."""

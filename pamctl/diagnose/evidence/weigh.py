@@ -191,12 +191,12 @@ def weigh_evidence(
     search, stopped_by = NameSearch(weigher, pool, tell), None
     try:
         tell(foretell(weigher, base, len(pool), fit_s))
-        m = search.improve(base) if instants else search.run(base)
+        m = search.improve(base)
         if instants:
             tell("fitting when the commands acted, beside what was found; then asking again")
             base = _refit_instants(weigher, instants, m, base)
             search = NameSearch(weigher, pool, tell)
-            m = search.run(base)
+            m = search.improve(base)
         count_input_noise(weigher, m, noise)
         m, findings, intervals = judge_names(search, base, m)
     except KeyboardInterrupt as interrupt:

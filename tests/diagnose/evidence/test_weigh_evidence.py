@@ -8,7 +8,6 @@ from hidden.excitations import PROGRAMS
 from hidden.rig import Record, hidden_rig
 
 from pamctl.diagnose.evidence import intervals, weigh_evidence
-from pamctl.diagnose.evidence.constants import FINE_STEP_S
 from pamctl.diagnose.evidence.intervals import find_intervals
 from pamctl.diagnose.evidence.ladder import judge_names
 from pamctl.diagnose.evidence.name_search import NameSearch, list_at_range
@@ -86,50 +85,6 @@ def test_a_turned_column_is_seen_beside_two_gaps_that_hide_it_from_the_first_loo
     assert left[0] < 0.01
 
 
-def test_what_the_air_lacks_hardly_moves_the_position_while_the_blocks_are_apart():
-    weigher, start = prepare_weigher(records_of({"chamber_leak": 10}, 40718)[0], [], PAPER)
-    before, together = weigher.find_residual(start.values), weigher.settle(replace(start))
-    with weigher.apart():
-        apart = weigher.settle(replace(start))
-    left = np.sqrt(weigher.like.mean_squares(apart.d) / weigher.like.mean_squares(together.d))
-    assert left[0] < 0.2
-    assert left[1] > 0.5
-    np.testing.assert_array_equal(weigher.find_residual(start.values), before)
-
-
-def test_names_that_are_found_apart_are_fitted_with_the_whole_plant():
-    effects = {"chamber_leak": 10, "cubic_stiffness": 5}
-    weigher, start = prepare_weigher(records_of(effects, 40722)[0], [], PAPER)
-    listed = list_pool(weigher.train, weigher.base, PAPER)
-    asked = "chamber_leak", "cubic_stiffness", "supply_droop", "creep"
-    search = NameSearch(weigher, {h.name: h for h in listed if h.name in asked})
-    base = weigher.settle(start)
-    found = search.search_apart(base)
-    assert {*found.names} == {*effects}
-    assert not weigher.is_much_left(found)
-    np.testing.assert_allclose(found.d, weigher.find_residual(found.values, FINE_STEP_S))
-
-
-def test_blocks_that_are_apart_take_signals_without_what_was_done_to_them():
-    (plain, *_), _ = records_of({}, 40719)
-    late = 3
-    shown_m, shown_pa = np.asarray(plain.position_m), np.asarray(plain.pressure_pa)
-    done = replace(
-        plain,
-        position_m=-np.concatenate([np.full(late, shown_m[0]), shown_m[:-late]]),
-        pressure_pa=shown_pa + 1e5,
-    )
-    chain = {"~factor.position_m": -1.0, "~late.position_m": 3e-3, "~added.pressure_pa": 1e5}
-    rms = []
-    for record, values in (plain, {}), (done, chain), (done, {}):
-        weigher, start = prepare_weigher([record], [], PAPER)
-        with weigher.apart():
-            off = weigher.find_residual({**start.values, **values})
-        rms.append(np.sqrt(np.mean(off**2, axis=(1, 2))))
-    np.testing.assert_allclose(rms[1], rms[0], rtol=0.1)
-    assert (rms[2] > 3.0 * rms[0]).all()
-
-
 def test_a_rival_that_is_ahead_takes_the_place_of_what_was_found():
     weigher, start = prepare_weigher(records_of({"coulomb_friction": 5}, 40720)[0], [], PAPER)
     asked = "coulomb_friction", "spring_hysteresis", "creep"
@@ -166,29 +121,6 @@ def test_intervals_are_wider_where_much_is_left_and_not_where_noise_is_left(monk
         low, high = found["stiffness_n_per_m"]
         ratio = (high - low) / (narrow["stiffness_n_per_m"][1] - narrow["stiffness_n_per_m"][0])
         assert ratio > 1.5 if is_wider else 1.0 <= ratio < 1.4  # a part of the noise is slow
-
-
-def test_what_another_search_found_in_its_stead_is_a_rival_of_a_name():
-    weigher, start = prepare_weigher(records_of({"encoder_scale": 3}, 40722)[0], [], PAPER)
-    pool = {h.name: h for h in list_pool(weigher.train, weigher.base, PAPER)}
-    asked = "encoder_scale", "rest_length"
-    search = NameSearch(weigher, {name: pool[name] for name in asked})
-    base = weigher.settle(start)
-    weigher.set_floor(base)
-    weigher.leave_out(base)
-    scale, cap = (search.refit(base, search.score(base, [name]), 1)[0] for name in asked)
-    _, alone, narrow = judge_names(search, base, weigher.settle(scale))
-    search.other = weigher.settle(cap)
-    _, beside, wide = judge_names(search, base, weigher.settle(scale))
-    assert [(f.name, f.level) for f in (*alone, *beside)] == [
-        ("encoder_scale", "name"), ("encoder_scale", "set"),
-    ]  # fmt: skip
-    assert [h.name for h in beside[0].rivals] == ["rest_length"]
-    there = search.other.values["braid_length_m"]
-    is_inside = [
-        low <= there <= high for low, high in (i["braid_length_m"] for i in (narrow, wide))
-    ]
-    assert is_inside == [False, True], "a number is known as far as the two agree"
 
 
 def test_what_stands_at_its_range_is_asked_what_it_becomes_from_where_the_model_stands():

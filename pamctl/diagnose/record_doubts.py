@@ -12,7 +12,7 @@ from pamctl.base.errors import Problem
 from pamctl.base.texts import count_of
 from pamctl.diagnose.record import CHANNELS, Array, Record, estimate_white_noise
 from pamctl.diagnose.time_shifts import check_time_shifts, find_usual_ends
-from pamctl.log.importing.plausibility import is_switched
+from pamctl.log.importing.command_range import is_switched
 from pamctl.log.record_problems import find_record_problems, find_sensor_step, measured_columns
 from pamctl.log.row_problems import Flags, RecordProblem
 from pamctl.plant.effects.description import USED_SIGNALS

@@ -7,7 +7,6 @@ overrule. No advice says which way round a rig works: that is asked.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 import numpy as np
 
@@ -26,7 +25,8 @@ from pamctl.log.importing.column_roles import (
     ChosenColumns,
     names_quantity,
 )
-from pamctl.log.importing.headers import NEED_A_GAIN, UNITS
+from pamctl.log.importing.command_range import Doubt, doubt_command
+from pamctl.log.importing.headers import NEED_A_GAIN
 from pamctl.log.importing.measured_table import Floats, Ints, TableColumn
 from pamctl.log.importing.shown_map import NEVER_ABSOLUTE_PA
 from pamctl.log.record_problems import find_record_problems, measured_columns
@@ -172,11 +172,7 @@ def judge_sign(quantities: Mapping[str, Floats], findings: LogFindings) -> None:
         )
 
 
-_Doubt = tuple[str, str, dict[str, Any]]
-"""What is doubtful; the column's name, and its keys in a map, that would mend it."""
-
-
-def _doubt_quantity(part: ColumnMap, column: TableColumn | None) -> list[_Doubt]:
+def _doubt_quantity(part: ColumnMap, column: TableColumn | None) -> list[Doubt]:
     """Return the doubt that a column has the unit of another quantity, and no gain turns it."""
     header = column.header if column else None
     if not (column and header) or abs(getattr(part, "gain", 1.0)) != 1.0:
@@ -196,7 +192,7 @@ def _doubt_quantity(part: ColumnMap, column: TableColumn | None) -> list[_Doubt]
     return [(f"{said}: are two columns exchanged? Only a gain makes {part.unit} of it", "", {})]
 
 
-def _doubt(part: ColumnMap, values: Floats) -> Iterator[_Doubt]:
+def _doubt(part: ColumnMap, values: Floats) -> Iterator[Doubt]:
     """Yield what is doubtful of values in SI, at most once."""
     low, high = float(values.min()), float(values.max())
     if isinstance(part, TimeMap):
@@ -206,7 +202,7 @@ def _doubt(part: ColumnMap, values: Floats) -> Iterator[_Doubt]:
         elif every_s > LONGEST_PERIOD_S:
             yield f"is the time in ms, with a row every {every_s:.6g} s?", "time_ms", {"unit": "ms"}
     elif isinstance(part, ValveMap):
-        yield from _doubt_valve(part, values, low, high)
+        yield from doubt_command(part, values)
     elif part.quantity == "position_m" and max(-low, high) > 0.5:
         unit = "mm" if max(-low, high) < 1e3 else "um"
         yield f"is this {unit}?", f"position_{unit}", {"unit": unit}
@@ -219,35 +215,3 @@ def _doubt(part: ColumnMap, values: Floats) -> Iterator[_Doubt]:
     elif part.quantity == "pressure_pa" and low < NEVER_ABSOLUTE_PA:
         below = "below the atmosphere's; is this gauge pressure?"
         yield below, "pressure_gauge_...", {"gauge": True}
-
-
-def _doubt_valve(part: ValveMap, values: Floats, low: float, high: float) -> Iterator[_Doubt]:
-    if is_switched(values) or (low == high and high > 4.0):
-        yield (
-            "a valve that switches? The file does not say which level fills. In the map, gain and "
-            "offset must turn the level that fills into 5 V, the one that exhausts into -5 V, and "
-            "one that closes into 0 V",
-            "",
-            {},
-        )
-    elif low >= -0.05 and high < 10.5 and (high > 5.05 or 4.0 < np.median(values) < 6.0):
-        yield (
-            "are these the driver's 0..10 V, where 5 V closes and more fills? The command is "
-            "-5..5 V; map it with offset: -5.0",
-            "",
-            {"offset": part.offset - 5.0 / UNITS["valve_v"][part.unit]},
-        )
-    elif max(-low, high) > 5.05:
-        within = "the command is within -5..5 V; gain and offset in the map turn it into that"
-        yield f"{within}, or another column is the command", "", {}
-
-
-def is_switched(volts: Floats) -> bool:
-    """Tell whether a voltage, shape (n,), is switched: 0 V and one or two levels, maybe noisy."""
-    low, high = np.quantile(volts, (0.002, 0.998))
-    if high < 3.0 or abs(low) > 0.05 * high:
-        return False
-    counts = np.histogram(volts, 40, (low - 0.0625 * high, high + 0.0625 * high))[0]
-    busy = counts > 0.01 * len(volts)
-    levels = np.count_nonzero(np.diff(busy.astype(np.int8), prepend=0) == 1)
-    return bool(levels <= 3 and busy.sum() <= 2 * levels and counts[busy].sum() > 0.95 * len(volts))

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from pamctl.log.importing.column_map import KEYS, quote, write_key
+from pamctl.log.importing.column_map import KEYS, ValveMap, describe_part, quote, write_key
+from pamctl.log.importing.command_range import doubt_command
 from pamctl.log.importing.headers import CURRENTS, NAMES, TIME, UNITS, explain_angle, split_words
 from pamctl.log.importing.measured_table import ImportRefused, MapWanted, MeasuredTable, TableColumn
 
@@ -47,7 +48,9 @@ def refuse(
     for quantity, named in found.items():
         usable = [column for column in named if not column.is_text]
         if quantity in settled:
-            lines.append(write_key(KEYS[quantity], settled[quantity]))
+            lines.append(
+                _write_in_range(table.find(settled[quantity]["column"]), settled[quantity])
+            )
         elif quantity == TIME and not any(column.header.unit for column in usable):
             lines.append(_propose_time(table, usable or table.columns))
         else:
@@ -124,7 +127,7 @@ def _propose(table: MeasuredTable, column: TableColumn, *, is_first: bool) -> st
         if header.is_gauge is None and header.unit:
             keys["gauge"] = find_lowest_pa(column) < NEVER_ABSOLUTE_PA
             remark = f"or gauge: {str(not keys['gauge']).lower()}; the file does not say"
-    line = write_key(KEYS[header.quantity], keys, remark)
+    line = _write_in_range(column, keys, remark)
     if (angle := explain_angle(header.said_unit)) and header.quantity == "position_m":
         return f"# {line}  # {angle}"
     if scale := _propose_scale(column):
@@ -136,6 +139,17 @@ def _propose(table: MeasuredTable, column: TableColumn, *, is_first: bool) -> st
         per = f" per {header.said_unit}" if header.said_unit else ""
         return f"# {line}  # its unit is not known: write unit, or gain ({unit}{per}) and offset"
     return line if is_first else f"# {line}  # or this one"
+
+
+def _write_in_range(column: TableColumn, keys: Mapping[str, Any], remark: str = "") -> str:
+    """Return a column's line; volts of a driver get what makes the command of them, and why."""
+    quantity = column.header.quantity
+    if quantity == "valve_v" and column.header.unit:
+        part = ValveMap.model_validate(keys)
+        values = UNITS[quantity][part.unit] * column.values
+        for doubt, _, change in doubt_command(part, values[np.isfinite(values)]):
+            keys, remark = describe_part(part.model_copy(update=change)), doubt
+    return write_key(KEYS[quantity], keys, remark)
 
 
 _SPANS_OF_A_COMMAND = {"ma": ((4.0, 20.0), (0.0, 20.0)), "%": ((0.0, 100.0), (-100.0, 100.0))}

@@ -151,9 +151,7 @@ def test_a_unit_asks_for_a_missing_pressure_whatever_its_name_is(tmp_path, parse
     shown = Outcome(source).stderr.split("such as:\n")[1]
     assert "  pressure: {column: 'Muscle Press', unit: psi, gauge: true}" in shown
     assert "other columns" not in shown
-    refused = import_with(source, shown.split("A map says")[0].replace("  ", ""))
-    assert "offset: -5.0" in refused.said["error", "unit"]
-    done = follow(refused, source)
+    done = import_with(source, shown.split("A map says")[0].replace("  ", ""))
     np.testing.assert_allclose(done.signals.pressure_pa[3], 101300.0 + 3 * 6894.757)
 
 
@@ -181,6 +179,25 @@ def test_columns_that_a_map_exchanges_are_refused_by_the_units_of_the_file(
     assert "'Stroke' says in, a unit of position_m" in said
     assert "is this mm?" not in said
     assert import_with(source, text, "--accept-units").code == 0
+
+
+@pytest.mark.parametrize(
+    ("command", "shown"),
+    [
+        (5.0 + 4.0 * WAVE, "offset: -5.0}  # are these the driver's 0..10 V"),
+        (8.0 * WAVE, "gain: 0.5}  # are these the driver's -10..10 V"),
+    ],
+)
+@pytest.mark.parametrize("name", ["Valve [V]", "U_servo [V]"])
+def test_the_first_map_that_is_shown_turns_the_volts_of_a_driver_into_the_command(
+    tmp_path, name, command, shown
+):
+    columns = {"t_s": T_S, name: command, "Position [mm]": 1e3 * POSITION_M, "p [bar]": BAR}
+    refused = Outcome(write_csv(tmp_path / "a.csv", columns))
+    assert shown in refused.stderr
+    text = refused.stderr.split("such as:\n")[1].replace("  ", "")
+    done = import_with(tmp_path / "a.csv", text)
+    np.testing.assert_allclose(done.signals.valve_v, 4.0 * WAVE, atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -274,8 +274,10 @@ class AuditOptions(PlantOptions):
     """`pamctl audit`."""
 
     what: str = argument(
-        "EXPERIMENT|LOG", "Name of an experiment, experiment file (.yaml) or log (.mcap)"
+        "EXPERIMENT|LOG",
+        "Name of an experiment, experiment file (.yaml), or log as `pamctl diagnose` reads it",
     )
+    map_path: Path | None = MAP
     verbose: bool = flag("--verbose", "Say why each effect cannot be shown")
 
 
@@ -289,7 +291,7 @@ def audit(asked: AuditOptions) -> None:
     from pamctl.diagnose.audit import audit_run
     from pamctl.diagnose.report.next_experiment import write_advice
 
-    record = _make_record(asked.what, asked.plant)
+    record = _make_record(asked)
     found = audit_run(record, plant)
     runs_here = plant.actuator == "muscle" and not record.is_imported
     has_pressure = record.pressure_pa is not None
@@ -299,17 +301,21 @@ def audit(asked: AuditOptions) -> None:
     print_report(report_audit(found, advise, verbose=asked.verbose), as_json=asked.as_json)
 
 
-def _make_record(what: str, plant: str | None) -> Record:
-    if Path(what).suffix == ".mcap":
-        from pamctl.diagnose.read_record import record_of
-
-        return record_of(what)
+def _make_record(asked: AuditOptions) -> Record:
+    """Read a log or a measured file; simulate an experiment, which is a name or a YAML file."""
+    what, path = asked.what, Path(asked.what)
+    if (
+        asked.map_path
+        or path.suffix == ".mcap"
+        or (path.is_file() and path.suffix not in (".yaml", ".yml"))
+    ):
+        return read_records([path], asked.map_path)[0]
     find_argument_file("experiment", what)  # its error names what the user typed
     from pamctl.diagnose import Record
     from pamctl.offline.closed_loop import simulate_run
     from pamctl.settings.resolve import resolve
 
-    run = simulate_run(resolve(experiment=what, plant=plant))
+    run = simulate_run(resolve(experiment=what, plant=asked.plant))
     return Record(
         Path(what).stem,
         run.t_s,

@@ -109,6 +109,18 @@ def test_an_audit_has_a_word_for_every_effect_of_the_catalogue(plant, folder):
     assert why == "this plant and its records have nothing that it acts on"
 
 
+def test_an_audit_reads_a_measured_file_and_its_map_as_a_diagnosis_does(folder):
+    plant = ("--plant", folder / "chamber.yaml")
+    other = folder / "other.asc"
+    rows = (folder / "chamber.csv").read_text().splitlines()
+    other.write_text("\n".join(["a,b,c", *rows[1:]]))
+    keys = "time: {column: a}\nvalve: {column: b}\npressure: {column: c, unit: Pa, gauge: false}\n"
+    (folder / "map.yaml").write_text(keys)
+    of_log = invoke("audit", folder / "chamber.mcap", *plant)
+    assert invoke("audit", folder / "chamber.csv", *plant) == of_log
+    assert invoke("audit", other, "--map", folder / "map.yaml", *plant) == of_log
+
+
 @pytest.fixture(scope="module")
 def of_a_muscle() -> Any:
     return invoke("audit", "diagnosis")

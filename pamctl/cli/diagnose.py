@@ -349,8 +349,11 @@ def report_audit(found: Audit, advise: Callable[[str], str], *, verbose: bool) -
         if rows:
             report.add(Section(heading), Points(items))
         for name, _, _, experiment in rows:
-            adds.setdefault(experiment, []).append(name)
-    advice = [f"add: {advise(e)}  # for {', '.join(adds[e])}" for e in sorted(adds) if e]
+            adds.setdefault(advise(experiment) if experiment else "", []).append(name)
+    advice = [f"add: {what}  # for {', '.join(adds[what])}" for what in sorted(adds) if what]
+    if found.is_covered:
+        way_on = "first let `pamctl diagnose` find what is missing, then audit with its plant.yaml"
+        report.add(Section("what the plant leaves unexplained hides effects"), Points([way_on]))
     if advice:
         report.add(Section("experiments that do"), Points(advice))
     if not verbose and (spots or unasked):

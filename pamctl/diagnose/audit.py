@@ -40,6 +40,9 @@ INERT = 1e-12
 WHOLE = ("muscle", "cylinder")
 """Actuators with valve and motion: records may drive a part of them. What another one's records do
 not drive it does not have."""
+FULL_STEPS = ("square-1", "squares-apart")
+MOST_TURNS_HZ = 2.5
+"""Of steps that are held: square-1 has two turns a second."""
 SINGULAR = 1e-9
 ROOM = 1e-6
 """Scales; a number at its range has a little room, or there would be no range."""
@@ -102,14 +105,22 @@ class Audit:
     inseparable: tuple[Inseparable, ...]
     unasked: tuple[tuple[str, str], ...] = ()
     """The other effects of the catalogue, and why they are not asked."""
+    is_covered: bool = False
+    """The model leaves so much of the record that this hides effects, and not the noise."""
 
-    def advise_beyond(self, experiment: str) -> Audit:
+    def advise_beyond(self, *run: str) -> Audit:
         """Return the same findings; no advice repeats an experiment that was run already."""
-        spots = (
-            replace(s, experiment="") if s.experiment == experiment else s for s in self.blind_spots
+        spots = tuple(
+            replace(s, experiment="") if s.experiment in run else s for s in self.blind_spots
         )
-        pairs = (_advise_pair(pair.names, experiment) for pair in self.inseparable)
-        return Audit(self.sees, tuple(spots), tuple(pairs), self.unasked)
+        pairs = tuple(_advise_pair(pair.names, *run) for pair in self.inseparable)
+        return replace(self, blind_spots=spots, inseparable=pairs)
+
+    def advise_nothing(self) -> Audit:
+        """Return the same findings; no experiment would show more."""
+        spots = tuple(replace(spot, experiment="") for spot in self.blind_spots)
+        pairs = tuple(replace(pair, experiment="") for pair in self.inseparable)
+        return replace(self, blind_spots=spots, inseparable=pairs)
 
     def as_dict(self) -> dict[str, object]:
         """Return plain values, for `--json`."""
@@ -122,6 +133,7 @@ class Audit:
                 for p in self.inseparable
             ],
             "unasked": [{"name": name, "why": why} for name, why in self.unasked],
+            "covered": self.is_covered,
         }
 
 
@@ -135,7 +147,22 @@ def audit_run(record: Record, plant: PlantSettings) -> Audit:
         weigher, start = prepare_weigher([record], (), plant)
     except ValueError as error:
         raise BadData(str(error)) from None
-    return audit_model(weigher, weigher.settle(start)).advise_beyond(record.experiment)
+    found = audit_model(weigher, weigher.settle(start))
+    if found.is_covered:
+        return found.advise_nothing()
+    is_known = record.is_imported and _holds_full_steps(record)
+    return found.advise_beyond(record.experiment, *(FULL_STEPS if is_known else ()))
+
+
+def _holds_full_steps(record: Record) -> bool:
+    """Tell whether a record has steps of the largest command up and down, each held for long."""
+    if record.valve_v is None:
+        return False
+    sizes = np.abs(record.valve_v)
+    turns = np.count_nonzero(np.diff(np.sign(record.valve_v[sizes > 0.5 * sizes.max()])))
+    return bool(
+        np.mean(sizes > 0.9 * sizes.max()) >= 0.5 and 2 <= turns <= MOST_TURNS_HZ * record.t_s[-1]
+    )
 
 
 def audit_evidence(found: EvidenceVerdict, *, pairs: bool = True) -> Audit:
@@ -170,8 +197,10 @@ def audit_model(weigher: Weigher, m: WeighedModel, *, pairs: bool = True) -> Aud
     sees = tuple(n for n, power in powers.items() if power > 1.0 and n not in not_fitted)
     free = {number.name for number in m.numbers}
     held = {name for name, value in weigher.base.items() if value and name not in free}
+    is_covered = weigher.is_much_left(m)
+    lost_in = "what the plant leaves unexplained" if is_covered else "the sensors' noise"
     blind = [
-        _describe_blind_spot(h, powers[n], plant, held, is_fitted=n not in not_fitted)
+        _describe_blind_spot(h, powers[n], plant, held, lost_in, is_fitted=n not in not_fitted)
         for n, (h, _) in asked.items()
         if n not in sees and (plant.actuator == "muscle" or powers[n] > INERT)
     ]
@@ -195,7 +224,7 @@ def audit_model(weigher: Weigher, m: WeighedModel, *, pairs: bool = True) -> Aud
     unasked = tuple(
         (n, _explain_unasked(n, plant, has_already, asked)) for n in CATALOGUE if n not in told
     )
-    return Audit(sees, tuple(blind), tuple(alike), unasked)
+    return Audit(sees, tuple(blind), tuple(alike), unasked, is_covered)
 
 
 class _Beside:
@@ -281,7 +310,13 @@ def _advise_pair(pair: tuple[str, str], *without: str) -> Inseparable:
 
 
 def _describe_blind_spot(
-    hypothesis: Hypothesis, power: float, plant: PlantSettings, held: set[str], *, is_fitted: bool
+    hypothesis: Hypothesis,
+    power: float,
+    plant: PlantSettings,
+    held: set[str],
+    lost_in: str,
+    *,
+    is_fitted: bool,
 ) -> BlindSpot:
     effect, size = CATALOGUE[hypothesis.family], hypothesis.variants[0].sizes[0]
     number = size.name.rpartition(".")[2]
@@ -294,7 +329,7 @@ def _describe_blind_spot(
     dose = f"{size.smallest:g} {unit}".rstrip()
     if size.neutral:
         dose += f" away from {size.neutral:g}"
-    why = f"a size of {dose} is lost in the sensors' noise"
+    why = f"a size of {dose} is lost in {lost_in}"
     if effect.unidentifiable and not is_fitted:
         because = effect.unidentifiable(plant_parameters(plant).paper)
         why = f"{why}: {because}"

@@ -79,3 +79,16 @@ def test_an_audit_names_the_experiment_that_tells_a_pair_apart():
     assert "- creep and drift, creep and valve_leak, drift and valve_leak" in lines
     assert "- add: CHIRP  # for creep and drift" in lines
     assert "- add: SQUARE-1  # for drift and valve_leak" in lines
+
+
+def test_an_audit_sends_a_record_that_the_plant_does_not_explain_to_a_diagnosis_first():
+    found = Audit((), SPOTS[:1], (), is_covered=True).advise_nothing()
+    said = format_terminal(report_audit(found, str.upper, verbose=False))
+    assert "- first let pamctl diagnose find what is missing" in said
+    assert "experiments that do" not in said
+
+
+def test_an_audit_advises_what_two_experiments_have_in_common_once():
+    spots = [BlindSpot("drift", "", "squares-apart", None), BlindSpot("creep", "", "chirp", None)]
+    report = report_audit(Audit((), tuple(spots), ()), lambda _: "record: steps", verbose=False)
+    assert "- add: record: steps  # for drift, creep" in format_terminal(report)

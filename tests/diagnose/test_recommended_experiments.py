@@ -3,6 +3,7 @@
 import math
 from functools import cache
 
+import numpy as np
 import pytest
 
 from pamctl.diagnose import Record
@@ -101,3 +102,32 @@ def test_advice_does_not_repeat_the_experiment_that_was_audited():
     assert found.advise_beyond("square-1").inseparable[0].experiment == ""
     assert found.advise_beyond("square-1").blind_spots == (spot,)
     assert found.advise_beyond("slow-ramps").blind_spots[0].experiment == ""
+
+
+def test_a_record_that_the_plant_does_not_explain_is_to_be_diagnosed_before_more_is_recorded(
+    tmp_path,
+):
+    (tmp_path / "rubs.yaml").write_text("effects: {coulomb_friction: {force_n: 60.0}}\n")
+    done = simulate_run(resolve(experiment="square-1", plant=str(tmp_path / "rubs.yaml")))
+    signals = {key: done[key] for key in ("valve_v", "pressure_pa", "position_m")}
+    found = audit_run(Record("log", done.t_s, **signals), PlantSettings())
+    assert found.is_covered
+    assert not any(spot.experiment for spot in found.blind_spots)
+    whys = [spot.why for spot in found.blind_spots]
+    assert any("is lost in what the plant leaves unexplained" in why for why in whys)
+    assert not any("sensors' noise" in why for why in whys)
+
+
+def test_a_measured_record_of_held_full_steps_is_not_told_to_record_them():
+    done, random = run("square-1"), np.random.default_rng(1)
+    signals = {key: done[key] for key in ("valve_v", "pressure_pa", "position_m")}
+    signals["pressure_pa"] = done["pressure_pa"] + random.normal(0.0, 3000.0, len(done.t_s))
+    named = [
+        {spot.experiment for spot in audit_run(record, PlantSettings()).blind_spots}
+        for record in (
+            Record("log", done.t_s, **signals),
+            Record("log", done.t_s, **signals, is_imported=True),
+        )
+    ]
+    assert "square-1" in named[0]
+    assert not {"square-1", "squares-apart"} & named[1]

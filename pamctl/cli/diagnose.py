@@ -295,9 +295,7 @@ def audit(asked: AuditOptions) -> None:
     found = audit_run(record, plant)
     runs_here = plant.actuator == "muscle" and not record.is_imported
     has_pressure = record.pressure_pa is not None
-    advise = partial(
-        write_advice, actuator=plant.actuator, runs_here=runs_here, has_pressure=has_pressure
-    )
+    advise = partial(write_advice, plant=plant, runs_here=runs_here, has_pressure=has_pressure)
     print_report(report_audit(found, advise, verbose=asked.verbose), as_json=asked.as_json)
 
 

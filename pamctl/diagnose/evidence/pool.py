@@ -173,6 +173,14 @@ def list_effects(
             )
 
 
+def list_absent(actuator: Actuator, stiffness_n_per_m: float) -> tuple[str, ...]:
+    """Return the effects of what a plant file says is not there: no spring, no creep of it.
+
+    A muscle's own rubber creeps whatever its spring.
+    """
+    return ("creep",) if actuator in ("direct", "cylinder") and stiffness_n_per_m == 0.0 else ()
+
+
 def _make_variants(
     effect: EffectDescription, form: EffectForm, machine: Scales
 ) -> Iterator[Variant]:

@@ -60,19 +60,24 @@ MOTIONS: Mapping[str, tuple[str, str]] = {
     "squares-apart": _SQUARES,
 }
 """What to record instead of an experiment: behind a valve, and on a mechanism without one."""
+_RUNS_AWAY = ("long-holds", "square-1", "squares-apart")
+"""Experiments that hold a force: what no spring stops runs away."""
+_PUSHES = "short pushes of the driving force to and fro, each stopped by one the other way"
 
 
 def write_advice(
-    experiment: str, actuator: str, *, runs_here: bool, has_pressure: bool = False
+    experiment: str, plant: PlantSettings, *, runs_here: bool, has_pressure: bool = False
 ) -> str:
     """Write the command that runs an experiment, or what to record where pamctl does not run it."""
     if runs_here or not experiment:
         return write_command(experiment)
     named = f"a run like the experiment {experiment}"
     behind_valve, on_axis = MOTIONS.get(experiment, (named, named))
+    if experiment in _RUNS_AWAY and plant.parameters.stiffness_n_per_m == 0.0:
+        on_axis = _PUSHES
     if has_pressure:
         on_axis += "; at several pressures"
-    return f"record: {on_axis if actuator == 'direct' else behind_valve}"
+    return f"record: {on_axis if plant.actuator == 'direct' else behind_valve}"
 
 
 def write_command(experiment: str, *, by_daemon: bool = False) -> str:
@@ -320,7 +325,7 @@ def advise_experiment(diagnosis: Diagnosis, experiment: str) -> str:
         return write_command(experiment, by_daemon=True)
     return write_advice(
         experiment,
-        diagnosis.nominal.actuator,
+        diagnosis.nominal,
         runs_here=runs_here(diagnosis),
         has_pressure=all(record.pressure_pa is not None for record in diagnosis.train),
     )

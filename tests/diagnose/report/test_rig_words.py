@@ -12,6 +12,7 @@ from support.made_records import ask_only, list_asked, names_of
 
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, report_diagnosis
 from pamctl.diagnose.audit import audit_run
+from pamctl.diagnose.evidence.pool import list_absent
 from pamctl.diagnose.plant_numbers import FittedNumber
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page, format_plant_file
@@ -144,8 +145,9 @@ def test_only_a_muscle_whose_records_pamctl_made_is_told_to_run(found):
     for effect in CATALOGUE.values():
         advised = {effect.best_experiment, *(t.experiment for t in effect.told_from.values())}
         assert advised - {""} <= {*MOTIONS}
-    assert write_advice("chirp", "muscle", runs_here=True) == "pamctl run --experiment chirp"
-    assert "driving force" in write_advice("chirp", "direct", runs_here=False)
+    of_muscle = write_advice("chirp", PlantSettings(), runs_here=True)
+    assert of_muscle == "pamctl run --experiment chirp"
+    assert "driving force" in write_advice("chirp", AXIS, runs_here=False)
 
 
 def test_a_chamber_of_constant_volume_is_diagnosed_without_a_position():
@@ -177,6 +179,22 @@ def test_a_chamber_of_constant_volume_is_diagnosed_without_a_position():
     known = PlantSettings.model_validate({**base, "known": ["valve_gain_m2_per_v"]})
     told = audit_run(records[0], known).as_dict()
     assert "does the same" not in json.dumps(told)
+
+
+def test_a_mechanism_without_a_spring_is_asked_no_creep_of_it_and_advised_no_held_force(records):
+    free = AXIS.model_copy(
+        update={"parameters": AXIS.parameters.model_copy(update={"stiffness_n_per_m": 0.0})}
+    )
+    asked = {}
+    for plant in (AXIS, free):
+        told = audit_run(records[0], plant).as_dict()
+        asked[plant is free] = {name["name"] for name in told["unasked"]}
+    assert "creep" in asked[True] - asked[False]
+    assert "creep" in list_absent("cylinder", 0.0)
+    assert list_absent("muscle", 0.0) == ()
+    for experiment in MOTIONS:
+        assert "each held" not in write_advice(experiment, free, runs_here=False)
+    assert "each held for a minute" in write_advice("long-holds", AXIS, runs_here=False)
 
 
 def chamber_record(seed: int, truth: PlantSettings) -> Record:

@@ -67,7 +67,8 @@ class MuscleParameters(Configured):
         Field(
             ge=1,
             le=HIGHEST_ATMOSPHERE_PA,
-            description="pressure of the air in the laboratory, absolute",
+            description="pressure of the air in the laboratory, absolute: read a barometer; behind "
+            "a valve 1 % of it moves forces and masses by 1 %",
         ),
     ] = 101.3e3
     gas_constant_j_per_kg_k: Annotated[

@@ -270,3 +270,24 @@ def test_a_chamber_fills_as_its_volume_says_and_does_not_move():
     assert still.pressure_pa == pytest.approx(driven.pressure_pa, rel=1e-6)
     with pytest.raises(ValueError, match="needs chamber_volume_m3"):
         PlantSettings(actuator="chamber")
+
+
+@pytest.mark.parametrize("actuator", ["muscle", "cylinder"])
+def test_one_factor_on_all_pressures_forces_and_masses_moves_nothing(actuator):
+    """A gauge sensor's gain is no other number than the atmosphere that is stated beside it."""
+    scaled = ("atmospheric_pressure_pa", "tank_pressure_pa", "mass_kg", "damping_n_s_per_m")
+    own = {"cylinder_area_m2": 8e-4, "cylinder_volume_m3": 3e-5, "stroke_m": 0.08}
+
+    def drive(factor):
+        numbers = PlantSettings().parameters.model_dump()
+        numbers |= {name: factor * numbers[name] for name in (*scaled, "stiffness_n_per_m")}
+        plant = PlantSettings.model_validate({
+            "actuator": actuator, "parameters": numbers, **(own if actuator == "cylinder" else {}),
+            "effects": {"coulomb_friction": {"force_n": 10.0 * factor}},
+        })  # fmt: skip
+        commands = np.repeat(np.random.default_rng(1).uniform(-5.0, 5.0, 20), 100)
+        return drive_coupled(plant_parameters(plant), commands, 2.5e-3)
+
+    one, other = drive(1.0), drive(1.015)
+    np.testing.assert_allclose(other.position_m, one.position_m, atol=1e-12)
+    np.testing.assert_allclose(other.pressure_pa, 1.015 * one.pressure_pa, rtol=1e-9)

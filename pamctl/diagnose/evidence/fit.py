@@ -121,6 +121,8 @@ class Weigher:
         if held_out is not None:
             self.like_held = Likelihood(held_out.find_kept(level), least2)
         self.floor2, self.further_noise2 = least2, train.find_start_error2()
+        self.slow_noise2 = np.zeros(len(least2))
+        """The part of it that was stated beyond what the columns show: it may be slow."""
         self.simulations, self.begun_s = 0, time.process_time()
         """How often all records were simulated, and since when."""
         self.pushes: dict[str, Array] = {}

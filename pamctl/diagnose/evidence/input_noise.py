@@ -46,8 +46,9 @@ def count_input_noise(
 
     `stated` are deviations of sensors by channel, SI.
     """
-    starts2 = weigher.train.find_start_error2()
-    weigher.further_noise2 = starts2 + find_input_error2(weigher, m, stated or {})
+    shown2, stated2 = (find_input_error2(weigher, m, said) for said in ({}, stated or {}))
+    weigher.further_noise2 = weigher.train.find_start_error2() + stated2
+    weigher.slow_noise2 = np.maximum(stated2 - shown2, 0.0)
 
 
 def find_input_error2(weigher: Weigher, m: WeighedModel, stated: Mapping[str, float]) -> Array:

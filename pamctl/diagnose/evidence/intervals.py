@@ -83,9 +83,11 @@ def widen_intervals(
 def find_law_share(weigher: Weigher, m: WeighedModel) -> float:
     """Return the share of what a model leaves that no noise makes, in the worst channel.
 
-    Here moments count in which a valve switches, which leave much and are few.
+    Here moments count in which a valve switches, which leave much and are few. Slow noise may be
+    alike in stretches, too.
     """
-    left2 = weigher.like.mean_squares(m.d) / weigher.find_noise2(m)
+    noise2 = weigher.find_noise2(m) - weigher.slow_noise2
+    left2 = weigher.like.mean_squares(m.d) / noise2
     return max(1.0 - 1.0 / float(left2.max()), 0.0)
 
 

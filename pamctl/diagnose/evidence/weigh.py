@@ -191,7 +191,7 @@ def weigh_evidence(
     search, stopped_by = NameSearch(weigher, pool, tell), None
     try:
         tell(foretell(weigher, base, len(pool), fit_s))
-        m = search.improve(base)
+        m = base if _is_stated_noise(weigher, base, noise or {}) else search.improve(base)
         if instants:
             tell("fitting when the commands acted, beside what was found; then asking again")
             base = _refit_instants(weigher, instants, m, base)
@@ -212,12 +212,36 @@ def weigh_evidence(
     }
     noise2 = weigher.find_noise2(m)
     noise_rms = dict(zip(weigher.train.channels, map(float, np.sqrt(noise2)), strict=True))
-    more2 = np.array([*gap["extended"].values()]) ** 2 / LEFT_TIMES**2 - noise2
-    enough = find_enough_noise(weigher, m, more2, noise or {}) if (more2 > 0.0).any() else {}
+    enough = _find_enough_noise(weigher, base, m, gap, findings, noise or {})
     return EvidenceVerdict(
         tuple(findings), intervals, start, base, m, weigher, pool, gap, noise_rms, enough,
         instants, stopped_by,
     )  # fmt: skip
+
+
+def _is_stated_noise(weigher: Weigher, base: WeighedModel, noise: Mapping[str, float]) -> bool:
+    """Tell whether noise that is stated of what drives the model leaves as much as the model."""
+    is_stated = bool({*weigher.train.drivers} & {*noise})
+    return is_stated and bool((weigher.find_robust2(base) <= weigher.find_noise2(base)).all())
+
+
+def _find_enough_noise(
+    weigher: Weigher,
+    base: WeighedModel,
+    m: WeighedModel,
+    gap: Mapping[str, Mapping[str, float]],
+    findings: Sequence[Finding],
+    noise: Mapping[str, float],
+) -> dict[str, float]:
+    """Return the noise of a driver beside which the model leaves little, by column.
+
+    Where something is found, and no name is sure: as much as the recalibrated model leaves.
+    """
+    noise2 = weigher.find_noise2(m)
+    more2 = np.array([*gap["extended"].values()]) ** 2 / LEFT_TIMES**2 - noise2
+    if any(f.level in ("set", "kind", "place") for f in findings):
+        m, more2 = base, np.array([*gap["recalibrated"].values()]) ** 2 - noise2
+    return find_enough_noise(weigher, m, more2, noise) if (more2 > 0.0).any() else {}
 
 
 def _refit_instants(

@@ -154,7 +154,8 @@ def describe_gap(diagnosis: Diagnosis) -> str:
         parts.append(f"{name} {', '.join(steps)} (noise of its sensor{begins} {noise} {unit})")
     where = "On held-out seconds" if diagnosis.is_held_out else "On the fitted records"
     said = f"{where} the RMS that is left is: {'; '.join(parts)}."
-    return f"{said} {describe_left(diagnosis)}".rstrip()
+    parts = [said, describe_left(diagnosis), _describe_enough_noise(diagnosis)]
+    return " ".join(part for part in parts if part)
 
 
 def list_further_noise(runs: Runs) -> list[str]:
@@ -173,8 +174,18 @@ def describe_left(diagnosis: Diagnosis) -> str:
     ]
     if not high:
         return ""
-    said = f"That is still {join_words(high)}: more is missing, or the rig does not repeat itself"
-    return f"{said} any better. {_describe_enough_noise(diagnosis)}".rstrip()
+    return (
+        f"That is still {join_words(high)}: more is missing, or the rig does not repeat itself any "
+        "better."
+    )
+
+
+def doubt_noise(diagnosis: Diagnosis) -> str:
+    """Say that what was found may be noise of what drives the model, if nothing more is left."""
+    enough = diagnosis.evidence.enough_noise if diagnosis.evidence else {}
+    may_be = [f"slow noise of the measured {column.split('_')[0]}" for column in enough]
+    is_all = may_be and not describe_left(diagnosis)
+    return f", if it is not {' or '.join(may_be)}" if is_all else ""
 
 
 def _describe_enough_noise(diagnosis: Diagnosis) -> str:

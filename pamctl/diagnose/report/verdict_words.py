@@ -28,6 +28,7 @@ from pamctl.diagnose.report.verdict_phrases import (
     describe_rest,
     describe_sizes,
     describe_unnamed,
+    doubt_noise,
     list_places_in_words,
     list_shifts,
     spell_findings,
@@ -150,7 +151,7 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
         case Verdict.DESCRIBED:
             found = "; of what was asked, most is explained by" if left else ", and without a name:"
             return VerdictWords(
-                f"{missing}{found} {others}{ended}",
+                f"{missing}{found} {others}{ended}{doubt_noise(diagnosis)}",
                 body,
                 f"No name is sure ({describe_unnamed(diagnosis)}). This says where and how "
                 "something acts. What it is, the rig must show.",
@@ -166,7 +167,7 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
             beside = f" beside {settled}" if settled else ""
             return VerdictWords(
                 f"Something is missing{beside}, and these data do not tell which it is: {sets}"
-                f"{ended}",
+                f"{ended}{doubt_noise(diagnosis)}",
                 body,
                 "More than one explanation fits as well, at more than one place. "
                 f"plant.yaml has {part or 'the first of them'}{predicts}. The cause stays open.",

@@ -1,5 +1,7 @@
 """The noise of a measured force, passed through a model, is no missing effect."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -106,6 +108,39 @@ def test_of_slower_noise_than_is_counted_the_verdict_says_how_it_is_stated():
     again = diagnose(fit, [judge], PLANT, without=asked, noise={"force_n": enough_n})
     assert again.evidence is not None
     assert again.evidence.left_over_noise["position_m"] < 3.0
+
+
+def test_numbers_are_known_less_well_where_the_stated_noise_may_be_slow():
+    def drift(seed: int) -> np.ndarray:
+        white = np.random.default_rng(seed).normal(0.0, 1.0, len(T_S))
+        return np.asarray(0.3 * WHITE_N * white + lfilter([0.05], [1.0, -0.995], white))
+
+    fit = [move("quick", tones(1), drift(0)), move("slow", triangle(8.0), drift(1))]
+    asked = ask_only("force~curve(time)", of=list_asked(fit, PLANT))
+    widths = []
+    for stated in {}, {"force_n": 0.7}:
+        found = diagnose(fit, [], PLANT, without=asked, noise=stated)
+        assert not found.findings
+        damping, stiffness = found.recalibrated[:2]
+        assert damping.low < DAMPING < damping.high
+        assert stiffness.low < STIFFNESS < stiffness.high
+        widths.append(stiffness.high - stiffness.low)
+    assert widths[1] > 0.9 * widths[0], "what the noise leaves may be alike in all stretches"
+
+
+def test_of_a_set_that_slow_noise_of_the_force_may_be_the_title_says_so():
+    drifts = [0.5 * np.sin(2.0 * np.pi * f * T_S) for f in (0.021, 0.017)]
+    fit = [move("quick", tones(1), drifts[0]), move("slow", triangle(8.0), drifts[1])]
+    asked = ask_only("force~curve(time)", "encoder~curve(time)", of=list_asked(fit, PLANT))
+    found = diagnose(fit, [], PLANT, without=asked)
+    assert found.verdict == Verdict.AMBIGUOUS
+    assert found.evidence is not None
+    assert "slow noise" not in sentence(found)
+    loud = {c: 10.0 * rms for c, rms in found.evidence.noise_rms.items()}
+    evidence = replace(found.evidence, enough_noise={"force_n": 0.4}, noise_rms=loud)
+    may_be = replace(found, evidence=evidence)
+    assert "over time, if it is not slow noise of the measured force." in sentence(may_be)
+    assert "if it may, `--noise force_n=0.4` states it." in sentence(may_be)
 
 
 def test_a_real_friction_is_found_beside_the_noise_of_the_force():

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from pamctl.diagnose.evidence.measured_columns import SMOOTH_S, find_rates
+from pamctl.diagnose.evidence.measured_columns import SMOOTH_S, fill_gone, find_rates
 from pamctl.diagnose.evidence.weigh import LOAD
 from pamctl.diagnose.record import Record
 from pamctl.plant.effects.description import ACTUATORS
@@ -37,13 +37,27 @@ OPEN_SHARE = 0.2
 """Samples with less flow, or speed, than this share of the largest say little."""
 LEAST_SHARE = 0.01
 """A force that the balance does not show is guessed to be this share of all force."""
-UNLIKE_SHARE = 0.5
-"""Of the braid's friction: by so much a muscle differs from Eq. 5 before it is guessed."""
-TOLD_SHARE = 0.15
-"""From this on it is told, not guessed; where there is none, the balance finds up to 0.07."""
+LEAST_SHARE_SAID = 0.15
+"""Of the braid's friction: by less than this no muscle is said to differ from Eq. 5."""
+NEARLY = 1.3
+"""A friction of one kind that leaves no more than so many times what a mixture leaves will do."""
+NEAR = 2.0
+"""Samples off by more than so many medians count less: a landing, a reversal, is smoothed over."""
+TINY_N = 1e-9
+CREEP_S = (0.15, 1.0, 6.0)
+"""Time constants of a rubber's creep: it lags, and without it the balance takes it for friction."""
+ROUNDS = 6
+"""In which the pressure that the motion needs is found, and which samples count less."""
+LEAST_AREA_SHARE = 0.05
+"""Where a muscle pulls less, near its shortest length, no pressure follows from its force."""
 MOST_SAMPLES = 20_000
 HARDLY_SEEN = f"hardly seen: {100 * LEAST_SHARE:g} % of the force"
 DRY = "coulomb_friction.force_n"
+ONE_WAY, BOTH_WAYS, BACK, DRAG = "one way", "both ways", "back", "drag"
+FRICTIONS = ((BOTH_WAYS,), (ONE_WAY,), (DRY,))
+"""A muscle's friction of one kind: dry both ways, as in Eq. 5, or off the braid."""
+MIXTURES = ((BOTH_WAYS, DRY), (ONE_WAY, DRY), (ONE_WAY, BACK, DRAG, DRY))
+"""With BACK and DRAG apart, ONE_WAY is the dry part of Eq. 5 alone."""
 BY_FORCES = "from the balance of forces over the motion"
 
 
@@ -57,16 +71,18 @@ class Guess(NamedTuple):
 
 
 class DrivenMotion(NamedTuple):
-    """What the balance of forces needs of all records, each of shape (samples,)."""
+    """What the balance of forces needs of all records, of shape (samples,) if not said."""
 
     position_m: Array
     speed_m_per_s: Array
     acceleration_m_per_s2: Array
     drive_n: Array
-    grip_n_per_m: Array
-    """N A_b P_g of Eq. 5: the braid's damping for each 1/m of mu_k; without a braid 0."""
-    friction_n_m: Array
-    """The same with b theta cos(theta): its dry friction."""
+    grip_per_m: Array
+    """N A_b P_g of Eq. 5 over the drive, 1/m: of the braid's damping; without a braid 0."""
+    friction_m: Array
+    """The same with b theta cos(theta), m: of its dry friction."""
+    creep_m: Array
+    """How far a muscle is ahead of what follows it in CREEP_S, of shape (samples, times)."""
 
 
 def guess_numbers(
@@ -170,30 +186,22 @@ def _guess_mechanics(
 ) -> dict[str, Guess]:
     """Return what the balance of forces shows: M a + c v + k x + F_c sign(v) + F_0 = drive.
 
-    Of a muscle it has the braid's friction too: what Eq. 5 says while it contracts, and what other
-    muscles have, friction while it lengthens and none that grows with speed.
+    Of a muscle it has the rubber's creep and the braid's friction too.
     """
     motions = [m for record in records if (m := _find_motion(record, actuator, values)) is not None]
     if not motions:
         return {}
     motion = DrivenMotion(*(np.concatenate(rows) for rows in zip(*motions, strict=True)))
-    speed = motion.speed_m_per_s
-    moves = np.abs(speed) > OPEN_SHARE * np.quantile(np.abs(speed), 0.99)
-    x, v, a, drive, grip, friction = (row[moves] for row in motion)
-    up, ones = v > 0.0, np.ones(len(x))
-    forces = {
-        "mass_kg": a, "damping_n_s_per_m": v, "stiffness_n_per_m": x, DRY: np.sign(v),
-        LOAD: ones, "lift": -ones, "kinetic_friction_per_m": np.where(up, friction, 0.0),
-        "return": np.where(up, 0.0, -friction), "drag": np.where(up, grip * v, 0.0),
-    }  # fmt: skip
-    shown = {name: row for name, row in forces.items() if row.any()}
-    scale = {name: float(np.sqrt(np.mean(row**2))) for name, row in shown.items()}
-    table = np.column_stack([row / scale[name] for name, row in shown.items()])
-    amounts = dict(zip(shown, nnls(table, drive)[0], strict=True))
-    least = LEAST_SHARE * float(np.sqrt(np.mean(drive**2)))
+    speed = np.abs(motion.speed_m_per_s)
+    if not speed.any():
+        return {}
+    moves = speed > OPEN_SHARE * np.quantile(speed, 0.99)
+    motion = DrivenMotion(*(row[moves] for row in motion))
+    scale, sizes, _ = _choose_balance(motion) if actuator == "muscle" else _balance(motion, (DRY,))
+    least = LEAST_SHARE * float(np.sqrt(np.mean(motion.drive_n**2)))
     found = {}
     for name in ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m"):
-        amount, how = float(amounts[name]), BY_FORCES
+        amount, how = sizes[name] * scale[name], BY_FORCES
         if amount < least:
             if actuator == "muscle":
                 continue
@@ -201,37 +209,82 @@ def _guess_mechanics(
         if name == "stiffness_n_per_m" and actuator != "muscle":
             how += "; write 0 if there is no spring"
         found[name] = Guess(max(amount, least) / scale[name], how, amount < least)
-    sizes = {name: amount / scale[name] for name, amount in amounts.items()}
-    if amounts.get("kinetic_friction_per_m", 0.0) > least:
-        found |= _guess_braid(sizes)
-    elif "kinetic_friction_per_m" in amounts:
-        small = least / scale["kinetic_friction_per_m"]
-        found["kinetic_friction_per_m"] = Guess(small, HARDLY_SEEN, is_bound=True)
-    for name in (LOAD, DRY) if actuator == "muscle" else ():
-        if amounts[name] > least:
-            found[name] = Guess(float(sizes[name]), BY_FORCES)
+    if actuator == "muscle":
+        found |= _guess_braid(sizes, least / scale[BOTH_WAYS])
+        for name in (LOAD, DRY):
+            if sizes.get(name, 0.0) > least:
+                found[name] = Guess(sizes[name], BY_FORCES)
     return found
 
 
-def _guess_braid(sizes: Mapping[str, float]) -> dict[str, Guess]:
-    """Return mu_k, and what differs from Eq. 5 by more than half: no guess is better."""
-    contracting, how = sizes["kinetic_friction_per_m"], BY_FORCES
-    back, drag = sizes["return"] / contracting, sizes["drag"] / contracting - 1.0
-    if TOLD_SHARE < back <= UNLIKE_SHARE:
-        how += f"; about {back:.1f} of it acts while the muscle lengthens, too little to guess "
-        how += "return_friction.share"
-    found = {"kinetic_friction_per_m": Guess(float(contracting), how)}
-    if back > UNLIKE_SHARE:
-        found["return_friction.share"] = Guess(float(min(back, 1.0)), BY_FORCES)
-    if drag < -UNLIKE_SHARE:
-        found["braid_drag.share"] = Guess(float(drag), BY_FORCES)
+class Balance(NamedTuple):
+    """A balance of forces: by name each term's RMS per unit, N, and its size; the rest's mean."""
+
+    scale: dict[str, float]
+    sizes: dict[str, float]
+    left_n: float
+
+
+def _choose_balance(motion: DrivenMotion) -> Balance:
+    """Return a balance with the best friction of one kind, or a mixture that leaves far less."""
+    simple = min((_balance(motion, kind) for kind in FRICTIONS), key=lambda b: b.left_n)
+    found = [simple, *(_balance(motion, mixture) for mixture in MIXTURES)]
+    most_n = NEARLY * min(balance.left_n for balance in found)
+    return next(balance for balance in found if balance.left_n <= most_n)
+
+
+def _balance(motion: DrivenMotion, friction: Sequence[str]) -> Balance:
+    """Balance the forces with a friction.
+
+    The braid's friction follows from the pressure that the motion needs. The measured one has in
+    it all that the balance lacks: by it, friction would explain a part of that.
+    """
+    x, v, a, drive, grip_per_m, friction_m, creep_m = motion
+    contracts, needed, weight, ones = v > 0.0, drive, np.ones(len(x)), np.ones(len(x))
+    for _ in range(ROUNDS):
+        rub = needed * friction_m
+        drag = np.where(contracts, needed * grip_per_m * v, 0.0)
+        pull = np.where(contracts, rub, 0.0)
+        terms = {
+            "mass_kg": a, "damping_n_s_per_m": v, "stiffness_n_per_m": x, LOAD: ones,
+            "lift": -ones, **{f"creep {n}": row for n, row in enumerate(creep_m.T)},
+            DRY: np.sign(v), BOTH_WAYS: 2.0 * pull - rub, BACK: pull - rub, DRAG: drag,
+            ONE_WAY: pull if DRAG in friction else pull + drag,
+        }  # fmt: skip
+        scale = {name: float(np.sqrt(np.mean(row**2))) or 1.0 for name, row in terms.items()}
+        absent = {DRY, BOTH_WAYS, ONE_WAY, BACK, DRAG} - {*friction}
+        names = [name for name in terms if name not in absent]
+        table = np.column_stack([terms[name] / scale[name] for name in names])
+        amounts, _ = nnls(table * weight[:, None], drive * weight)
+        needed = np.maximum(table @ amounts, 0.0)
+        rest = np.abs(drive - table @ amounts)
+        near = NEAR * float(np.median(rest)) + TINY_N
+        weight = np.sqrt(near / np.maximum(rest, near))
+    sizes = {name: float(amount) / scale[name] for name, amount in zip(names, amounts, strict=True)}
+    return Balance(scale, sizes, float(np.mean(rest)))
+
+
+def _guess_braid(sizes: Mapping[str, float], least_per_m: float) -> dict[str, Guess]:
+    """Return mu_k, and by what the braid differs from Eq. 5."""
+    mu_k = sizes.get(BOTH_WAYS, 0.0) + sizes.get(ONE_WAY, 0.0)
+    if mu_k < least_per_m:
+        return {"kinetic_friction_per_m": Guess(least_per_m, HARDLY_SEEN, is_bound=True)}
+    back, drag = (1.0, -1.0) if BOTH_WAYS in sizes else (0.0, 0.0)
+    if DRAG in sizes:
+        back, drag = min(sizes[BACK] / mu_k, 1.0), sizes[DRAG] / mu_k - 1.0
+    found = {"kinetic_friction_per_m": Guess(mu_k, BY_FORCES)}
+    if back > LEAST_SHARE_SAID:
+        found["return_friction.share"] = Guess(back, BY_FORCES)
+    if drag < -LEAST_SHARE_SAID:
+        found["braid_drag.share"] = Guess(drag, BY_FORCES)
     return found
 
 
 def _find_motion(record: Record, actuator: str, values: Mapping[str, float]) -> DrivenMotion | None:
     rates = _differentiate(record, np.asarray(record.position_m))
     position_m = rates["smooth"]
-    grip = friction = np.zeros(len(position_m))
+    grip = friction = np.zeros_like(position_m)
+    creep = np.zeros((len(position_m), len(CREEP_S)))
     p = _paper_numbers(actuator, values)
     gauge = None if record.pressure_pa is None else record.pressure_pa - p.atmospheric_pressure_pa
     if actuator == "direct":
@@ -244,16 +297,31 @@ def _find_motion(record: Record, actuator: str, values: Mapping[str, float]) -> 
     else:
         if gauge is None:
             return None
-        drive = gauge * np.array([force_area_m2(p, x) for x in position_m])
+        areas_m2 = np.array([force_area_m2(p, x) for x in position_m])
+        drive = gauge * areas_m2
         if actuator == "muscle":
-            grip = values["braid_count"] * values["braid_contact_area_m2"] * gauge
+            grip = values["braid_count"] * values["braid_contact_area_m2"] / areas_m2
+            grip[areas_m2 < LEAST_AREA_SHARE * np.nanmax(areas_m2)] = 0.0
             shortest_m = p.rest_length_m - p.braid_length_m
             reachable = np.maximum(position_m, shortest_m)
             friction = grip * np.array([braid_lever_m(p, x) for x in reachable])
+            creep = np.column_stack([_lag(record, position_m, tau_s) for tau_s in CREEP_S])
     every = max(1, len(drive) // MOST_SAMPLES)
     rows = (position_m, rates["speed"], rates["push"], drive, grip, friction)
     good = np.all([np.isfinite(row) for row in rows], axis=0)
-    return DrivenMotion(*(row[good][::every] for row in rows))
+    first_s, last_s = record.t_s[0] + 0.5 * SMOOTH_S, record.t_s[-1] - 0.5 * SMOOTH_S
+    good &= (first_s < record.t_s) & (record.t_s < last_s)  # at the ends less is smoothed
+    return DrivenMotion(*(row[good][::every] for row in (*rows, creep)))
+
+
+def _lag(record: Record, position_m: Array, tau_s: float) -> Array:
+    """Return how far the position is ahead of one that follows it in `tau_s`."""
+    from scipy.signal import lfilter  # a second to import
+
+    x = fill_gone(position_m, ~np.isfinite(position_m))
+    kept = float(np.exp(-np.median(np.diff(record.t_s)) / tau_s))
+    follows, _ = lfilter([1.0 - kept], [1.0, -kept], x, zi=[kept * x[0]])
+    return np.asarray(x - follows)
 
 
 def _differentiate(record: Record, column: Array) -> dict[str, Array]:

@@ -355,14 +355,14 @@ class NameSearch:
     def exchange(self, base: WeighedModel, m: WeighedModel) -> WeighedModel:
         """Drop names that count no longer, or put others in their place, while that helps.
 
-        Of a plant of one block, where much is left, all stay until the end: what is not in the
-        model yet may hide what a name is worth.
+        Where much is left, all stay until the end: what is not in the model yet may hide what a
+        name is worth.
         """
         weigher = self.weigher
         for round_ in range(3 if len(m.names) > 1 else 0):
             weigher.meet(base, m)
             whole = base.total - m.total
-            is_lost = not weigher.train.has_two_blocks and weigher.is_much_left(m)
+            is_lost = weigher.is_much_left(m)
             for name in m.names if round_ else m.names[:-1]:
                 without = self.drop(m, name)
                 loss = without.total - m.total

@@ -232,11 +232,6 @@ class Runs:
         return view
 
     @property
-    def has_two_blocks(self) -> bool:
-        """Whether what is measured shows both blocks of the plant, mechanics and air."""
-        return self.channels == ("position_m", "pressure_pa")
-
-    @property
     def whole(self) -> Runs:
         """All blocks of these records."""
         return self._whole

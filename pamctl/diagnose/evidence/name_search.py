@@ -81,16 +81,11 @@ class NameSearch:
         self._without: dict[tuple[object, ...], WeighedModel] = {}
         self._fitted: dict[frozenset[str], WeighedModel] = {}
 
-    def improve(
-        self, base: WeighedModel, m: WeighedModel | None = None, most: int = MOST_NAMES
-    ) -> WeighedModel:
-        """Return the model that nothing improves; from a model with names, if one is given.
-
-        It has no more than `most` names.
-        """
+    def improve(self, base: WeighedModel, m: WeighedModel | None = None) -> WeighedModel:
+        """Return the model that nothing improves; from a model with names, if one is given."""
         m = m or self.turn_columns(base)
         been, asked = set[frozenset[str]](), list(self.pool)
-        while len(m.names) < most and frozenset(m.names) not in been:
+        while len(m.names) < MOST_NAMES and frozenset(m.names) not in been:
             round_s = -time.process_time()
             been.add(frozenset(m.names))
             self._fitted[frozenset(m.names)] = self.found = m

@@ -226,13 +226,9 @@ def _is_stated_noise(weigher: Weigher, base: WeighedModel, noise: Mapping[str, f
 
 
 def _find_enough_noise(
-    weigher: Weigher,
-    base: WeighedModel,
-    m: WeighedModel,
-    gap: Mapping[str, Mapping[str, float]],
-    findings: Sequence[Finding],
-    noise: Mapping[str, float],
-) -> dict[str, float]:
+    weigher: Weigher, base: WeighedModel, m: WeighedModel, gap: Mapping[str, Mapping[str, float]],
+    findings: Sequence[Finding], noise: Mapping[str, float],
+) -> dict[str, float]:  # fmt: skip
     """Return the noise of a driver beside which the model leaves little, by column.
 
     Where something is found, and no name is sure: as much as the recalibrated model leaves.

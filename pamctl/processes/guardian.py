@@ -74,17 +74,20 @@ class Listener:
         self._now_ns = now_ns
         self._beat_ns = beat_ns
         self._silent_ns = 0
-        self.heard_ns = 0
-        """How long the heart has been heard to beat, counted in the same way."""
+        self.heard_ns = self._unheard_ns = 0
+        """How long the heart has been heard to beat, until its last beat. For one beat no more
+        counts than two periods, which is a period of the slowest loop: the rest is a pause."""
 
     def measure_silence_ns(self, now_ns: int, beat_ns: int) -> int:
         """Look at the heartbeat; return how long it has stood still."""
         counted_ns = min(now_ns - self._now_ns, 2 * _POLL_NS)
+        self._unheard_ns += counted_ns
         if beat_ns == self._beat_ns:
             self._silent_ns += counted_ns
         else:
             self._silent_ns = min(max(0, now_ns - beat_ns), counted_ns)
-            self.heard_ns += counted_ns
+            self.heard_ns += min(self._unheard_ns, 2 * _POLL_NS)
+            self._unheard_ns = 0
         self._now_ns, self._beat_ns = now_ns, beat_ns
         return self._silent_ns
 

@@ -183,6 +183,8 @@ class Guardianship:
                 round(ms * 1e6) for ms in (self._pace.heartbeat_ms, self._pace.starved_ms)
             )
             self._silence = Silence(self._ring, loop.pid, beat_ns, starved_ns, _LEAD_NS)
+        if self._reason:  # a loop that is killed may wait for a CPU to die on
+            return
         fault = self._silence.find_fault()
         if fault and loop.poll() is None:
             self._reason = f"{fault}, its guardian did nothing, and the front killed it"

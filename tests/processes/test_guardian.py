@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from support.made_up import START_MONO_NS, meta
@@ -16,7 +17,7 @@ from support.patience import PATIENCE_S
 
 from hal.rig import RigError
 from pamctl.base.errors import Ending, ExitCode
-from pamctl.processes import guardian_main
+from pamctl.processes import guardian, guardian_main
 from pamctl.processes.front import Guardianship
 from pamctl.processes.guardian import (
     LEAVING_NS,
@@ -236,6 +237,26 @@ def test_a_silent_loop_that_its_guardian_leaves_alone_is_killed_by_the_front(rin
     assert int(silent_ms) >= LoopSettings().heartbeat_ms + 40.0, "the guardian acts before it"
     assert "the front drove the safe voltage" in ending.reason
     assert rig.tries == 1
+
+
+def test_a_killed_loop_that_waits_for_a_cpu_to_die_on_is_not_called_starved(ring, monkeypatch):
+    """A process that is killed is runnable until it dies, and a busy PC makes it wait."""
+    watchman, kills = start_guardian(), []
+    front = Guardianship(ring, watchman, StubRig(), LoopSettings())  # type: ignore[arg-type]
+    ring.loop_stage = LoopStage.TICKING
+    with frozen_loop() as loop:
+        late = SimpleNamespace(pid=loop.pid, poll=lambda: None, kill=lambda: kills.append(1))
+        while not kills:
+            front.look(late)  # type: ignore[arg-type]
+            time.sleep(1e-3)
+        monkeypatch.setattr(guardian, "read_state", lambda pid: "R")
+        for _ in range(50):
+            front.look(late)  # type: ignore[arg-type]
+            time.sleep(1e-3)
+    os.kill(watchman.pid, signal.SIGSTOP)
+    assert "silent for" in front.judge_ending(Ending(ExitCode.UNEXPECTED, "killed")).reason
+    assert kills == [1]
+    front.dismiss()
 
 
 def test_a_device_error_that_the_loop_has_told_stays_the_reason_of_its_end(ring):

@@ -21,7 +21,7 @@ from scipy.optimize import lsq_linear
 
 from pamctl.diagnose.evidence.constants import LEFT_SHARE, NAME_NATS, SCORE_STEP_S, SEEN_SHARE
 from pamctl.diagnose.evidence.fit import WeighedModel, Weigher
-from pamctl.diagnose.evidence.pool import Hypothesis, list_absent, list_effects
+from pamctl.diagnose.evidence.pool import Hypothesis, list_effects
 from pamctl.diagnose.evidence.weigh import (
     EvidenceVerdict,
     list_pool,
@@ -174,11 +174,10 @@ def audit_model(weigher: Weigher, m: WeighedModel, *, pairs: bool = True) -> Aud
     """Audit the training records of a fitted model."""
     plant = settings_of(weigher.base)
     has_already = {*plant.acting, *m.names}
-    absent = list_absent(plant.actuator, plant.parameters.stiffness_n_per_m)
     fitted = [
         h
         for h in list_pool(weigher.train, weigher.base, plant)
-        if h.family in CATALOGUE and not {h.family, h.name} & {*has_already, *absent}
+        if h.family in CATALOGUE and not {h.family, h.name} & has_already
     ]
     machine = scales_of(weigher.train, plant)
     mere = [

@@ -21,7 +21,6 @@ from pamctl.diagnose.diagnosis import (
     decide_verdict,
 )
 from pamctl.diagnose.evidence import EvidenceVerdict, weigh_evidence
-from pamctl.diagnose.evidence.pool import list_absent
 from pamctl.diagnose.evidence.run_pieces import CannotBeWeighed
 from pamctl.diagnose.explanations import assemble_plant, judge_forecasts, list_explanations
 from pamctl.diagnose.guess_plant import doubt_numbers
@@ -74,15 +73,8 @@ def diagnose(
             progress("no command: only the mechanics is asked, and the measured pressure drives it")
         stated = pool_stated_noise(records)
         cores = jobs or os.cpu_count() or 1
-        absent = list_absent(plant.actuator, plant.parameters.stiffness_n_per_m)
         found = weigh_evidence(
-            train,
-            holdout,
-            plant,
-            without=[*without, *absent],
-            noise=stated,
-            jobs=cores,
-            tell=progress,
+            train, holdout, plant, without=[*without], noise=stated, jobs=cores, tell=progress
         )
         acting = {*found.noise_rms, *found.weigher.train.drivers}
         for channel in sorted((noise or {}).keys() - acting):

@@ -46,9 +46,11 @@ def count_input_noise(
 
     `stated` are deviations of sensors by channel, SI.
     """
-    shown2, stated2 = (find_input_error2(weigher, m, said) for said in ({}, stated or {}))
-    weigher.further_noise2 = weigher.train.find_start_error2() + stated2
-    weigher.slow_noise2 = np.maximum(stated2 - shown2, 0.0)
+    shown2 = noise2 = find_input_error2(weigher, m, {})
+    if {*weigher.train.drivers} & {*(stated or {})}:
+        noise2 = find_input_error2(weigher, m, stated or {})
+    weigher.further_noise2 = weigher.train.find_start_error2() + noise2
+    weigher.slow_noise2 = np.maximum(noise2 - shown2, 0.0)
 
 
 def find_input_error2(weigher: Weigher, m: WeighedModel, stated: Mapping[str, float]) -> Array:

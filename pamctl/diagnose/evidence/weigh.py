@@ -31,6 +31,7 @@ from pamctl.diagnose.evidence.pool import (
     Hypothesis,
     Scales,
     Unknown,
+    list_absent,
     list_effects,
     list_terms,
 )
@@ -416,6 +417,7 @@ def list_pool(runs: Runs, values: Mapping[str, float], plant: PlantSettings) -> 
     reach = find_reach(runs)
     acting = {name.split(".")[0] for name in values if "." in name}
     taken = {LOCATIONS[t.removesuffix(SUFFIX)].part for t in acting if t.endswith(SUFFIX)}
+    acting |= {*list_absent(plant.actuator, plant.parameters.stiffness_n_per_m)}
     pool = [
         *(free_home(h) for h in list_effects(plant.actuator, machine) if h.family not in acting),
         *list_of_chain(runs.channels, values, runs.period_s, plant.actuator, reach),
